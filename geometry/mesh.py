@@ -1,0 +1,504 @@
+"""From a section to a mesh: structured quadrilaterals with named regions and boundaries. The only place that runs gmsh.
+
+The section is cut by every break in r and z into a tensor grid of rectangles, so neighbouring regions share their nodes
+by construction. Each interval between two breaks is divided into panels of elements in geometric progression; each
+rectangle of panels is one transfinite, recombined surface of gmsh. Quadrilaterals with straight sides describe such a
+section exactly, so the mesh has first-order geometry whatever the order of the fields on it.
+
+Element size: at most a tenth of the slowest wavelength at the highest frequency with second-order fields
+(Acevedo-Espinosa et al. (RP-UEIS), section 3.2), finer towards the rims of the cavity and of the couplant, where a fluid meets
+two solids.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import os
+import warnings
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from geometry.names import AXIS, CAVITY, TRANSDUCER, role_of
+from geometry.section import VOID, Section, boundary_name
+from inputs import InputError, nearest_names, write_atomic
+
+#: Part of the key of a cached mesh: raise it whenever the same section and size would give another mesh.
+CACHE_VERSION = 1
+
+#: Regions with these roles hold a fluid as a rule; the mesh is refined towards their rims.
+RIM_ROLES = (CAVITY, "couplant")
+
+#: Largest ratio between neighbouring elements of a panel long enough to choose it.
+GROWTH = 1.2
+
+#: Agreement demanded between a region of the mesh and the section's own arithmetic, relative. Rounding accumulates to
+#: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
+VOLUME_TOLERANCE = 1e-9
+
+
+class MeshError(RuntimeError):
+    """The mesh is not the one the section asked for, or gmsh could not be used."""
+
+
+@dataclass(frozen=True)
+class MeshSize:
+    """How fine a mesh has to be.
+
+    ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` where nothing propagates (a
+    vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
+    ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: size of the elements at the
+    rims of cavity and couplant relative to the others; 1 leaves them alike.
+    """
+
+    slowest_wave: Mapping[str, float]
+    frequency_max: float
+    elements_per_wavelength: float = 10.0
+    order: int = 2
+    minimum_through_thickness: int = 2
+    corner_refinement: float = 0.5
+
+    def __post_init__(self) -> None:
+        def refuse(name: str, value: object, expected: str) -> None:
+            raise InputError("mesh size", name, value, expected)
+
+        for region, speed in self.slowest_wave.items():
+            if not speed > 0.0:
+                refuse(f"slowest_wave.{region}", speed, "a speed above zero in m/s")
+        if not 0.0 < self.frequency_max < math.inf:
+            refuse("frequency_max", self.frequency_max, "a frequency above zero in Hz")
+        if not 0.0 < self.elements_per_wavelength < math.inf:
+            refuse("elements_per_wavelength", self.elements_per_wavelength, "a number above zero")
+        if self.order < 1:
+            refuse("order", self.order, "a polynomial order of 1 or more")
+        if self.minimum_through_thickness < 1:
+            refuse("minimum_through_thickness", self.minimum_through_thickness, "1 or more")
+        if not 0.0 < self.corner_refinement <= 1.0:
+            refuse("corner_refinement", self.corner_refinement, "a ratio above 0 and up to 1")
+
+    def largest_element(self, region: str) -> float:
+        """Largest edge of an element in the region, metres.
+
+        Raises:
+            InputError: no speed is given for the region.
+        """
+        if region not in self.slowest_wave:
+            raise InputError(
+                "mesh size",
+                f"slowest_wave.{region}",
+                None,
+                "the slowest wave speed of every region, inf where nothing propagates",
+                nearest_names(region, self.slowest_wave),
+            )
+        return self.slowest_wave[region] / (self.frequency_max * self.elements_per_wavelength)
+
+
+@dataclass(frozen=True)
+class SectionMesh:
+    """The mesh of a section.
+
+    ``mesh``: quadrilaterals with straight sides, coordinates (r, z) in metres, cell indices by region in
+    ``mesh.subdomains``, facet indices by boundary name in ``mesh.boundaries``. The four nodes of every cell run
+    (bottom left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes are
+    numbered along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
+
+    Raises:
+        MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or
+            volume of a region differs from the section's.
+    """
+
+    mesh: skfem.MeshQuad
+    order: int
+    section: Section
+
+    def __post_init__(self) -> None:
+        _check_mesh(self.mesh, self.section)
+
+
+def refined(size: MeshSize, factor: float) -> MeshSize:
+    """`size` with elements smaller by `factor` in both directions, thin layers included."""
+    return replace(
+        size,
+        elements_per_wavelength=size.elements_per_wavelength * factor,
+        minimum_through_thickness=math.ceil(size.minimum_through_thickness * factor),
+    )
+
+
+def elements_per_wavelength(
+    mesh: SectionMesh, slowest_wave: Mapping[str, float], frequency: float
+) -> dict[str, float]:
+    """Elements per wavelength in the longest edge of each region of `slowest_wave`, at `frequency` (Hz).
+
+    Raises:
+        InputError: `slowest_wave` (m/s) names a region the mesh has not.
+    """
+    edges = np.ptp(mesh.mesh.p[:, mesh.mesh.t], axis=1).max(axis=0)
+    counts = {}
+    for region, speed in slowest_wave.items():
+        if region not in mesh.mesh.subdomains:
+            known = mesh.section.regions
+            raise InputError(
+                "mesh", "slowest_wave", region, "one of " + ", ".join(known), nearest_names(region, known)
+            )
+        counts[region] = speed / frequency / float(edges[mesh.mesh.subdomains[region]].max())
+    return counts
+
+
+def mesh_section(section: Section, size: MeshSize, *, cache: Path | None = None) -> SectionMesh:
+    """The mesh of `section`, as fine as `size` asks for.
+
+    With a `cache` folder (:func:`user_cache` is the usual one) a mesh made before is read instead of made again. A
+    damaged file there is reported by a warning and replaced.
+
+    Raises:
+        InputError: no speed is given for a region of the section.
+        MeshError: gmsh is in use already, or its mesh is not the section.
+    """
+    if cache is None:
+        return _named(_generate(section, size), section, size.order)
+    path = cache / f"{_content_key(section, size)}.npz"
+    if path.is_file():
+        try:
+            return _named(_load(path), section, size.order)
+        except (OSError, EOFError, ValueError, TypeError, LookupError, zipfile.BadZipFile, MeshError) as error:
+            warnings.warn(f"the cached mesh {path} is damaged ({error!r}); making it again", stacklevel=2)
+    cells = _generate(section, size)
+    mesh = _named(cells, section, size.order)
+    _save(path, cells)
+    return mesh
+
+
+def user_cache() -> Path:
+    """The folder for meshes of this user: below ``$XDG_CACHE_HOME``, or ``~/.cache``."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    return (Path(root) if root else Path.home() / ".cache") / "acoustofluidic-chip-workbench" / "meshes"
+
+
+@contextmanager
+def gmsh_session() -> Iterator[ModuleType]:
+    """gmsh, started with its own defaults and shut down on leaving, error or not.
+
+    gmsh is one global session with global options: starting it for every mesh is what keeps one mesh from changing the
+    next.
+
+    Raises:
+        MeshError: gmsh is not installed, or a session is open already.
+    """
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:
+        raise MeshError(f"meshing needs gmsh and its system libraries: {error}") from error
+    if gmsh.isInitialized():
+        raise MeshError("a gmsh session is open already; close it before meshing a section")
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        yield gmsh
+    finally:
+        gmsh.finalize()
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Dividing the section
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """Part of an interval between two breaks: `count` elements, each `ratio` times as long as the one before."""
+
+    interval: int
+    start: float
+    end: float
+    count: int
+    ratio: float
+
+    def nodes(self) -> NDArray[np.float64]:
+        """(count + 1,) coordinates from start to end, both exact."""
+        lengths = self.ratio ** np.arange(self.count)
+        steps = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
+        nodes: NDArray[np.float64] = self.start + (self.end - self.start) * steps
+        nodes[-1] = self.end
+        return nodes
+
+
+def _panels(
+    breaks: tuple[float, ...], largest: NDArray[np.float64], refined_breaks: set[float], *, size: MeshSize, minimum: int
+) -> list[_Panel]:
+    """Panels of the intervals between `breaks`, with elements no longer than `largest` (one value an interval)."""
+    panels: list[_Panel] = []
+    for i, (start, end, limit) in enumerate(zip(breaks, breaks[1:], largest, strict=False)):
+        ends = (start in refined_breaks, end in refined_breaks)
+        lengths, counts, ratios = _divide(end - start, limit, ends, size.corner_refinement, minimum)
+        knots = start + np.concatenate([[0.0], np.cumsum(lengths)])
+        knots[-1] = end
+        panels += [_Panel(i, float(a), float(b), n, q) for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False)]
+    return panels
+
+
+def _divide(
+    length: float, largest: float, graded: tuple[bool, bool], refinement: float, minimum: int
+) -> tuple[list[float], list[int], list[float]]:
+    """Lengths, counts and ratios of the panels of one interval.
+
+    A graded end begins with elements of `refinement` times the regular size and grows towards the middle by at most
+    :data:`GROWTH` an element. An interval too short for that is graded over its whole length.
+    """
+    sides = sum(graded) if refinement < 1.0 else 0
+    if sides == 0:
+        return [length], [max(minimum, _ceiling(length / largest))], [1.0]
+    growing = math.ceil(math.log(1.0 / refinement) / math.log(GROWTH))
+    ratio = refinement ** (-1.0 / growing)
+    zone = refinement * largest * sum(ratio**k for k in range(growing))
+    middle = length - sides * zone
+    if middle >= largest:
+        regular = max(_ceiling(middle / largest), minimum - sides * growing)
+        pieces = [(zone, growing, ratio)] * graded[0] + [(middle, regular, 1.0)] + [(zone, growing, 1 / ratio)] * graded[1]
+    else:
+        part = length / sides
+        count = -(-minimum // sides)
+        while count == 1 and part > refinement * largest or count > 1 and _longest(part, count, refinement) > largest:
+            count += 1
+        total = refinement ** (-1.0 / (count - 1)) if count > 1 else 1.0
+        pieces = [(part, count, total)] * graded[0] + [(part, count, 1 / total)] * graded[1]
+    lengths, counts, ratios = zip(*pieces, strict=True)
+    return list(lengths), list(counts), list(ratios)
+
+
+def _longest(length: float, count: int, refinement: float) -> float:
+    """Longest of `count` elements in geometric progression whose shortest is `refinement` times as long."""
+    return length / float(sum(refinement ** (k / (count - 1)) for k in range(count)))
+
+
+def _ceiling(quotient: float) -> int:
+    """Smallest number of elements; a quotient above a whole number by rounding only does not cost one more."""
+    return max(1, math.ceil(quotient * (1.0 - 1e-12)))
+
+
+def _rims(section: Section) -> tuple[set[float], set[float]]:
+    """Radii and heights of the corners of cavity and couplant, off the axis."""
+    radii: set[float] = set()
+    heights: set[float] = set()
+    for role in RIM_ROLES:
+        pieces = [rectangle for rectangle in section.rectangles if role_of(rectangle.region) == role]
+        corners = [(p.r_outer, z) for p in pieces for z in (p.z_bottom, p.z_top)]
+        for radius, height in corners:
+            # Where two pieces of one cavity meet at equal radius their wall goes straight on: no corner.
+            if corners.count((radius, height)) == 1:
+                radii.add(radius)
+                heights.add(height)
+    return radii, heights
+
+
+def _divided(section: Section, size: MeshSize) -> tuple[list[_Panel], list[_Panel]]:
+    """Panels along r and along z."""
+    grid = section.grid()
+    limits = np.array([size.largest_element(region) for region in section.regions] + [math.inf])[grid]
+    columns, rows = limits.min(axis=0), limits.min(axis=1)
+    if math.isinf(max(columns.max(), rows.max())):
+        raise InputError("mesh size", "slowest_wave", math.inf, "a finite speed in some region of every row and column")
+    radii, heights = _rims(section)
+    return (
+        _panels(section.r_breaks, columns, radii, size=size, minimum=1),
+        _panels(section.z_breaks, rows, heights, size=size, minimum=size.minimum_through_thickness),
+    )
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# gmsh
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """A mesh without names: points (2, n) in metres, cells (4, m) of points, region (m,) of every cell."""
+
+    points: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    region: NDArray[np.int64]
+
+
+def _generate(section: Section, size: MeshSize) -> _Cells:
+    along_r, along_z = _divided(section, size)
+    grid = section.grid()[np.ix_([p.interval for p in along_z], [p.interval for p in along_r])]
+    occupied = [(int(j), int(i)) for j, i in np.argwhere(grid != VOID)]
+    with gmsh_session() as gmsh:
+        surfaces = _transfinite_surfaces(gmsh.model.geo, along_r, along_z, occupied)
+        gmsh.model.geo.synchronize()
+        gmsh.model.mesh.generate(2)
+        tags, coordinates, _ = gmsh.model.mesh.getNodes()
+        blocks = [_quadrilaterals(gmsh.model.mesh, surface) for surface in surfaces]
+    number = np.empty(int(tags.max()) + 1, dtype=np.int64)
+    number[tags.astype(np.int64)] = np.arange(len(tags))
+    cells = number[np.concatenate(blocks)].T
+    region = np.repeat([grid[j, i] for j, i in occupied], [len(block) for block in blocks])
+    r, z = coordinates.reshape(-1, 3)[:, :2].T
+    return _ordered(_on_lines(r, along_r), _on_lines(z, along_z), cells, region)
+
+
+def _transfinite_surfaces(
+    geo: ModuleType, along_r: list[_Panel], along_z: list[_Panel], occupied: list[tuple[int, int]]
+) -> list[int]:
+    """One surface of gmsh for every occupied rectangle (row, column) of panels; their tags in that order."""
+    r = [along_r[0].start, *(panel.end for panel in along_r)]
+    z = [along_z[0].start, *(panel.end for panel in along_z)]
+    points: dict[tuple[int, int], int] = {}
+    lines: dict[tuple[tuple[int, int], tuple[int, int]], int] = {}
+
+    def point(j: int, i: int) -> int:
+        if (j, i) not in points:
+            points[j, i] = geo.addPoint(r[i], z[j], 0.0)
+        return points[j, i]
+
+    def line(start: tuple[int, int], end: tuple[int, int], panel: _Panel) -> int:
+        if (start, end) not in lines:
+            tag = geo.addLine(point(*start), point(*end))
+            geo.mesh.setTransfiniteCurve(tag, panel.count + 1, "Progression", panel.ratio)
+            lines[start, end] = tag
+        return lines[start, end]
+
+    surfaces = []
+    for j, i in occupied:
+        bottom = line((j, i), (j, i + 1), along_r[i])
+        right = line((j, i + 1), (j + 1, i + 1), along_z[j])
+        top = line((j + 1, i), (j + 1, i + 1), along_r[i])
+        left = line((j, i), (j + 1, i), along_z[j])
+        surface = geo.addPlaneSurface([geo.addCurveLoop([bottom, right, -top, -left])])
+        geo.mesh.setTransfiniteSurface(surface)
+        geo.mesh.setRecombine(2, surface)
+        surfaces.append(surface)
+    return surfaces
+
+
+def _quadrilaterals(mesh: ModuleType, surface: int) -> NDArray[np.int64]:
+    """(m, 4) node tags of the elements on one surface.
+
+    Raises:
+        MeshError: there are none, or some are not quadrilaterals.
+    """
+    four_node_quadrilateral = 3
+    kinds, _, nodes = mesh.getElements(2, surface)
+    if [int(kind) for kind in kinds] != [four_node_quadrilateral]:
+        raise MeshError(f"gmsh filled a rectangle with elements of kinds {list(kinds)}, not with quadrilaterals only")
+    return np.asarray(nodes[0], dtype=np.int64).reshape(-1, 4)
+
+
+def _on_lines(values: NDArray[np.float64], panels: list[_Panel]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The coordinates of the grid lines, and the line each of `values` is on.
+
+    gmsh places the nodes of a graded curve by numerical integration; the lines are its nodes without that error.
+
+    Raises:
+        MeshError: a value is further from its line than a hundredth of the distance to the next line.
+    """
+    lines = np.concatenate([panels[0].nodes()[:1], *(panel.nodes()[1:] for panel in panels)])
+    index = np.searchsorted(0.5 * (lines[:-1] + lines[1:]), values)
+    if (np.abs(values - lines[index]) > 0.01 * np.diff(lines).min()).any():
+        raise MeshError("gmsh placed nodes off the lines of the section")
+    return lines, index
+
+
+def _ordered(
+    r: tuple[NDArray[np.float64], NDArray[np.int64]],
+    z: tuple[NDArray[np.float64], NDArray[np.int64]],
+    cells: NDArray[np.int64],
+    region: NDArray[np.int64],
+) -> _Cells:
+    """The cells with nodes and cells numbered along r, then upwards, and local nodes anticlockwise from bottom left."""
+    (r_lines, r_index), (z_lines, z_index) = r, z
+    place, node = np.unique(z_index * len(r_lines) + r_index, return_inverse=True)
+    if len(place) != len(node):
+        raise MeshError(f"gmsh made {len(node) - len(place)} nodes twice")
+    # By its place on the grid a corner is bottom left, bottom right, top left, top right when the four are sorted.
+    corners = np.sort(node[cells], axis=0)[[0, 1, 3, 2]]
+    order = np.argsort(corners[0], kind="stable")
+    points = np.stack([r_lines[place % len(r_lines)], z_lines[place // len(r_lines)]])
+    return _Cells(points, np.ascontiguousarray(corners[:, order]), region[order])
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Names
+
+
+def _named(cells: _Cells, section: Section, order: int) -> SectionMesh:
+    """The cells as a mesh whose regions and boundaries carry the names of the section."""
+    mesh = skfem.MeshQuad(cells.points, cells.cells)
+    regions = {name: np.flatnonzero(cells.region == i) for i, name in enumerate(section.regions)}
+    # Region on either side of every facet, VOID beyond the outer boundary; smaller index first.
+    neighbours = np.append(cells.region, VOID)[mesh.f2t]
+    neighbours.sort(axis=0)
+    r, z = mesh.p[:, mesh.facets]
+    facets: dict[str, NDArray[np.int64]] = {AXIS: np.flatnonzero((r == 0.0).all(axis=0))}
+    between = neighbours[0] != neighbours[1]
+    between[facets[AXIS]] = False
+    for a, b in np.unique(neighbours[:, between], axis=1).T:
+        name = boundary_name(section.regions, int(a), int(b))
+        facets[name] = np.flatnonzero(between & (neighbours[0] == a) & (neighbours[1] == b))
+    of_transducer = (neighbours == section.regions.index(TRANSDUCER)).any(axis=0)
+    for electrode in section.electrodes:
+        covered = (z == electrode.z) & (r >= electrode.r_inner) & (r <= electrode.r_outer)
+        facets[electrode.name] = np.flatnonzero(of_transducer & covered.all(axis=0))
+    return SectionMesh(mesh.with_subdomains(regions).with_boundaries(facets), order, section)
+
+
+def _check_mesh(mesh: skfem.MeshQuad, section: Section) -> None:
+    """See :class:`SectionMesh`."""
+    for kind, found, expected in (
+        ("regions", mesh.subdomains or {}, section.regions),
+        ("boundaries", mesh.boundaries or {}, section.boundary_names()),
+    ):
+        filled = {name for name, indices in found.items() if len(indices)}
+        if filled != set(expected):
+            raise MeshError(
+                f"{kind} missing from the mesh: {sorted(set(expected) - filled)}; not of the section: "
+                f"{sorted(filled - set(expected))}"
+            )
+    r, z = mesh.p[:, mesh.t]
+    widths, heights = r[1] - r[0], z[3] - z[0]
+    if min(widths.min(), heights.min()) <= 0.0:
+        raise MeshError("the mesh has an element without area or with its nodes out of order")
+    areas = widths * heights
+    volumes = math.pi * (r[0] + r[1]) * areas
+    for region in section.regions:
+        cells = mesh.subdomains[region]
+        for quantity, measured, exact in (
+            ("area", areas[cells].sum(), section.area(region)),
+            ("volume", volumes[cells].sum(), section.volume(region)),
+        ):
+            if not abs(measured - exact) <= VOLUME_TOLERANCE * exact:
+                raise MeshError(f"{quantity} of {region!r} in the mesh is {measured:.12g}, in the section {exact:.12g}")
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Cache
+
+
+def _content_key(section: Section, size: MeshSize) -> str:
+    content = {
+        "version": CACHE_VERSION,
+        "rectangles": [asdict(rectangle) for rectangle in section.rectangles],
+        "electrodes": [asdict(electrode) for electrode in section.electrodes],
+        # A mapping proxy cannot be deep-copied, as asdict would.
+        "size": asdict(replace(size, slowest_wave=dict(size.slowest_wave))),
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _save(path: Path, cells: _Cells) -> None:
+    stream = io.BytesIO()
+    np.savez(stream, points=cells.points, cells=cells.cells, region=cells.region)
+    write_atomic(path, stream.getvalue())
+
+
+def _load(path: Path) -> _Cells:
+    # From bytes: numpy leaves a file it cannot read open.
+    with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+        return _Cells(archive["points"], archive["cells"], archive["region"])

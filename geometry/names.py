@@ -1,0 +1,63 @@
+"""The closed vocabulary of regions and boundaries.
+
+A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its region is called like its role, with ``_2``,
+``_3``, ... appended when a role occurs again further up. The holes through the layers together are the region
+:data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
+``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). No other name of a
+place exists anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+TRANSDUCER = "transducer"
+CAVITY = "cavity"
+
+#: Roles a layer may have.
+ROLES = (
+    TRANSDUCER,
+    "couplant",
+    "substrate",
+    "sidewall",
+    "bond",
+    "superstrate",
+    "sample",
+    "matching",
+    "backing",
+    "layer",
+)
+
+AXIS = "axis"
+ELECTRODE_LIVE = "electrode_live"
+ELECTRODE_GROUND = "electrode_ground"
+OUTSIDE = "outside"
+
+#: What a state writes for a cavity with nothing in it: its walls are then traction-free.
+VACUUM = "vacuum"
+
+
+def region_names(roles: Iterable[str]) -> tuple[str, ...]:
+    """Region names of layers with these roles, bottom to top: ``bond, layer, bond`` gives ``bond, layer, bond_2``."""
+    seen: dict[str, int] = {}
+    names = []
+    for role in roles:
+        seen[role] = seen.get(role, 0) + 1
+        names.append(role if seen[role] == 1 else f"{role}_{seen[role]}")
+    return tuple(names)
+
+
+def role_of(region: str) -> str:
+    """The role of a region: ``bond_2`` is a ``bond``."""
+    stem, _, number = region.rpartition("_")
+    return stem if stem and number.isdigit() else region
+
+
+def interface(a: str, b: str) -> str:
+    """Name of the boundary between the two regions, the same whichever is named first."""
+    return "|".join(sorted((a, b)))
+
+
+def outside(region: str) -> str:
+    """Name of the part of the region's boundary beyond which there is nothing (the axis not included)."""
+    return f"{region}|{OUTSIDE}"

@@ -1,0 +1,177 @@
+"""The half section of a chip in the (r, z) plane: rectangles, electrodes, and the lines all of them lie on.
+
+Lengths in metres, the axis at r = 0, z upwards (Acevedo-Espinosa et al. (RP-UEIS), Fig. 1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import SAME_LENGTH, Chip, ElectrodeDisc
+from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, interface, outside
+from inputs import choose
+
+#: Marks a cell of :meth:`Section.grid` where there is nothing.
+VOID = -1
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A part of a region, bounded by two radii and two heights (metres)."""
+
+    region: str
+    r_inner: float
+    r_outer: float
+    z_bottom: float
+    z_top: float
+
+
+@dataclass(frozen=True)
+class Electrode:
+    """An electrode: the horizontal line from ``r_inner`` to ``r_outer`` at height ``z`` (metres)."""
+
+    name: str
+    r_inner: float
+    r_outer: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Section:
+    """The half section: rectangles that do not overlap, and electrodes on them.
+
+    Coordinates that mean the same line are the same float (:func:`cut_section` sees to it), so they compare exactly.
+    """
+
+    rectangles: tuple[Rectangle, ...]
+    electrodes: tuple[Electrode, ...]
+
+    @cached_property
+    def regions(self) -> tuple[str, ...]:
+        """Names of the regions, in the order of the rectangles."""
+        return tuple(dict.fromkeys(rectangle.region for rectangle in self.rectangles))
+
+    @cached_property
+    def r_breaks(self) -> tuple[float, ...]:
+        """Every radius at which something begins or ends, increasing (metres)."""
+        pieces: tuple[Rectangle | Electrode, ...] = (*self.rectangles, *self.electrodes)
+        return tuple(sorted({r for piece in pieces for r in (piece.r_inner, piece.r_outer)}))
+
+    @cached_property
+    def z_breaks(self) -> tuple[float, ...]:
+        """Every height at which something begins or ends, increasing (metres)."""
+        lines = {z for rectangle in self.rectangles for z in (rectangle.z_bottom, rectangle.z_top)}
+        return tuple(sorted(lines | {electrode.z for electrode in self.electrodes}))
+
+    def grid(self) -> NDArray[np.int64]:
+        """Which region fills each cell between the breaks.
+
+        Returns:
+            (len(z_breaks) - 1, len(r_breaks) - 1) indices into ``regions``, :data:`VOID` where there is nothing.
+        """
+        cells = np.full((len(self.z_breaks) - 1, len(self.r_breaks) - 1), VOID, dtype=np.int64)
+        for rectangle in self.rectangles:
+            rows = slice(self.z_breaks.index(rectangle.z_bottom), self.z_breaks.index(rectangle.z_top))
+            columns = slice(self.r_breaks.index(rectangle.r_inner), self.r_breaks.index(rectangle.r_outer))
+            if (cells[rows, columns] != VOID).any():
+                raise ValueError(f"the rectangles of the section overlap in {rectangle}")
+            cells[rows, columns] = self.regions.index(rectangle.region)
+        return cells
+
+    def area(self, region: str) -> float:
+        """Area of the region in the half plane, m^2.
+
+        Raises:
+            InputError: unknown region.
+        """
+        return sum((p.r_outer - p.r_inner) * (p.z_top - p.z_bottom) for p in self._pieces(region))
+
+    def volume(self, region: str) -> float:
+        """Volume of the region revolved about the axis, m^3.
+
+        Raises:
+            InputError: unknown region.
+        """
+        return sum(math.pi * (p.r_outer**2 - p.r_inner**2) * (p.z_top - p.z_bottom) for p in self._pieces(region))
+
+    def _pieces(self, region: str) -> list[Rectangle]:
+        choose(region, self.regions, source="section", field="region")
+        return [rectangle for rectangle in self.rectangles if rectangle.region == region]
+
+    def boundary_names(self) -> tuple[str, ...]:
+        """Names of all boundaries a mesh of this section has, sorted.
+
+        An electrode is counted besides the boundary it lies on: ``electrode_live`` is also part of
+        ``transducer|outside`` or of the interface with the layer it touches.
+        """
+        # A frame of void around the cells turns every outer edge into an edge between two cells.
+        cells = np.pad(self.grid(), 1, constant_values=VOID)
+        on_axis = self.r_breaks[0] == 0.0
+        names = {electrode.name for electrode in self.electrodes}
+        for one, other, vertical in ((cells[:, :-1], cells[:, 1:], True), (cells[:-1], cells[1:], False)):
+            for column, (a, b) in zip(
+                np.nonzero(one != other)[1], zip(one[one != other], other[one != other], strict=True), strict=True
+            ):
+                if vertical and on_axis and column == 0:
+                    names.add(AXIS)
+                else:
+                    names.add(boundary_name(self.regions, int(a), int(b)))
+        return tuple(sorted(names))
+
+
+def boundary_name(regions: tuple[str, ...], a: int, b: int) -> str:
+    """Name of the boundary between the regions with these indices, one of which may be :data:`VOID`."""
+    if VOID in (a, b):
+        return outside(regions[max(a, b)])
+    return interface(regions[a], regions[b])
+
+
+def cut_section(chip: Chip) -> Section:
+    """The half section of `chip`, the cavity included whatever fills it, its ports left out.
+
+    Breaks that differ by less than 1 nm, the rounding of sums of thicknesses included, become one.
+    """
+    rectangles = [
+        Rectangle(layer.region, layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
+        for layer in chip.layers
+    ]
+    rectangles += [Rectangle(CAVITY, 0.0, hole.inner_radius, hole.z_bottom, hole.z_top) for hole in chip.holes]
+    disc = chip.transducer
+    top_is_live = chip.electrodes.live == "top"
+
+    def electrode(name: str, part: ElectrodeDisc, *, on_top: bool) -> Electrode:
+        inner = 0.0 if part.inner_radius is None else part.inner_radius.value
+        outer = disc.outer_radius if part.radius is None else part.radius.value
+        return Electrode(name, inner, outer, disc.z_top if on_top else disc.z_bottom)
+
+    electrodes = (
+        electrode(ELECTRODE_LIVE, chip.electrodes.live_disc, on_top=top_is_live),
+        electrode(ELECTRODE_GROUND, chip.electrodes.ground_disc, on_top=not top_is_live),
+    )
+    pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *electrodes)
+    radii = _merged(r for piece in pieces for r in (piece.r_inner, piece.r_outer))
+    heights = _merged(z for rectangle in rectangles for z in (rectangle.z_bottom, rectangle.z_top))
+    return Section(
+        tuple(
+            Rectangle(p.region, radii[p.r_inner], radii[p.r_outer], heights[p.z_bottom], heights[p.z_top])
+            for p in rectangles
+        ),
+        tuple(Electrode(e.name, radii[e.r_inner], radii[e.r_outer], heights[e.z]) for e in electrodes),
+    )
+
+
+def _merged(values: Iterable[float]) -> dict[float, float]:
+    """Every value, mapped to the first of the run of values it cannot be told apart from."""
+    merged: dict[float, float] = {}
+    first = -math.inf
+    for value in sorted(set(values)):
+        if value - first >= SAME_LENGTH:
+            first = value
+        merged[value] = first
+    return merged

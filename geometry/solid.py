@@ -1,0 +1,175 @@
+"""The parts of a chip as solids, for drawing, printing and checking.
+
+Every solid is made from explicit coordinates: discs about the z axis, minus the cavity, minus the ports. Lengths are in
+**millimetres** here, as in every CAD file; heights are the chip's own.
+"""
+
+from __future__ import annotations
+
+import math
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from geometry.chip import Chip, Layer, port_axis
+from geometry.names import CAVITY
+
+if TYPE_CHECKING:
+    from cadquery import Shape, Solid
+
+MILLIMETRES = 1e3
+
+#: Relative agreement demanded between the volume of a solid and the chip's arithmetic. The kernel integrates plain
+#: cylinders to rounding; where a channel leaves through a round wall it describes the edge by a spline, which costs some
+#: 1e-8 of the channel, 1e-11 of the part.
+VOLUME_TOLERANCE = 1e-9
+
+
+class SolidError(RuntimeError):
+    """A solid is not the one the chip describes, or CadQuery could not be used."""
+
+
+def parts(chip: Chip) -> dict[str, tuple[Layer, ...]]:
+    """The layers of each part that is made in one piece, by the region of its lowest layer.
+
+    A substrate and the sidewall on it are one piece when they are of one material: the printed part of Fig. 3 of
+    Acevedo-Espinosa et al. (RP-UEIS). Every other layer is a part by itself.
+    """
+    printed = ("substrate", "sidewall")
+    pieces: list[tuple[Layer, ...]] = []
+    for layer in chip.layers:
+        below = pieces[-1][-1] if pieces else None
+        if below is not None and {below.role, layer.role} <= set(printed) and below.material == layer.material:
+            pieces[-1] = (*pieces[-1], layer)
+        else:
+            pieces.append((layer,))
+    return {piece[0].region: piece for piece in pieces}
+
+
+def part_volumes(chip: Chip) -> dict[str, float]:
+    """Volume of every part in cubic metres from the chip's arithmetic, ports subtracted, and of the cavity without them."""
+    volumes = chip.volumes()
+    drilled = port_axis(chip)[0].region if chip.ports is not None else None
+    by_part = {
+        name: sum(volumes[layer.region] for layer in layers)
+        - (ports_volume(chip) if drilled in {layer.region for layer in layers} else 0.0)
+        for name, layers in parts(chip).items()
+    }
+    return by_part | ({CAVITY: volumes[CAVITY]} if chip.holes else {})
+
+
+def ports_volume(chip: Chip) -> float:
+    """Volume of wall that the ports of `chip` remove, cubic metres.
+
+    A channel of radius a along x between the cylinders r = b and r = c holds
+    ``2 int_{-a}^{a} sqrt(a^2 - y^2) (sqrt(c^2 - y^2) - sqrt(b^2 - y^2)) dy``. With y = a sin(t) the integrand is smooth and
+    periodic, so the midpoint rule converges to rounding.
+
+    Raises:
+        InputError: the chip has no ports.
+    """
+    wall, _ = port_axis(chip)
+    if chip.ports is None:
+        return 0.0
+    a = 0.5 * chip.ports.diameter.value
+    count = 200
+    total = 0.0
+    for k in range(count):
+        t = -0.5 * math.pi + math.pi * (k + 0.5) / count
+        y = a * math.sin(t)
+        length = math.sqrt(wall.outer_radius**2 - y**2) - math.sqrt(wall.inner_radius**2 - y**2)
+        total += (a * math.cos(t)) ** 2 * length * math.pi / count
+    return chip.ports.count * 2.0 * total
+
+
+def solids(chip: Chip) -> dict[str, Solid]:
+    """Every part of `chip` (see :func:`parts`) and the fluid in its cavity, by region name, in millimetres.
+
+    The ports are straight channels through the wall, at the height and of the diameter the chip states: Fig. 3 of
+    Acevedo-Espinosa et al. (RP-UEIS) shows an inlet and an outlet of the printed substrate and gives no size. The fluid in
+    them is not part of the solid ``cavity``.
+
+    Raises:
+        SolidError: CadQuery is not installed, or a solid is not valid or has not the volume of the chip's arithmetic.
+    """
+    cadquery = _cadquery()
+    expected = part_volumes(chip)
+    channels = _channels(cadquery, chip)
+    drilled = port_axis(chip)[0].region if channels else None
+    made: dict[str, Solid] = {}
+    for name, layers in parts(chip).items():
+        shape = _fused([_ring(cadquery, layer) for layer in layers])
+        if drilled in {layer.region for layer in layers}:
+            shape = shape.cut(*channels)
+        made[name] = _checked(name, shape, expected[name])
+    if chip.holes:
+        fluid = _fused([_cylinder(cadquery, hole.inner_radius, hole) for hole in chip.holes])
+        made[CAVITY] = _checked(CAVITY, fluid, expected[CAVITY])
+    return made
+
+
+def _cadquery() -> ModuleType:
+    try:
+        import cadquery
+    except (ImportError, OSError) as error:
+        raise SolidError(f"solids need CadQuery, the extra 'cad', and its system libraries: {error}") from error
+    module: ModuleType = cadquery
+    return module
+
+
+def _cylinder(cadquery: ModuleType, radius: float, layer: Layer) -> Solid:
+    cylinder: Solid = cadquery.Solid.makeCylinder(
+        MILLIMETRES * radius,
+        MILLIMETRES * layer.thickness.value,
+        cadquery.Vector(0.0, 0.0, MILLIMETRES * layer.z_bottom),
+        cadquery.Vector(0.0, 0.0, 1.0),
+    )
+    return cylinder
+
+
+def _ring(cadquery: ModuleType, layer: Layer) -> Shape:
+    disc = _cylinder(cadquery, layer.outer_radius, layer)
+    return disc if layer.cavity_radius is None else disc.cut(_cylinder(cadquery, layer.inner_radius, layer))
+
+
+def _fused(shapes: list[Shape]) -> Shape:
+    """One shape without the seams between equal faces."""
+    return shapes[0] if len(shapes) == 1 else shapes[0].fuse(*shapes[1:]).clean()
+
+
+def _channels(cadquery: ModuleType, chip: Chip) -> list[Shape]:
+    """The ports as cylinders from the axis to beyond the outer surface."""
+    if chip.ports is None:
+        return []
+    wall, height = port_axis(chip)
+    start = cadquery.Vector(0.0, 0.0, MILLIMETRES * height)
+    angles = [2.0 * math.pi * k / chip.ports.count for k in range(chip.ports.count)]
+    return [
+        cadquery.Solid.makeCylinder(
+            MILLIMETRES * 0.5 * chip.ports.diameter.value,
+            MILLIMETRES * 1.1 * wall.outer_radius,
+            start,
+            cadquery.Vector(math.cos(angle), math.sin(angle), 0.0),
+        )
+        for angle in angles
+    ]
+
+
+def volume(shape: Shape) -> float:
+    """Volume of a solid of :func:`solids` in cubic metres.
+
+    By adaptive integration: CadQuery's default uses a fixed number of points, 1 % off in a channel through a round wall.
+    """
+    return float(shape.Volume(tol=0.1 * VOLUME_TOLERANCE)) / MILLIMETRES**3
+
+
+def _checked(name: str, shape: Shape, expected: float) -> Solid:
+    """The one solid that `shape` holds (booleans return it wrapped in a compound), of the `expected` volume (m^3)."""
+    found = shape.Solids()
+    if len(found) != 1 or not shape.isValid():
+        raise SolidError(f"{name!r} should be one valid solid and is {len(found)}, valid: {shape.isValid()}")
+    if not abs(volume(shape) - expected) <= VOLUME_TOLERANCE * expected:
+        raise SolidError(
+            f"volume of the solid {name!r} is {volume(shape):.12g} m^3, by the chip's dimensions {expected:.12g}"
+        )
+    solid: Solid = found[0]
+    return solid

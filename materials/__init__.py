@@ -1,0 +1,43 @@
+"""Materials: numbers with a unit, a source and conditions, checked before anything is computed with them.
+
+>>> from materials import Registry
+>>> water = Registry().load("water", temperature=298.15)
+>>> pla = Registry().load("pla")
+
+A :class:`Registry` lists what there is (``names()``) and loads one material by name (``load``). What it loads is a
+frozen :class:`Piezoelectric`, :class:`IsotropicSolid` or :class:`Fluid`; a changed one is made by
+``dataclasses.replace(material, density=7500.0)``. Units are SI; losses follow the time factor e^{-i w t}: a *negative*
+imaginary stiffness or modulus and a *positive* imaginary permittivity.
+
+How to add a material
+---------------------
+1. Write ``data/<material>/<source_year>.toml`` (or the same inside a folder of your own, given to ``Registry``)::
+
+       kind = "isotropic solid"            # or "piezoelectric", "fluid"
+       title = "Polylactic acid, 3-D printed"
+       source = "acevedo_2026"             # a key of references.bib; an entry below may name another
+       conditions = "1.033 MHz, room temperature"
+       default = true                      # only where a material has several entries
+
+       density = { value = 1131.7, unit = "kg/m^3", rounding = 0.05 }
+       bulk_modulus = { value = 3.57, loss = -0.03, unit = "GPa", rounding = 0.005 }
+       shear_modulus = { value = 0.93, loss = -0.05, unit = "GPa", rounding = 0.005 }
+
+   Write the numbers *as printed*, in the printed unit, with ``rounding`` (half a unit of the last printed digit) and,
+   where known, ``uncertainty`` and ``loss_uncertainty`` (standard). A solid may be given by bulk_modulus shear_modulus,
+   youngs_modulus poisson_ratio, longitudinal_speed shear_speed or longitudinal_speed poisson_ratio; a piezoelectric one
+   in stress-charge form (c11 c12 c13 c33 c44 e31 e33 e15 eps11 eps33, permittivities at constant strain) or in the
+   strain-charge form of datasheets (s11 s12 s13 s33 s44 d31 d33 d15 free_eps11 free_eps33).
+2. Add the source to ``data/references.bib``. No source, no entry. Never average sources: one file each.
+3. Numbers that depend on temperature get a ``law`` (see :mod:`materials.temperature`) and the file a reference
+   ``temperature``; then all its numbers need one, with the range its source vouches for.
+4. Load it once. A wrong sign or a material that creates energy is refused; one that does so only within its declared
+   rounding loads with a :class:`PassivityWarning`. The tests pick up every file by themselves.
+"""
+
+from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.passivity import PassivityWarning
+from materials.registry import Registry
+from materials.value import Value
+
+__all__ = ["Fluid", "IsotropicSolid", "Material", "PassivityWarning", "Piezoelectric", "Registry", "Value"]

@@ -1,0 +1,116 @@
+"""Constants of a material from one set to another. SI throughout, time factor e^{-i w t}.
+
+A modulus M = M' + i M'' of a passive solid has M'' <= 0. The loss tangents here are positive for a passive solid,
+-M'' / M', as Table 4 of Acevedo-Espinosa et al. (RP-UEIS) prints them (its text below eq. 18 leaves the sign out).
+"""
+
+from __future__ import annotations
+
+import math
+
+from materials.value import VACUUM_PERMITTIVITY
+
+_NEPERS_PER_DECIBEL = math.log(10.0) / 20.0
+
+
+def young_and_poisson(bulk_modulus: complex, shear_modulus: complex) -> tuple[complex, complex]:
+    """Young's modulus (Pa) and Poisson's ratio from the bulk and shear moduli (Pa)."""
+    denominator = 3 * bulk_modulus + shear_modulus
+    return 9 * bulk_modulus * shear_modulus / denominator, (3 * bulk_modulus - 2 * shear_modulus) / (2 * denominator)
+
+
+def bulk_and_shear(youngs_modulus: complex, poisson_ratio: complex) -> tuple[complex, complex]:
+    """Bulk and shear moduli (Pa) from Young's modulus (Pa) and Poisson's ratio."""
+    return youngs_modulus / (3 * (1 - 2 * poisson_ratio)), youngs_modulus / (2 * (1 + poisson_ratio))
+
+
+def shear_from_longitudinal(longitudinal_modulus: complex, poisson_ratio: complex) -> complex:
+    """Shear modulus (Pa) from the longitudinal modulus K + 4 G / 3 (Pa) and Poisson's ratio."""
+    return longitudinal_modulus * (1 - 2 * poisson_ratio) / (2 * (1 - poisson_ratio))
+
+
+def wave_speeds(bulk_modulus: complex, shear_modulus: complex, *, density: float) -> tuple[float, float]:
+    """Longitudinal and shear wave speeds (m/s) for weak absorption. Eq. 18a of the RP-UEIS paper."""
+    longitudinal = complex(bulk_modulus + 4 * shear_modulus / 3)
+    return math.sqrt(longitudinal.real / density), math.sqrt(complex(shear_modulus).real / density)
+
+
+def loss_tangents(bulk_modulus: complex, shear_modulus: complex) -> tuple[float, float]:
+    """Loss tangents of longitudinal and shear waves, positive for a passive solid."""
+    longitudinal, shear = complex(bulk_modulus + 4 * shear_modulus / 3), complex(shear_modulus)
+    return -longitudinal.imag / longitudinal.real, -shear.imag / shear.real
+
+
+def attenuations(
+    bulk_modulus: complex, shear_modulus: complex, *, density: float, frequency: float
+) -> tuple[float, float]:
+    """Absorption (Np/m) of longitudinal and shear waves at `frequency` (Hz), for weak absorption.
+
+    alpha = (k' / 2) tan delta. Eq. 18b of the RP-UEIS paper prints k'' in place of k', but its Table 4 was computed
+    with k' (the wavenumber w / c), which is also what the weak-absorption expansion of k gives.
+    """
+    omega = 2 * math.pi * frequency
+    speeds = wave_speeds(bulk_modulus, shear_modulus, density=density)
+    tangents = loss_tangents(bulk_modulus, shear_modulus)
+    return omega / speeds[0] * tangents[0] / 2, omega / speeds[1] * tangents[1] / 2
+
+
+def bulk_and_shear_from_waves(
+    longitudinal_speed: float,
+    shear_speed: float,
+    *,
+    density: float,
+    longitudinal_attenuation: float,
+    shear_attenuation: float,
+    frequency: float,
+) -> tuple[complex, complex]:
+    """Bulk and shear moduli (Pa) from wave speeds (m/s) and absorptions (Np/m) measured at `frequency` (Hz).
+
+    The exact inverse of :func:`wave_speeds` and :func:`attenuations`: M = rho c^2 (1 - i tan delta) with
+    tan delta = 2 alpha c / w.
+    """
+    omega = 2 * math.pi * frequency
+    longitudinal = density * longitudinal_speed**2 * (1 - 2j * longitudinal_attenuation * longitudinal_speed / omega)
+    shear = density * shear_speed**2 * (1 - 2j * shear_attenuation * shear_speed / omega)
+    return longitudinal - 4 * shear / 3, shear
+
+
+def decibels_per_metre(nepers_per_metre: float) -> float:
+    """An absorption in dB/m from the same in Np/m."""
+    return nepers_per_metre / _NEPERS_PER_DECIBEL
+
+
+def nepers_per_metre(decibels_per_metre: float) -> float:
+    """An absorption in Np/m from the same in dB/m."""
+    return decibels_per_metre * _NEPERS_PER_DECIBEL
+
+
+def stress_charge(
+    *,
+    s11: complex,
+    s12: complex,
+    s13: complex,
+    s33: complex,
+    s44: complex,
+    d31: complex,
+    d33: complex,
+    d15: complex,
+    free_eps11: complex,
+    free_eps33: complex,
+) -> dict[str, complex]:
+    """Stress-charge constants of a poled ceramic from the strain-charge constants that datasheets print.
+
+    Args are the compliances at constant field (1/Pa), charge constants (C/N = m/V) and relative permittivities at
+    constant stress. Returns c11 c12 c13 c33 c44 (Pa), e31 e33 e15 (C/m^2) and eps11 eps33 (relative, constant strain):
+    c = s^-1, e = d c, eps = eps^T - d e^t.
+    """
+    determinant = (s11 + s12) * s33 - 2 * s13**2
+    c33, c13 = (s11 + s12) / determinant, -s13 / determinant
+    plane_sum, plane_difference = s33 / determinant, 1 / (s11 - s12)
+    c11, c12, c44 = (plane_sum + plane_difference) / 2, (plane_sum - plane_difference) / 2, 1 / s44
+    e31, e33, e15 = d31 * plane_sum + d33 * c13, 2 * d31 * c13 + d33 * c33, d15 * c44
+    return {
+        "c11": c11, "c12": c12, "c13": c13, "c33": c33, "c44": c44, "e31": e31, "e33": e33, "e15": e15,
+        "eps11": free_eps11 - d15 * e15 / VACUUM_PERMITTIVITY,
+        "eps33": free_eps33 - (2 * d31 * e31 + d33 * e33) / VACUUM_PERMITTIVITY,
+    }  # fmt: skip

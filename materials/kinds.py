@@ -1,0 +1,168 @@
+"""The kinds of material: one frozen dataclass for each physics, with only the numbers that physics has.
+
+Numbers are SI; losses follow the time factor e^{-i w t}: negative imaginary stiffness, positive imaginary permittivity.
+``parameters()`` gives a solver what it needs by field name; ``values`` keeps every number as its source states it.
+``temperature`` (K) is set where the numbers were asked for at a temperature, None where the source gives no law for it.
+
+A caller changes a number with :func:`dataclasses.replace`. The changed field then has no entry in ``values`` any more:
+it is the caller's number, and no source may be quoted for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from materials.value import VACUUM_PERMITTIVITY, Value
+
+
+def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> dict[str, Value]:
+    """`values` without those that say something else than the field of their name."""
+    return {name: value for name, value in values.items() if name not in fields or value.value == fields[name]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piezoelectric:
+    """A transversely isotropic piezoelectric solid poled along z, in stress-charge form.
+
+    Density in kg/m^3, stiffness at constant electric field in Pa, piezoelectric constants in C/m^2, permittivity at
+    constant strain relative to that of free space. Acevedo-Espinosa et al. (RP-UEIS), eqs. 6 to 12.
+    """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = (
+        "density", "c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33",
+    )
+
+    name: str
+    density: float
+    c11: complex
+    c12: complex
+    c13: complex
+    c33: complex
+    c44: complex
+    e31: complex
+    e33: complex
+    e15: complex
+    eps11: complex
+    eps33: complex
+    temperature: float | None = None
+    source: str = ""
+    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _still_true(self.values, self.parameters()))
+
+    @property
+    def c66(self) -> complex:
+        """Stiffness (Pa) for shear in the plane across the poling: (c11 - c12) / 2."""
+        return (self.c11 - self.c12) / 2
+
+    @property
+    def absolute_eps11(self) -> complex:
+        """Permittivity (F/m) at constant strain across the poling."""
+        return self.eps11 * VACUUM_PERMITTIVITY
+
+    @property
+    def absolute_eps33(self) -> complex:
+        """Permittivity (F/m) at constant strain along the poling."""
+        return self.eps33 * VACUUM_PERMITTIVITY
+
+    def parameters(self) -> dict[str, complex]:
+        """Every number by its field name."""
+        return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
+
+    def slowest_wave_speed(self) -> float:
+        """Speed (m/s) of the slower shear wave without piezoelectric stiffening, for choosing a mesh size."""
+        return math.sqrt(min(complex(self.c44).real, complex(self.c66).real) / self.density)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsotropicSolid:
+    """An isotropic, possibly viscoelastic solid; also the material of a suspended particle.
+
+    Density in kg/m^3, adiabatic bulk and shear modulus in Pa. Acevedo-Espinosa et al. (RP-UEIS), eq. 17.
+    """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = ("density", "bulk_modulus", "shear_modulus")
+
+    name: str
+    density: float
+    bulk_modulus: complex
+    shear_modulus: complex
+    temperature: float | None = None
+    source: str = ""
+    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _still_true(self.values, self.parameters()))
+
+    @property
+    def compressibility(self) -> float:
+        """Compressibility (1/Pa) under pressure: 1 / K, which is what a sound wave in a fluid around a bead meets."""
+        return 1.0 / complex(self.bulk_modulus).real
+
+    def parameters(self) -> dict[str, complex]:
+        """Every number by its field name."""
+        return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
+
+    def slowest_wave_speed(self) -> float:
+        """Speed (m/s) of shear waves."""
+        return math.sqrt(complex(self.shear_modulus).real / self.density)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fluid:
+    """A compressible fluid at one temperature.
+
+    Density in kg/m^3, sound speed in m/s, viscosities in Pa s, thermal conductivity in W/(m K), heat capacity at
+    constant pressure in J/(kg K). What a source does not give is None.
+    """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = (
+        "density", "sound_speed", "shear_viscosity", "bulk_viscosity", "heat_capacity_ratio", "thermal_conductivity",
+        "heat_capacity",
+    )
+
+    name: str
+    density: float
+    sound_speed: float
+    shear_viscosity: float | None = None
+    bulk_viscosity: float | None = None
+    heat_capacity_ratio: float | None = None
+    thermal_conductivity: float | None = None
+    heat_capacity: float | None = None
+    temperature: float | None = None
+    source: str = ""
+    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        # A field set to None is not in parameters(), so its Value has to be dropped by name.
+        known = self.parameters()
+        stated = {name: value for name, value in self.values.items() if name in known}
+        object.__setattr__(self, "values", _still_true(stated, known))
+
+    @property
+    def compressibility(self) -> float:
+        """Isentropic compressibility (1/Pa): 1 / (density sound_speed^2)."""
+        return 1.0 / (self.density * self.sound_speed**2)
+
+    @property
+    def thermal_diffusivity(self) -> float | None:
+        """Thermal conductivity / (density heat capacity) in m^2/s, or None where either is unknown."""
+        if self.thermal_conductivity is None or self.heat_capacity is None:
+            return None
+        return self.thermal_conductivity / (self.density * self.heat_capacity)
+
+    def parameters(self) -> dict[str, complex]:
+        """Every known number by its field name; density and sound speed are always there."""
+        found = {name: getattr(self, name) for name in self.PARAMETERS}
+        return {name: complex(number) for name, number in found.items() if number is not None}
+
+    def slowest_wave_speed(self) -> float:
+        """Speed (m/s) of sound."""
+        return self.sound_speed
+
+
+Material = Piezoelectric | IsotropicSolid | Fluid

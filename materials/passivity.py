@@ -1,0 +1,194 @@
+"""A material may store energy and lose it, but never make it.
+
+The power lost per volume is (w/2) x^dagger Im(K) x for every strain and field x, with the 9 x 9 matrix
+
+    K = [[-C, e^T], [e, eps]]        (time factor e^{-i w t}; Acevedo-Espinosa et al. (RP-UEIS), eq. A.4)
+
+so Im K must have no negative eigenvalue. The matrix is built in full, complex piezoelectric constants included; the
+paper's inequalities (13) and (14) are the special case of real ones. The stored energy is checked as well: the real
+stiffness must be positive definite and the permittivities positive.
+
+Printed constants are rounded, and a fit that ends on the boundary of passivity may be pushed over it by the last
+printed digit. By Weyl's inequality an eigenvalue moves by no more than the norm of the change, and no change within the
+rounding has a larger norm than the matrix of the roundings themselves: that norm is the tolerance, so it follows from
+what the data file declares and from nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from inputs import InputError
+from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.value import VACUUM_PERMITTIVITY
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+SIGN_CONVENTION = "time factor e^{-i w t}: loss is a negative imaginary stiffness and a positive imaginary permittivity"
+
+
+class PassivityWarning(UserWarning):
+    """A material would create energy, but by no more than the rounding of its printed constants explains."""
+
+
+def energy_matrix(material: Piezoelectric) -> NDArray[np.complex128]:
+    """K = [[-C, e^T], [e, eps]], 9 x 9, in Pa.
+
+    Rows are the strains 11 22 33 23 13 12 (Voigt, engineering shear) and the fields 1 2 3. The fields are measured in
+    units of sqrt(c33' / eps33'), which brings every entry to Pa without changing the sign of any eigenvalue.
+    """
+    p = material.parameters()
+    signed = {name: -number if name.startswith("c") else number for name, number in p.items()}
+    return _assemble(_in_pascal(material, signed), -complex(material.c66))
+
+
+def _in_pascal(material: Piezoelectric, entries: Mapping[str, complex]) -> dict[str, complex]:
+    """`entries` (in the units of the parameters) with the electric ones scaled to Pa."""
+    field_unit = math.sqrt(complex(material.c33).real / complex(material.absolute_eps33).real)
+    scales = dict.fromkeys(("e31", "e33", "e15"), field_unit)
+    scales |= dict.fromkeys(("eps11", "eps33"), VACUUM_PERMITTIVITY * field_unit**2)
+    return {name: number * scales.get(name, 1.0) for name, number in entries.items()}
+
+
+def _assemble(entries: Mapping[str, complex], c66: complex) -> NDArray[np.complex128]:
+    """The 9 x 9 symmetric matrix of a poled ceramic with the given entries."""
+    import numpy as np
+
+    matrix = np.zeros((9, 9), dtype=complex)
+    matrix[0, 0] = matrix[1, 1] = entries["c11"]
+    matrix[0, 1] = matrix[1, 0] = entries["c12"]
+    matrix[0, 2] = matrix[1, 2] = matrix[2, 0] = matrix[2, 1] = entries["c13"]
+    matrix[2, 2] = entries["c33"]
+    matrix[3, 3] = matrix[4, 4] = entries["c44"]
+    matrix[5, 5] = c66
+    matrix[8, 0] = matrix[8, 1] = matrix[0, 8] = matrix[1, 8] = entries["e31"]
+    matrix[8, 2] = matrix[2, 8] = entries["e33"]
+    matrix[6, 4] = matrix[7, 3] = matrix[4, 6] = matrix[3, 7] = entries["e15"]
+    matrix[6, 6] = matrix[7, 7] = entries["eps11"]
+    matrix[8, 8] = entries["eps33"]
+    return matrix
+
+
+def dissipation_matrix(material: Piezoelectric | IsotropicSolid) -> NDArray[np.float64]:
+    """Im K in Pa: 9 x 9 for a piezoelectric solid; for an isotropic one diag(-K'', -G'').
+
+    The isotropic solid needs no more: compression loses through K'' alone and every shear through G'' alone.
+    """
+    import numpy as np
+
+    if isinstance(material, Piezoelectric):
+        return np.asarray(energy_matrix(material).imag)
+    return -np.diag([complex(material.bulk_modulus).imag, complex(material.shear_modulus).imag])
+
+
+def smallest_dissipation(material: Piezoelectric | IsotropicSolid) -> float:
+    """The smallest eigenvalue (Pa) of the dissipation matrix: below zero, some motion creates energy."""
+    import numpy as np
+
+    return float(np.linalg.eigvalsh(dissipation_matrix(material))[0])
+
+
+def rounding_tolerance(material: Piezoelectric | IsotropicSolid, loss_tolerances: Mapping[str, float]) -> float:
+    """How far below zero (Pa) the rounding of the losses can push the smallest dissipation.
+
+    `loss_tolerances` bounds the error of the imaginary part of each parameter, by name and in its SI unit (a missing
+    name: exact).
+    """
+    import numpy as np
+
+    bounds = {name: loss_tolerances.get(name, 0.0) for name in material.PARAMETERS}
+    if isinstance(material, IsotropicSolid):
+        return max(bounds["bulk_modulus"], bounds["shear_modulus"])
+    rounding = _assemble(_in_pascal(material, bounds), (bounds["c11"] + bounds["c12"]) / 2)
+    return float(np.linalg.norm(rounding, 2))
+
+
+def check(material: Material, *, loss_tolerances: Mapping[str, float], source: str) -> None:
+    """Refuse a material that no passive, stable matter can be.
+
+    Args:
+        material: any kind; a fluid is checked for positive numbers only.
+        loss_tolerances: as in :func:`rounding_tolerance`.
+        source: where the material comes from, for messages.
+
+    Raises:
+        InputError: a number that must be positive is not; a loss has the wrong sign; the stiffness is not positive
+            definite; an eigenvalue of the dissipation matrix is negative beyond the tolerance.
+
+    Warns:
+        PassivityWarning: an eigenvalue is negative within the tolerance.
+    """
+    _check_positive(material, source)
+    if isinstance(material, Fluid):
+        return
+    _check_signs(material, loss_tolerances, source)
+    _check_stiffness(material, source)
+    smallest, allowed = smallest_dissipation(material), rounding_tolerance(material, loss_tolerances)
+    arithmetic = _arithmetic_error(material)  # without it, a lossless material would be refused for -1e-7 Pa
+    if smallest >= -arithmetic:
+        return
+    if smallest < -(allowed + arithmetic):
+        raise InputError(
+            source, "dissipation matrix Im K", f"smallest eigenvalue {smallest / 1e9:.3g} GPa",
+            f"no eigenvalue below -{allowed / 1e9:.3g} GPa, the declared rounding and uncertainty of the losses "
+            f"({SIGN_CONVENTION})",
+        )
+    warnings.warn(
+        f"{source}: {material.name}: the losses create energy: the smallest eigenvalue of Im K is "
+        f"{smallest / 1e9:.3g} GPa, within the {allowed / 1e9:.3g} GPa that the rounding of the losses explains",
+        PassivityWarning, stacklevel=4,
+    )  # the level of the caller of Registry.load
+
+
+def _arithmetic_error(material: Piezoelectric | IsotropicSolid) -> float:
+    """Bound (Pa) on the floating-point error of an eigenvalue of the dissipation matrix."""
+    import numpy as np
+
+    return 9 * float(np.finfo(float).eps) * float(np.linalg.norm(dissipation_matrix(material), 2))
+
+
+#: Parameters whose real part is positive in any material; the others (c12, c13, e31 ...) may have either sign.
+_POSITIVE = (
+    "density", "c11", "c33", "c44", "eps11", "eps33", "bulk_modulus", "shear_modulus", "sound_speed", "shear_viscosity",
+    "bulk_viscosity", "heat_capacity_ratio", "thermal_conductivity", "heat_capacity",
+)  # fmt: skip
+
+
+def _check_positive(material: Material, source: str) -> None:
+    for name, number in material.parameters().items():
+        if not (math.isfinite(number.real) and math.isfinite(number.imag)):
+            raise InputError(source, name, number, "a finite number")
+        if name in _POSITIVE and number.real <= 0:
+            raise InputError(source, name, number.real, "a positive number (SI)")
+
+
+def _check_signs(
+    material: Piezoelectric | IsotropicSolid, loss_tolerances: Mapping[str, float], source: str
+) -> None:
+    """The diagonal of Im K: a wrong sign there is a wrong convention, which deserves its own words."""
+    for name, number in material.parameters().items():
+        if name in ("c11", "c33", "c44", "bulk_modulus", "shear_modulus"):
+            gained, sign = number.imag, "<= 0"
+        elif name in ("eps11", "eps33"):
+            gained, sign = -number.imag, ">= 0"
+        else:
+            continue
+        if gained > loss_tolerances.get(name, 0.0):
+            raise InputError(source, name, f"imaginary part {number.imag:.4g}",
+                             f"an imaginary part {sign} ({SIGN_CONVENTION})")
+
+
+def _check_stiffness(material: Piezoelectric | IsotropicSolid, source: str) -> None:
+    if isinstance(material, IsotropicSolid):
+        return  # positive moduli, already checked, are the whole condition
+    import numpy as np
+
+    smallest = float(np.linalg.eigvalsh(-energy_matrix(material)[:6, :6].real)[0])
+    if smallest <= 0:
+        raise InputError(source, "stiffness matrix", f"smallest eigenvalue {smallest / 1e9:.4g} GPa",
+                         "a positive definite stiffness")

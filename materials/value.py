@@ -1,0 +1,153 @@
+"""A number as a data file states it: value, unit, uncertainty, rounding, source and conditions.
+
+In a file a number is a table on one line::
+
+    c33 = { value = 121.67, loss = -0.30, unit = "GPa", rounding = 0.005, source = "acevedo_2026", note = "Table 3" }
+
+``loss`` is the imaginary part for the time factor e^{-i w t}: negative for a stiffness or a modulus, positive for a
+permittivity. ``uncertainty`` (of the value) and ``loss_uncertainty`` are standard uncertainties; ``rounding`` is half a
+unit of the last digit printed in the source. All are in the unit of the entry and are SI once read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import inputs
+from inputs import InputError
+
+#: Permittivity of free space in F/m (CODATA 2018).
+VACUUM_PERMITTIVITY = 8.8541878128e-12
+
+#: Units of a data file: those of every file, and the kinds of number that only materials have. A permittivity is stored
+#: relative to that of free space, whichever way it is printed.
+UNITS: Mapping[str, Mapping[str, float]] = {
+    **inputs.UNITS,
+    "permittivity": {"1": 1.0, "F/m": 1.0 / VACUUM_PERMITTIVITY, "nF/m": 1e-9 / VACUUM_PERMITTIVITY},
+    "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12},
+    "piezoelectric charge": {"C/N": 1.0, "pC/N": 1e-12, "m/V": 1.0, "pm/V": 1e-12},
+    "thermal conductivity": {"W/(m K)": 1.0, "mW/(m K)": 1e-3},
+    "heat capacity": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
+}
+
+_KEYS = ("value", "loss", "unit", "uncertainty", "loss_uncertainty", "rounding", "source", "conditions", "note")
+
+
+@dataclass(frozen=True)
+class Value:
+    """One number with all that is known about it; every number is SI.
+
+    ``unit`` is the text of the file. ``rounding`` is half a unit of the last printed digit (0: not declared).
+    ``loss_tolerance`` bounds the error that rounding and the stated uncertainty leave in the imaginary part; it is 0
+    where the source states no loss, because the imaginary part is then an assumption and not a rounded figure.
+    """
+
+    value: complex
+    unit: str
+    source: str
+    conditions: str = ""
+    note: str = ""
+    uncertainty: float | None = None
+    loss_uncertainty: float | None = None
+    rounding: float = 0.0
+    loss_tolerance: float = 0.0
+
+
+def text(table: Mapping[str, object], key: str, *, source: str, field: str, default: str | None = None) -> str:
+    """The non-empty text under `key`, or `default`; an :class:`InputError` if it is neither given nor defaulted."""
+    found = table.get(key, default)
+    if not isinstance(found, str) or (not found and default is None):
+        raise InputError(source, f"{field}.{key}" if field else key, found, "a text")
+    return found
+
+
+def number(table: Mapping[str, object], key: str, *, source: str, field: str) -> float | None:
+    """The finite number under `key`, or None if the key is absent."""
+    if key not in table:
+        return None
+    found = table[key]
+    if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
+        raise InputError(source, f"{field}.{key}", found, "a finite number")
+    return float(found)
+
+
+def unit_factor(table: Mapping[str, object], dimension: str, *, source: str, field: str) -> tuple[str, float]:
+    """The unit of an entry and its factor to SI.
+
+    Raises:
+        InputError: the unit is missing, or is not one of the `dimension`.
+    """
+    units = UNITS[dimension]
+    unit = table.get("unit")
+    if not isinstance(unit, str) or unit not in units:
+        near = inputs.nearest_names(unit, units) if isinstance(unit, str) else ()
+        raise InputError(source, f"{field}.unit", unit, f"a unit of {dimension}: one of {', '.join(units)}", near)
+    return unit, units[unit]
+
+
+def check_source(key: str, references: Collection[str], *, source: str, field: str) -> str:
+    """`key` if it is the key of a reference; a number whose origin cannot be looked up is refused."""
+    if key not in references:
+        near = inputs.nearest_names(key, references)
+        raise InputError(source, f"{field}.source", key, "a key of references.bib", near)
+    return key
+
+
+def parse_value(
+    entry: object,
+    dimension: str,
+    *,
+    source: str,
+    field: str,
+    references: Collection[str],
+    default_source: str,
+    default_conditions: str,
+    lossy: bool,
+) -> Value:
+    """The :class:`Value` stated by a table of a data file.
+
+    Args:
+        entry: what the file has under `field`.
+        dimension: a key of :data:`UNITS`.
+        source: the file, for messages.
+        field: the place in the file, for messages.
+        references: keys of the bibliography.
+        default_source: the file's own ``source``, used where the entry names none.
+        default_conditions: the same for ``conditions``.
+        lossy: whether this number may have an imaginary part.
+
+    Raises:
+        InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source.
+    """
+    if not isinstance(entry, Mapping):
+        raise InputError(source, field, entry, 'a table such as { value = 1.0, unit = "GPa" }')
+    keys = [key for key in _KEYS if lossy or not key.startswith("loss")]
+    inputs.refuse_unknown_keys(entry, keys, source=source, field=field)
+    unit, factor = unit_factor(entry, dimension, source=source, field=field)
+    real = number(entry, "value", source=source, field=field)
+    if real is None:
+        raise InputError(source, f"{field}.value", "nothing", "a finite number")
+    spreads = {}
+    for key in ("uncertainty", "loss_uncertainty", "rounding"):
+        spread = number(entry, key, source=source, field=field)
+        if spread is not None and spread < 0:
+            raise InputError(source, f"{field}.{key}", spread, "a number not below zero")
+        spreads[key] = None if spread is None else spread * factor
+    loss = number(entry, "loss", source=source, field=field)
+    rounding = spreads["rounding"] or 0.0
+    return Value(
+        value=complex(real, loss or 0.0) * factor,
+        unit=unit,
+        source=check_source(
+            text(entry, "source", source=source, field=field, default=default_source),
+            references, source=source, field=field,
+        ),
+        conditions=text(entry, "conditions", source=source, field=field, default=default_conditions),
+        note=text(entry, "note", source=source, field=field, default=""),
+        uncertainty=spreads["uncertainty"],
+        loss_uncertainty=spreads["loss_uncertainty"],
+        rounding=rounding,
+        loss_tolerance=0.0 if loss is None else rounding + (spreads["loss_uncertainty"] or 0.0),
+    )

@@ -1,0 +1,406 @@
+"""Section and mesh: names, sizes, volumes, order of nodes, cache, and gmsh's one session."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gmsh
+import numpy as np
+import pytest
+import skfem
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geometry.chip import Chip, parse_chip, read_chip
+from geometry.mesh import (
+    GROWTH,
+    MeshError,
+    MeshSize,
+    SectionMesh,
+    elements_per_wavelength,
+    gmsh_session,
+    mesh_section,
+    refined,
+    user_cache,
+)
+from geometry.section import Section, cut_section
+from inputs import InputError
+
+CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
+#: Slowest waves of the reference chip, m/s: shear in the solids, sound in the fluids.
+SLOWEST = {
+    "transducer": 1700.0,
+    "couplant": 1480.0,
+    "substrate": 900.0,
+    "sidewall": 900.0,
+    "bond": 930.0,
+    "superstrate": 3400.0,
+    "cavity": 1482.0,
+}
+SIZE = MeshSize(SLOWEST, 1.155e6)
+
+
+@pytest.fixture(scope="module")
+def chip() -> Chip:
+    return read_chip(CHIPS / "reference_chip.toml")
+
+
+@pytest.fixture(scope="module")
+def section(chip: Chip) -> Section:
+    return cut_section(chip)
+
+
+@pytest.fixture(scope="module")
+def mesh(section: Section) -> SectionMesh:
+    return mesh_section(section, SIZE)
+
+
+def make(layers: list[dict[str, Any]], *, filled: bool = False) -> Chip:
+    states = {"filled": {"cavity": "water"}} if filled else {}
+    content = {"chip": {"name": "test", "band": ["0.9 MHz", "1.2 MHz"]}, "layers": layers, "states": states}
+    return parse_chip(content, source="test")
+
+
+def layer(role: str, thickness: str, radius: str, hole: str = "", **more: Any) -> dict[str, Any]:
+    entry = {"role": role, "material": "m", "thickness": thickness, "radius": radius}
+    return entry | ({"cavity_radius": hole} if hole else {}) | more
+
+
+def uniform(section: Section, *, speed: float = 2000.0, frequency: float = 1e6) -> MeshSize:
+    return MeshSize(dict.fromkeys(section.regions, speed), frequency)
+
+
+def node_lines(mesh: SectionMesh) -> tuple[np.ndarray, np.ndarray]:
+    return np.unique(mesh.mesh.p[0]), np.unique(mesh.mesh.p[1])
+
+
+# ---- section
+
+
+def test_the_section_has_the_breaks_and_volumes_of_the_chip(chip: Chip, section: Section) -> None:
+    assert section.r_breaks == pytest.approx([0, 4e-3, 12.5e-3, 13e-3], abs=1e-15)
+    assert section.z_breaks == pytest.approx([0, 2.02e-3, 2.04e-3, 2.89e-3, 3.61e-3, 3.71e-3, 4.71e-3], abs=1e-15)
+    for region, volume in chip.volumes().items():
+        # Heights are differences of rounded sums: 1e-18 m of the 20 um layer.
+        assert section.volume(region) == pytest.approx(volume, rel=1e-13)
+    assert section.area("cavity") == pytest.approx(4e-3 * 0.82e-3, rel=1e-13)
+    with pytest.raises(InputError, match="'cavty'.*did you mean 'cavity'"):
+        section.volume("cavty")
+
+
+def test_the_section_names_its_boundaries(section: Section) -> None:
+    assert set(section.boundary_names()) == {
+        "axis",
+        "electrode_live",
+        "electrode_ground",
+        "couplant|transducer",
+        "couplant|substrate",
+        "cavity|substrate",
+        "sidewall|substrate",
+        "cavity|sidewall",
+        "bond|cavity",
+        "bond|sidewall",
+        "cavity|superstrate",
+        "bond|superstrate",
+        *(f"{region}|outside" for region in section.regions if region != "cavity"),
+    }
+
+
+def test_breaks_closer_than_a_nanometre_are_one() -> None:
+    discs = [layer("transducer", "2 mm", "10 mm"), layer("sample", "1 mm", "10.0000005 mm")]
+    assert len(cut_section(make(discs)).r_breaks) == 2
+    discs[1]["radius"] = "10.00001 mm"
+    assert len(cut_section(make(discs)).r_breaks) == 3
+
+
+def test_overlapping_rectangles_are_refused(section: Section) -> None:
+    double = replace(section, rectangles=(*section.rectangles, replace(section.rectangles[0], region="layer")))
+    with pytest.raises(ValueError, match="overlap"):
+        double.grid()
+
+
+# ---- mesh
+
+
+def test_the_mesh_has_every_name_of_the_section(mesh: SectionMesh, section: Section) -> None:
+    assert set(mesh.mesh.subdomains) == set(section.regions)
+    assert set(mesh.mesh.boundaries) == set(section.boundary_names())
+    cells = np.concatenate(list(mesh.mesh.subdomains.values()))
+    assert np.array_equal(np.sort(cells), np.arange(mesh.mesh.t.shape[1])), "every cell is in exactly one region"
+
+
+def test_regions_revolve_to_their_volume(mesh: SectionMesh, chip: Chip) -> None:
+    # By quadrature of the finite elements themselves; exact for the linear integrand, so rounding of 8000 cells remains.
+    weight = skfem.Functional(lambda w: 2.0 * np.pi * w.x[0])
+    for region, volume in chip.volumes().items():
+        cells = skfem.Basis(mesh.mesh, skfem.ElementQuad0(), elements=mesh.mesh.subdomains[region], intorder=2)
+        assert weight.assemble(cells) == pytest.approx(volume, rel=1e-12)
+
+
+def test_boundaries_have_the_area_of_the_chip(mesh: SectionMesh) -> None:
+    weight = skfem.Functional(lambda w: 2.0 * np.pi * w.x[0])
+
+    def area(name: str) -> float:
+        facets = mesh.mesh.boundaries[name]
+        # An interface is counted once, from the side of its first neighbour.
+        basis = skfem.FacetBasis(mesh.mesh, skfem.ElementQuad0(), facets=facets, intorder=2)
+        return float(weight.assemble(basis))
+
+    rim, lid = math.pi * 12.5e-3**2, math.pi * 13e-3**2
+    expected = {
+        "axis": 0.0,
+        "electrode_live": rim,
+        "electrode_ground": rim,
+        "couplant|transducer": rim,
+        "couplant|outside": 2 * math.pi * 12.5e-3 * 20e-6,
+        "cavity|substrate": math.pi * 4e-3**2,
+        "cavity|sidewall": 2 * math.pi * 4e-3 * 0.72e-3,
+        "bond|cavity": 2 * math.pi * 4e-3 * 0.1e-3,
+        "bond|superstrate": lid - math.pi * 4e-3**2,
+        "transducer|outside": rim + 2 * math.pi * 12.5e-3 * 2.02e-3,
+        "substrate|outside": lid - rim + 2 * math.pi * 13e-3 * 0.85e-3,
+        "superstrate|outside": lid + 2 * math.pi * 13e-3 * 1e-3,
+    }
+    for name, exact in expected.items():
+        assert area(name) == pytest.approx(exact, rel=1e-12, abs=1e-18), name
+
+
+def test_every_element_is_small_enough_for_its_wave(mesh: SectionMesh) -> None:
+    counts = elements_per_wavelength(mesh, SLOWEST, 1.155e6)
+    # A quotient may exceed a whole number of elements by rounding without costing one more element.
+    assert set(counts) == set(SLOWEST) and min(counts.values()) >= 10.0 * (1 - 1e-9)
+    # The slowest region sets the size of its row and column, hence is not far finer than asked for.
+    assert min(counts.values()) < 10.5
+    # Air in the cavity of the same mesh is too coarse, and half the frequency twice as fine.
+    assert elements_per_wavelength(mesh, {"cavity": 343.0}, 1.155e6)["cavity"] < 5.0
+    halved = elements_per_wavelength(mesh, SLOWEST, 0.5775e6)
+    assert halved["cavity"] == pytest.approx(2 * counts["cavity"])
+    with pytest.raises(InputError, match="'cavty'.*did you mean 'cavity'"):
+        elements_per_wavelength(mesh, {"cavty": 343.0}, 1e6)
+
+
+def test_the_thinnest_layer_has_its_elements_across(mesh: SectionMesh, section: Section) -> None:
+    assert np.count_nonzero((node_lines(mesh)[1] > 2.02e-3) & (node_lines(mesh)[1] < 2.04e-3)) == 1
+    four = mesh_section(section, replace(SIZE, minimum_through_thickness=4))
+    assert np.count_nonzero((node_lines(four)[1] > 2.02e-3) & (node_lines(four)[1] < 2.04e-3)) == 3
+
+
+def test_elements_shrink_smoothly_towards_the_rims(mesh: SectionMesh, section: Section) -> None:
+    r, z = node_lines(mesh)
+    regular = np.diff(r).max()
+    rim = np.searchsorted(r, 4e-3 - 1e-9)
+    for width in (r[rim] - r[rim - 1], r[rim + 1] - r[rim]):
+        # Half the regular size, which is itself rounded down to fit the interval by at most one element in fifty.
+        assert width == pytest.approx(0.5 * regular, rel=0.03)
+    ratios = np.diff(r)[1:] / np.diff(r)[:-1]
+    assert max(ratios.max(), 1 / ratios.min()) < GROWTH
+    assert z[np.searchsorted(z, 2.89e-3 - 1e-9) + 1] - 2.89e-3 < 0.55 * 900.0 / 1.155e7
+    plain = mesh_section(section, replace(SIZE, corner_refinement=1.0))
+    assert np.diff(node_lines(plain)[0]).min() > 0.9 * regular
+    assert plain.mesh.t.shape[1] < mesh.mesh.t.shape[1]
+
+
+def test_nodes_run_anticlockwise_from_bottom_left(mesh: SectionMesh) -> None:
+    r, z = mesh.mesh.p[:, mesh.mesh.t]
+    assert (r[0] == r[3]).all() and (r[1] == r[2]).all() and (r[1] > r[0]).all()
+    assert (z[0] == z[1]).all() and (z[2] == z[3]).all() and (z[3] > z[0]).all()
+    # Nodes and cells are numbered along r, then upwards.
+    assert (np.lexsort(mesh.mesh.p) == np.arange(mesh.mesh.p.shape[1])).all()
+    assert (np.diff(mesh.mesh.t[0]) > 0).all()
+
+
+def test_breaks_are_met_exactly(mesh: SectionMesh, section: Section) -> None:
+    r, z = node_lines(mesh)
+    assert set(section.r_breaks) <= set(r) and set(section.z_breaks) <= set(z)
+
+
+def test_partial_electrodes_are_where_the_chip_says() -> None:
+    electrodes = {"live": "bottom", "live_radius": "4 mm", "live_inner_radius": "1 mm", "ground_radius": "9.5 mm"}
+    section = cut_section(make([layer("transducer", "2 mm", "10 mm", electrodes=electrodes), layer("sample", "1 mm", "11 mm")]))
+    mesh = mesh_section(section, uniform(section)).mesh
+    for name, inner, outer, height in (("electrode_live", 1e-3, 4e-3, 0.0), ("electrode_ground", 0.0, 9.5e-3, 2e-3)):
+        r, z = mesh.p[:, mesh.facets[:, mesh.boundaries[name]]]
+        assert (r.min(), r.max()) == pytest.approx((inner, outer)) and z == pytest.approx(height)
+        assert np.abs(np.diff(r, axis=0)).sum() == pytest.approx(outer - inner, rel=1e-12)
+    # Live below, the layer above: what is not electrode there is interface only.
+    assert set(mesh.boundaries["electrode_ground"]) < set(mesh.boundaries["sample|transducer"])
+    assert set(mesh.boundaries["electrode_live"]) < set(mesh.boundaries["transducer|outside"])
+
+
+def test_repeated_layers_get_their_own_regions() -> None:
+    layers = [layer(role, "0.3 mm", "5 mm") for role in ("transducer", "bond", "layer", "bond", "layer", "bond")]
+    section = cut_section(make(layers))
+    mesh = mesh_section(section, uniform(section)).mesh
+    assert {"bond", "bond_2", "bond_3", "layer", "layer_2"} < set(mesh.subdomains)
+    assert {"bond_2|layer", "bond_2|layer_2", "bond_3|layer_2", "bond|layer"} < set(mesh.boundaries)
+
+
+def test_a_region_where_nothing_propagates_does_not_refine(section: Section) -> None:
+    air = mesh_section(section, replace(SIZE, slowest_wave=SLOWEST | {"cavity": 343.0}))
+    vacuum = mesh_section(section, replace(SIZE, slowest_wave=SLOWEST | {"cavity": math.inf}))
+    assert len(air.mesh.subdomains["cavity"]) > 2 * len(vacuum.mesh.subdomains["cavity"])
+    with pytest.raises(InputError, match="finite speed"):
+        mesh_section(section, replace(SIZE, slowest_wave=dict.fromkeys(SLOWEST, math.inf)))
+
+
+def test_refining_doubles_the_elements_per_wavelength(mesh: SectionMesh, section: Section) -> None:
+    finer = mesh_section(section, refined(SIZE, 2.0))
+    before, after = (elements_per_wavelength(m, SLOWEST, 1.155e6) for m in (mesh, finer))
+    assert after["substrate"] >= 20.0 * (1 - 1e-9) and after["substrate"] / before["substrate"] == pytest.approx(2, rel=0.05)
+    assert 3.0 < finer.mesh.t.shape[1] / mesh.mesh.t.shape[1] < 4.5
+    assert np.count_nonzero((node_lines(finer)[1] > 2.02e-3) & (node_lines(finer)[1] < 2.04e-3)) == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"frequency_max": 0.0}, "frequency_max: received 0.0"),
+        ({"elements_per_wavelength": -1.0}, "elements_per_wavelength: received -1.0"),
+        ({"order": 0}, "order: received 0"),
+        ({"minimum_through_thickness": 0}, "minimum_through_thickness: received 0"),
+        ({"corner_refinement": 1.5}, "corner_refinement: received 1.5"),
+        ({"slowest_wave": {"cavity": -1.0}}, r"slowest_wave\.cavity: received -1.0"),
+    ],
+)
+def test_a_size_out_of_range_is_refused(change: Mapping[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        replace(SIZE, **change)
+
+
+def test_a_region_without_speed_is_refused(section: Section) -> None:
+    speeds = {name: speed for name, speed in SLOWEST.items() if name != "bond"} | {"bnd": 930.0}
+    with pytest.raises(InputError, match=r"slowest_wave\.bond.*did you mean 'bnd'"):
+        mesh_section(section, replace(SIZE, slowest_wave=speeds))
+
+
+def test_a_mesh_that_is_not_the_section_is_refused(mesh: SectionMesh) -> None:
+    inner = mesh.mesh
+    fewer = {name: cells for name, cells in inner.subdomains.items() if name != "bond"}
+    with pytest.raises(MeshError, match=r"regions missing from the mesh: \['bond'\]"):
+        SectionMesh(replace(inner, _subdomains=fewer), 2, mesh.section)
+    with pytest.raises(MeshError, match=r"boundaries missing from the mesh: \['axis'\]"):
+        SectionMesh(replace(inner, _boundaries=inner.boundaries | {"axis": np.array([], dtype=int)}), 2, mesh.section)
+    with pytest.raises(MeshError, match=r"not of the section: \['rim'\]"):
+        SectionMesh(replace(inner, _boundaries=inner.boundaries | {"rim": np.array([0])}), 2, mesh.section)
+    with pytest.raises(MeshError, match="volume of|area of"):
+        SectionMesh(replace(inner, doflocs=inner.p * (1 + 1e-8)), 2, mesh.section)
+    with pytest.raises(MeshError, match="without area"):
+        SectionMesh(replace(inner, t=inner.t[[1, 0, 3, 2]]), 2, mesh.section)
+
+
+# ---- random chips
+
+LENGTHS = st.integers(1, 12).map(lambda n: f"{n / 4} mm")
+
+
+@st.composite
+def chips(draw: st.DrawFn) -> Chip:
+    """Stacks with radii from a coarse lattice, so that some coincide, and often a cavity through one or two layers."""
+
+    def radius(low: int) -> str:
+        return f"{draw(st.integers(low, 40)) / 4} mm"
+
+    thin = st.sampled_from(["5 um", "20 um", "0.13 mm", "0.85 mm", "2.02 mm"])
+    electrodes = {"live": draw(st.sampled_from(["top", "bottom"]))}
+    if draw(st.booleans()):
+        electrodes["live_radius"] = f"{draw(st.integers(1, 16)) / 4} mm"
+    layers = [layer("transducer", draw(thin), radius(16), electrodes=electrodes)]
+    if draw(st.booleans()):
+        layers.insert(0, layer("backing", draw(thin), radius(4)))
+    layers += [layer("layer", draw(thin), radius(16)) for _ in range(draw(st.integers(0, 2)))]
+    holes = draw(st.integers(0, 2))
+    layers += [layer("sidewall", draw(thin), radius(17), f"{draw(st.integers(1, 15)) / 4} mm") for _ in range(holes)]
+    layers += [layer("superstrate", draw(thin), radius(16))]
+    return make(layers, filled=holes > 0)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(chip=chips(), speed=st.sampled_from([700.0, 1500.0, 4000.0]), refinement=st.sampled_from([0.3, 0.5, 1.0]))
+def test_any_chip_is_meshed_conforming_and_complete(chip: Chip, speed: float, refinement: float) -> None:
+    section = cut_section(chip)
+    size = replace(uniform(section, speed=speed), corner_refinement=refinement)
+    mesh = mesh_section(section, size)
+    # Names and volumes are checked by the mesh itself; conforming: no node lies on the side of a cell it is no corner of.
+    # On a tensor grid that is the same as no two neighbouring lines of one cell having another line between them.
+    r_lines, z_lines = node_lines(mesh)
+    r, z = mesh.mesh.p[:, mesh.mesh.t]
+    assert (np.searchsorted(r_lines, r[1]) - np.searchsorted(r_lines, r[0]) == 1).all()
+    assert (np.searchsorted(z_lines, z[3]) - np.searchsorted(z_lines, z[0]) == 1).all()
+    assert len(np.unique(mesh.mesh.p, axis=1).T) == mesh.mesh.p.shape[1], "no node twice"
+    for region, volume in chip.volumes().items():
+        assert section.volume(region) == pytest.approx(volume, rel=1e-12)
+    assert min(elements_per_wavelength(mesh, size.slowest_wave, 1e6).values()) >= 10 * (1 - 1e-9)
+
+
+# ---- gmsh's session
+
+
+def test_the_session_refuses_to_nest_and_closes_on_an_error(section: Section) -> None:
+    with pytest.raises(MeshError, match="open already"), gmsh_session():
+        mesh_section(section, SIZE)
+    assert not gmsh.isInitialized()
+    with pytest.raises(ZeroDivisionError), gmsh_session():
+        1 / 0  # noqa: B018
+    assert not gmsh.isInitialized()
+
+
+def test_options_of_one_session_do_not_reach_the_next(section: Section, mesh: SectionMesh) -> None:
+    with gmsh_session() as session:
+        session.option.setNumber("Mesh.ElementOrder", 2)
+        session.option.setNumber("Mesh.MeshSizeMax", 1e-6)
+    again = mesh_section(section, SIZE)
+    assert np.array_equal(again.mesh.p, mesh.mesh.p) and np.array_equal(again.mesh.t, mesh.mesh.t)
+
+
+# ---- cache
+
+
+def test_a_mesh_is_read_back_from_the_cache(section: Section, mesh: SectionMesh, tmp_path: Path) -> None:
+    first = mesh_section(section, SIZE, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    with gmsh_session():  # no session is free, so this mesh can only come from the file
+        second = mesh_section(section, SIZE, cache=tmp_path)
+    for each in (first, second):
+        assert np.array_equal(each.mesh.p, mesh.mesh.p) and np.array_equal(each.mesh.t, mesh.mesh.t)
+        for name, facets in mesh.mesh.boundaries.items():
+            assert np.array_equal(each.mesh.boundaries[name], facets)
+
+
+def test_another_section_or_size_is_another_file(chip: Chip, section: Section, tmp_path: Path) -> None:
+    mesh_section(section, SIZE, cache=tmp_path)
+    mesh_section(section, replace(SIZE, minimum_through_thickness=3), cache=tmp_path)
+    mesh_section(cut_section(chip.with_dimensions({"bond.thickness": 99e-6})), SIZE, cache=tmp_path)
+    narrow = replace(section.electrodes[0], r_outer=section.r_breaks[1])
+    mesh_section(replace(section, electrodes=(narrow, section.electrodes[1])), SIZE, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+@pytest.mark.parametrize("damage", ["truncated", "emptied", "changed", "renamed"])
+def test_a_damaged_file_is_reported_and_replaced(
+    section: Section, mesh: SectionMesh, tmp_path: Path, damage: str
+) -> None:
+    mesh_section(section, SIZE, cache=tmp_path)
+    (path,) = tmp_path.iterdir()
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    if damage == "renamed":
+        with np.load(path) as archive:
+            np.savez(path, nodes=archive["points"])
+    else:
+        cut = {"truncated": whole[:middle], "emptied": b"", "changed": whole[:middle] + b"damage" + whole[middle + 6 :]}
+        path.write_bytes(cut[damage])
+    with pytest.warns(UserWarning, match=f"{path.name} is damaged"):
+        again = mesh_section(section, SIZE, cache=tmp_path)
+    assert np.array_equal(again.mesh.p, mesh.mesh.p)
+    assert path.read_bytes() == whole
+
+
+def test_the_cache_of_the_user_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert user_cache().is_relative_to(tmp_path)
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert user_cache().is_relative_to(tmp_path / "home" / ".cache")
+    assert not user_cache().exists(), "asking for the folder does not make it"

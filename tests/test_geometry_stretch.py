@@ -1,0 +1,135 @@
+"""A mesh moved with the dimensions of its chip."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geometry.chip import Chip, Dimension, ElectrodeDisc, read_chip
+from geometry.mesh import MeshError, MeshSize, SectionMesh, mesh_section
+from geometry.section import cut_section
+from geometry.stretch import stretch, velocity
+from inputs import InputError
+
+CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
+CHIP = read_chip(CHIPS / "reference_chip.toml")
+MESH = mesh_section(cut_section(CHIP), MeshSize(dict.fromkeys(CHIP.regions, 3000.0), 1e6))
+#: Lengths that can be changed by themselves: no other one coincides with them.
+FREE = [name for name in CHIP.dimensions() if name.endswith(".thickness")] + ["cavity.radius"]
+RIMS = ["transducer.radius", "couplant.radius"]
+WALLS = [f"{region}.radius" for region in ("substrate", "sidewall", "bond", "superstrate")]
+
+
+def scaled(chip: Chip, factors: dict[str, float]) -> Chip:
+    known = chip.dimensions()
+    return chip.with_dimensions({name: factor * known[name].value for name, factor in factors.items()})
+
+
+def test_stretching_onto_the_same_chip_changes_nothing() -> None:
+    same = stretch(MESH, CHIP)
+    assert np.array_equal(same.mesh.p, MESH.mesh.p) and same.section == MESH.section
+
+
+@pytest.mark.parametrize("name", [*FREE, "transducer.radius"])
+def test_a_stretched_mesh_is_the_new_mesh_where_the_elements_are_uniform(name: str) -> None:
+    # Without grading, and so coarse that only the minimum counts, the mesher puts the same elements on both chips.
+    size = MeshSize(
+        dict.fromkeys(CHIP.regions, 1e5), 1e6, minimum_through_thickness=3, corner_refinement=1.0
+    )
+    new = scaled(CHIP, {each: 1.03 for each in (RIMS if name == "transducer.radius" else [name])})
+    moved = stretch(mesh_section(cut_section(CHIP), size), new)
+    meshed = mesh_section(cut_section(new), size)
+    # Rounding of coordinates of 13 mm.
+    assert np.abs(moved.mesh.p - meshed.mesh.p).max() < 1e-17
+    assert np.array_equal(moved.mesh.t, meshed.mesh.t)
+    assert moved.section == meshed.section
+    for boundary, facets in meshed.mesh.boundaries.items():
+        assert np.array_equal(moved.mesh.boundaries[boundary], facets)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(factors=st.fixed_dictionaries({name: st.floats(0.7, 1.4) for name in FREE}))
+def test_stretched_regions_have_the_volumes_of_the_new_chip(factors: dict[str, float]) -> None:
+    new = scaled(CHIP, factors)
+    moved = stretch(MESH, new)  # names and volumes are checked by the mesh itself
+    r, z = moved.mesh.p[:, moved.mesh.t]
+    for region, volume in new.volumes().items():
+        cells = moved.mesh.subdomains[region]
+        revolved = np.pi * ((r[1] ** 2 - r[0] ** 2) * (z[3] - z[0]))[cells].sum()
+        # The 20 um layer lies 2 mm up: its height is exact to 1e-14 of itself.
+        assert revolved == pytest.approx(volume, rel=1e-12)
+
+
+def test_a_stretch_can_be_undone() -> None:
+    there = stretch(MESH, scaled(CHIP, {"couplant.thickness": 2.0, "cavity.radius": 0.8}))
+    assert np.abs(stretch(there, CHIP).mesh.p - MESH.mesh.p).max() < 1e-17
+
+
+def test_the_mesh_it_came_from_is_left_alone() -> None:
+    before = MESH.mesh.p.copy()
+    stretch(MESH, scaled(CHIP, {"substrate.thickness": 1.2}))
+    assert np.array_equal(MESH.mesh.p, before)
+
+
+def test_a_stretch_that_would_change_the_topology_is_refused() -> None:
+    with pytest.raises(MeshError, match="4 breaks in r into 5"):
+        stretch(MESH, scaled(CHIP, {"transducer.radius": 0.99}))
+    with pytest.raises(MeshError, match="4 breaks in r into 3"):
+        stretch(MESH, scaled(CHIP, dict.fromkeys(RIMS, 13.0 / 12.5)))
+    with pytest.raises(MeshError, match="between other breaks"):
+        stretch(MESH, scaled(CHIP, dict.fromkeys(WALLS, 12.0 / 13.0)))  # narrower than the transducer
+    with pytest.raises(MeshError, match="between other breaks"):
+        stretch(MESH, replace(MESH.section, rectangles=MESH.section.rectangles[::-1]))
+    with pytest.raises(MeshError, match="between other breaks"):
+        narrow = replace(MESH.section.electrodes[0], r_outer=MESH.section.r_breaks[1])
+        stretch(MESH, replace(MESH.section, electrodes=(narrow, MESH.section.electrodes[1])))
+    with pytest.raises(MeshError, match="7 breaks in z into 6"):
+        upper = replace(MESH.section.rectangles[-2], z_bottom=MESH.section.z_breaks[1])
+        stretch(MESH, replace(MESH.section, rectangles=(MESH.section.rectangles[0], upper, *MESH.section.rectangles[3:-1])))
+
+
+@pytest.mark.parametrize("names", [*([name] for name in FREE), RIMS, WALLS], ids=lambda names: "+".join(names))
+def test_the_velocity_is_the_derivative_of_the_stretch(names: list[str]) -> None:
+    rate = velocity(MESH, CHIP, *names)
+    assert rate.shape == MESH.mesh.p.shape and np.abs(rate).max() == 1.0
+    known = CHIP.dimensions()
+    for step in (3e-6, -2e-6):  # metres; the map is linear, so any step within the topology
+        moved = stretch(MESH, CHIP.with_dimensions({name: known[name].value + step for name in names}))
+        # Rounding of coordinates of 13 mm.
+        assert np.abs(MESH.mesh.p + step * rate - moved.mesh.p).max() < 2e-17
+
+
+def test_a_thickness_lifts_all_that_is_above() -> None:
+    r, z = MESH.mesh.p
+    along_r, along_z = velocity(MESH, CHIP, "couplant.thickness")
+    assert (along_r == 0.0).all()
+    assert (along_z[z >= MESH.section.z_breaks[2]] == 1.0).all() and (along_z[z <= MESH.section.z_breaks[1]] == 0.0).all()
+    along_r, along_z = velocity(MESH, CHIP, "cavity.radius")
+    assert (along_z == 0.0).all()
+    assert (along_r[r == 4e-3] == 1.0).all() and (along_r[(r == 0.0) | (r >= 12.5e-3)] == 0.0).all()
+
+
+def test_a_velocity_of_another_chip_or_of_no_dimension_is_refused() -> None:
+    with pytest.raises(MeshError, match="stretch it onto the chip first"):
+        velocity(MESH, scaled(CHIP, {"bond.thickness": 1.1}), "bond.thickness")
+    with pytest.raises(InputError, match=r"'bond\.thicknes'.*did you mean 'bond\.thickness'"):
+        velocity(MESH, CHIP, "bond.thicknes")
+    with pytest.raises(MeshError, match="must change together"):
+        velocity(MESH, CHIP, "transducer.radius")
+
+
+def test_a_partial_electrode_moves_by_its_own_name() -> None:
+    # A ring electrode on the free disc: its edges are breaks of their own.
+    chip = read_chip(CHIPS / "free_disc_25x2.toml")
+    ring = ElectrodeDisc(Dimension(9e-3), Dimension(2e-3))
+    chip = replace(chip, electrodes=replace(chip.electrodes, live_disc=ring))
+    mesh = mesh_section(cut_section(chip), MeshSize({"transducer": 3000.0}, 1e6))
+    new = chip.with_dimensions({"electrode_live.radius": 9.5e-3, "electrode_live.inner_radius": 1e-3})
+    moved: SectionMesh = stretch(mesh, new)
+    r = moved.mesh.p[0, moved.mesh.facets[:, moved.mesh.boundaries["electrode_live"]]]
+    assert (r.min(), r.max()) == pytest.approx((1e-3, 9.5e-3))
+    rate = velocity(mesh, chip, "electrode_live.radius")[0]
+    assert rate[mesh.mesh.p[0] == 9e-3] == pytest.approx(1.0) and rate[mesh.mesh.p[0] == 12.5e-3] == pytest.approx(0.0)

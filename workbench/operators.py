@@ -1,0 +1,393 @@
+"""From terms to operators: the affine symmetric system, full (sparse) or reduced (dense), behind one interface.
+
+``assemble`` turns a mesh and a tuple of terms into :class:`FullOperators`; ``FullOperators.project`` turns a basis
+into :class:`ReducedOperators`. Both answer the same questions (see :class:`Operators`), so that solving, fitting and
+diagnosing do not know which of the two they hold. Parameter values are never stored here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from skfem import Basis, ElementQuad2, FacetBasis
+
+from geometry.mesh import SectionMesh
+from workbench.physics.term import COMPONENTS, OPERATORS, Condition, Integral, Monomial, Part, Term, Values
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+class ModelError(ValueError):
+    """The terms do not make a solvable model (a missing unknown, electrode or boundary)."""
+
+
+class Operators(Protocol):
+    """What a solver needs to know of A(w, theta) = sum_q g_q(w, theta) A_q, whatever its size.
+
+    The last unknown is always the voltage of the live electrode.
+    """
+
+    @property
+    def integrals(self) -> tuple[Integral, ...]:
+        """The g_q A_q, in the order of every array over integrals."""
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns, electrode included."""
+
+    def quadratic(self, left: Complex, right: Complex) -> Complex:
+        """left^T A_q right for columns left, right (size, n): (n, number of integrals)."""
+
+
+def coefficients(integrals: tuple[Integral, ...], omega: Real, values: Values) -> Complex:
+    """g_q(w) of every integral: (number of frequencies, number of integrals). A missing parameter raises KeyError."""
+    return np.stack([integral.coefficient(omega, values) for integral in integrals], axis=1)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A region or boundary with its basis functions tabulated at the quadrature points.
+
+    ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``shapes`` maps what
+    is taken of a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is set
+    on boundaries. ``elements`` (ne,) are the mesh cells.
+    """
+
+    dofs: NDArray[np.int64]
+    weights: Real
+    shapes: Mapping[str, Real]
+    elements: NDArray[np.int64]
+    normal: Real | None = None
+
+    def factor(self, name: str) -> Real:
+        if self.normal is None:
+            raise ModelError("an operator with the normal is used inside a region")
+        return self.normal[0 if name == "n_r" else 1]
+
+
+def _volume_place(mesh: SectionMesh, region: str) -> Place:
+    # Nine Gauss points integrate r times a product of two biquadratic functions exactly (degree 5 per direction).
+    basis = Basis(mesh.mesh, _element(mesh), elements=mesh.mesh.subdomains[region], intorder=2 * mesh.order + 1)
+    return _tabulate(basis, np.asarray(mesh.mesh.subdomains[region]))
+
+
+def _boundary_place(mesh: SectionMesh, integral: Integral) -> Place:
+    facets = np.asarray(mesh.mesh.boundaries[integral.place])
+    basis = FacetBasis(mesh.mesh, _element(mesh), facets=facets, intorder=2 * mesh.order + 1)
+    owners = mesh.mesh.f2t[0, facets]
+    solid_cells = np.zeros(mesh.mesh.t.shape[1], dtype=bool)
+    solid_cells[mesh.mesh.subdomains[integral.solid]] = True
+    sign = np.where(solid_cells[owners], 1.0, -1.0)
+    place = _tabulate(basis, owners)
+    # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
+    trace = np.abs(place.shapes["value"]).max(axis=1) > 1e-12
+    count = int(trace.sum(axis=1).min())
+    if not (trace.sum(axis=1) == count).all():
+        raise ModelError(f"boundary {integral.place!r} mixes facets with different numbers of functions")
+    keep = np.nonzero(trace)[1].reshape(-1, count)
+    shapes = {kind: np.take_along_axis(s, keep[:, None, :], axis=2) for kind, s in place.shapes.items()}
+    dofs = np.take_along_axis(place.dofs.T, keep, axis=1).T
+    normal = np.asarray(basis.normals) * sign[None, :, None]
+    return Place(np.ascontiguousarray(dofs), place.weights, shapes, owners, normal)
+
+
+def _element(mesh: SectionMesh) -> ElementQuad2:
+    if mesh.order != 2:
+        raise ModelError(f"fields of order {mesh.order} are not available; expected order 2")
+    return ElementQuad2()
+
+
+def _tabulate(basis: Basis | FacetBasis, elements: NDArray[np.int64]) -> Place:
+    r = np.asarray(basis.global_coordinates())[0]
+    functions = [basis.basis[i][0] for i in range(basis.Nbfun)]
+    shape = r.shape
+    value = np.stack([np.broadcast_to(f.value, shape) for f in functions], axis=2)
+    gradient = np.stack([np.broadcast_to(f.grad, (2, *shape)) for f in functions], axis=3)
+    shapes = {"value": value, "d_r": gradient[0], "d_z": gradient[1], "over_r": value / r[:, :, None]}
+    shapes = {kind: np.ascontiguousarray(s) for kind, s in shapes.items()}
+    return Place(np.asarray(basis.element_dofs), 2.0 * np.pi * r * np.asarray(basis.dx), shapes, elements)
+
+
+@dataclass(frozen=True, eq=False)
+class FullOperators:
+    """The assembled model on a mesh: basis functions at quadrature points, and the numbering of the unknowns.
+
+    ``numbering[component]`` (number of scalar mesh dofs,) is the row of an unknown in the system, or -1 where the
+    component does not exist or is held at zero; all points of the live electrode share the last row.
+    """
+
+    mesh: SectionMesh
+    terms: tuple[Term, ...]
+    integrals: tuple[Integral, ...]
+    places: Mapping[str, Place]
+    numbering: Mapping[str, NDArray[np.int64]]
+    size: int
+
+    def evaluate(
+        self, place: Place, operators: Iterable[str], columns: NDArray[np.inexact]
+    ) -> dict[str, NDArray[np.inexact]]:
+        """Operators of the unknowns `columns` (size, n) at the quadrature points of `place`: (ne, nq, n) by name."""
+        names = list(operators)
+        parts = {part: None for name in names for part in OPERATORS[name]}
+        padded = np.vstack([columns, np.zeros((1, columns.shape[1]), dtype=columns.dtype)])  # row -1: not an unknown
+        local = {c: padded[self.numbering[c][place.dofs.T]] for c in {part[0] for part in parts}}
+        taken: dict[Part, NDArray[np.inexact]] = {}
+        for component, kind, factor in parts:
+            part = place.shapes[kind] @ local[component]
+            taken[component, kind, factor] = part * place.factor(factor)[:, :, None] if factor else part
+        result = {}
+        for name in names:
+            first, *rest = (taken[part] for part in OPERATORS[name])
+            result[name] = first + sum(rest) if rest else first
+        return result
+
+    def quadratic(self, left: Complex, right: Complex) -> Complex:
+        parts = self.element_quadratic(left, right)
+        return np.stack([part.sum(axis=0) for part in parts], axis=-1)
+
+    def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
+        """left^T A_q right, element by element of the integral's place: one array (ne, n) for every integral."""
+        result: dict[int, Complex] = {}
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            used = _operators_of(group)
+            lefts = self.evaluate(place, used, left)
+            rights = lefts if right is left else self.evaluate(place, used, right)
+            for integral in group:
+                density = sum(
+                    0.5 * p.weight * (lefts[p.row] * rights[p.column] + lefts[p.column] * rights[p.row])
+                    for p in integral.products
+                )
+                result[self._index[id(integral)]] = np.einsum("eqn,eq->en", density, place.weights)
+        return tuple(result[q] for q in range(len(self.integrals)))
+
+    @cached_property
+    def _index(self) -> dict[int, int]:
+        return {id(integral): q for q, integral in enumerate(self.integrals)}
+
+    @cached_property
+    def _by_place(self) -> dict[str, list[Integral]]:
+        groups: dict[str, list[Integral]] = {}
+        for integral in self.integrals:
+            groups.setdefault(integral.place, []).append(integral)
+        return groups
+
+    def project(self, basis: Real, test: Real | None = None) -> Real:
+        """test^T A_q basis for real columns (size, n): (number of integrals, n_test, n). `test` defaults to `basis`."""
+        left = basis if test is None else test
+        result = np.zeros((len(self.integrals), left.shape[1], basis.shape[1]))
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            weights = place.weights.reshape(-1, 1)
+            used = _operators_of(group)
+            rights = {name: v.reshape(weights.size, -1) for name, v in self.evaluate(place, used, basis).items()}
+            lefts = {name: weights * v.reshape(weights.size, -1)
+                     for name, v in (rights if test is None else self.evaluate(place, used, test)).items()}
+            grams: dict[tuple[str, str], Real] = {}
+            for integral in group:
+                for p in integral.products:
+                    for pair in ((p.row, p.column), (p.column, p.row)):
+                        if pair not in grams:
+                            grams[pair] = lefts[pair[0]].T @ rights[pair[1]]
+                        result[self._index[id(integral)]] += 0.5 * p.weight * grams[pair]
+        return result
+
+    def reduced(self, basis: Real) -> ReducedOperators:
+        """The same model on the columns of `basis` (size, n), the last of which alone has unit electrode voltage."""
+        return ReducedOperators(self.integrals, self.project(basis))
+
+    def matrix(self, constants: Complex) -> NDArray[np.complex128]:
+        """The stored entries of sum_q constants_q A_q on :attr:`pattern`: (number of entries,) complex."""
+        entries = np.zeros(self.pattern.nnz, dtype=complex)
+        offset = 0
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            components = self._components(group)
+            nb = place.dofs.shape[0]
+            block = np.zeros((place.dofs.shape[1], len(components) * nb, len(components) * nb), dtype=complex)
+            for (a, b), weights in self._kinds(group, constants).items():
+                self._add_block(block, place, components, a, b, weights)
+            positions = self._positions[offset : offset + block.size]
+            flat = block.ravel()
+            kept = positions >= 0
+            for part, unit in ((flat.real, 1.0), (flat.imag, 1j)):
+                entries += unit * np.bincount(positions[kept], part[kept], minlength=entries.size)
+            offset += block.size
+        return entries
+
+    def _components(self, group: Iterable[Integral]) -> list[str]:
+        used = {part[0] for i in group for p in i.products for name in (p.row, p.column) for part in OPERATORS[name]}
+        return [c for c in COMPONENTS if c in used]
+
+    def _kinds(self, group: list[Integral], constants: Complex) -> dict[tuple[Part, Part], complex]:
+        """Coefficient of every pair of operator parts: {(row part, column part): constant}, symmetrised."""
+        pairs: dict[tuple[Part, Part], complex] = {}
+        for integral in group:
+            constant = complex(constants[self._index[id(integral)]])
+            if constant == 0.0:
+                continue
+            for p in integral.products:
+                for a in OPERATORS[p.row]:
+                    for b in OPERATORS[p.column]:
+                        for key in ((a, b), (b, a)):
+                            pairs[key] = pairs.get(key, 0.0) + 0.5 * p.weight * constant
+        return pairs
+
+    def _add_block(
+        self,
+        block: Complex,
+        place: Place,
+        components: list[str],
+        a: Part,
+        b: Part,
+        constant: complex,
+    ) -> None:
+        weights = place.weights
+        for part in (a, b):
+            if part[2]:
+                weights = weights * place.factor(part[2])
+        nb = place.dofs.shape[0]
+        rows = slice(components.index(a[0]) * nb, (components.index(a[0]) + 1) * nb)
+        columns = slice(components.index(b[0]) * nb, (components.index(b[0]) + 1) * nb)
+        product = place.shapes[a[1]].transpose(0, 2, 1) @ (weights[:, :, None] * place.shapes[b[1]])
+        block[:, rows, columns] += constant * product
+
+    @cached_property
+    def _element_indices(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        rows, columns = [], []
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            local = np.concatenate([self.numbering[c][place.dofs] for c in self._components(group)]).T  # (ne, nl)
+            shape = (local.shape[0], local.shape[1], local.shape[1])
+            rows.append(np.broadcast_to(local[:, :, None], shape).ravel())
+            columns.append(np.broadcast_to(local[:, None, :], shape).ravel())
+        return np.concatenate(rows), np.concatenate(columns)
+
+    @cached_property
+    def pattern(self) -> sparse.csc_matrix:
+        """The symmetric sparsity pattern (size, size) with all ones, sorted indices."""
+        rows, columns = self._element_indices
+        kept = (rows >= 0) & (columns >= 0)
+        ones = np.ones(int(kept.sum()), dtype=np.float32)
+        pattern = sparse.coo_matrix((ones, (rows[kept], columns[kept])), shape=(self.size, self.size)).tocsc()
+        pattern.sort_indices()
+        return pattern
+
+    @cached_property
+    def _positions(self) -> NDArray[np.int64]:
+        """Place of every element entry among the stored entries of :attr:`pattern`, -1 where it is dropped."""
+        rows, columns = self._element_indices
+        pattern = self.pattern
+        stored = np.repeat(np.arange(self.size, dtype=np.int64), np.diff(pattern.indptr)) * self.size
+        stored += pattern.indices
+        wanted = columns.astype(np.int64) * self.size + rows
+        positions = np.searchsorted(stored, wanted)
+        positions[(rows < 0) | (columns < 0)] = -1
+        return positions
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedOperators:
+    """The affine model on a small basis: ``matrices`` (number of integrals, r, r), dense and real."""
+
+    integrals: tuple[Integral, ...]
+    matrices: Real
+
+    @property
+    def size(self) -> int:
+        return int(self.matrices.shape[1])
+
+    def quadratic(self, left: Complex, right: Complex) -> Complex:
+        rows = np.einsum("in,qij->nqj", left, self.matrices, optimize=True)
+        return np.einsum("nqj,jn->nq", rows, right, optimize=True)
+
+
+def _operators_of(integrals: Iterable[Integral]) -> list[str]:
+    return list(dict.fromkeys(name for integral in integrals for p in integral.products for name in (p.row, p.column)))
+
+
+def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
+    """Tabulate the model on a mesh and number its unknowns. Parameter values are not needed.
+
+    Raises:
+        ModelError: a term names a region or boundary the mesh lacks, uses an unknown no term brings in, or there is
+            not exactly one pair of electrodes.
+    """
+    integrals = tuple(integral for term in terms for integral in term.integrals())
+    unknowns = {pair for term in terms for pair in term.unknowns}
+    conditions = tuple(dict.fromkeys(condition for term in terms for condition in term.conditions()))
+    for place in [i.place for i in integrals] + [region for _, region in unknowns]:
+        if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
+            known = sorted([*mesh.mesh.subdomains, *mesh.mesh.boundaries])
+            raise ModelError(f"no region or boundary {place!r} in the mesh; known: {', '.join(known)}")
+    if sum(condition.live for condition in conditions) != 1:
+        raise ModelError("a model needs exactly one live electrode; add one `Electrodes` term")
+    for integral in integrals:
+        if not integral.on_boundary:
+            for product in integral.products:
+                for component in {part[0] for name in (product.row, product.column) for part in OPERATORS[name]}:
+                    if (component, integral.place) not in unknowns:
+                        raise ModelError(f"{integral.place!r} has no unknown {component!r} that {product} needs")
+    places: dict[str, Place] = {}
+    for integral in integrals:
+        if integral.place not in places:
+            places[integral.place] = (
+                _boundary_place(mesh, integral) if integral.on_boundary else _volume_place(mesh, integral.place)
+            )
+    numbering, size = _number(mesh, unknowns, conditions)
+    return FullOperators(mesh, terms, integrals, places, numbering, size)
+
+
+def _number(
+    mesh: SectionMesh, unknowns: set[tuple[str, str]], conditions: tuple[Condition, ...]
+) -> tuple[dict[str, NDArray[np.int64]], int]:
+    basis = Basis(mesh.mesh, _element(mesh), intorder=1)
+    numbering: dict[str, NDArray[np.int64]] = {}
+    live: dict[str, NDArray[np.bool_]] = {}
+    count = 0
+    for component in COMPONENTS:
+        present = np.zeros(basis.N, dtype=bool)
+        for region in (region for c, region in unknowns if c == component):
+            present[basis.element_dofs[:, mesh.mesh.subdomains[region]]] = True
+        live[component] = np.zeros(basis.N, dtype=bool)
+        for condition in conditions:
+            if condition.component == component:
+                at = np.asarray(basis.get_dofs(mesh.mesh.boundaries[condition.boundary]).flatten())
+                if condition.live:
+                    live[component][at] = present[at]
+                present[at] = False
+        rows = np.full(basis.N, -1, dtype=np.int64)
+        rows[present] = count + np.arange(int(present.sum()))
+        count += int(present.sum())
+        numbering[component] = rows
+    for component in COMPONENTS:
+        numbering[component][live[component]] = count
+    return numbering, count + 1
+
+
+def frequency_groups(
+    integrals: tuple[Integral, ...], omega: Real, values: Values
+) -> tuple[tuple[Complex, Complex], ...]:
+    """The model as few matrices as its frequency dependence allows: pairs of (h(w) (n,), constants (integrals,)).
+
+    sum_q g_q(w) A_q = sum over pairs of h(w) sum_q constants_q A_q. Monomials with the same power of w share a pair.
+    """
+    powers: dict[int, Complex] = {}
+    others: list[tuple[Complex, Complex]] = []
+    for q, integral in enumerate(integrals):
+        if isinstance(integral.coefficient, Monomial):
+            constants = powers.setdefault(integral.coefficient.omega_power, np.zeros(len(integrals), dtype=complex))
+            constants[q] = integral.coefficient.constant(values)
+        else:
+            unit = np.zeros(len(integrals), dtype=complex)
+            unit[q] = 1.0
+            others.append((integral.coefficient(omega, values), unit))
+    grouped = [(omega.astype(complex) ** power, constants) for power, constants in powers.items()]
+    return tuple(grouped + others)

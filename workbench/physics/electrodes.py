@@ -1,0 +1,29 @@
+"""The two electrodes of the transducer: one grounded, one live at a common voltage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from workbench.physics.term import Condition, Integral
+
+
+@dataclass(frozen=True)
+class Electrodes:
+    """phi = 0 on the grounded electrode; phi = V, one unknown, on the live one.
+
+    The charge of the live electrode is the work conjugate of V, that is the flux of the whole
+    D = e eps + epsilon E (the paper's eq. 22 drops e eps).
+    """
+
+    live: str
+    ground: str
+
+    @property
+    def unknowns(self) -> tuple[tuple[str, str], ...]:
+        return ()
+
+    def integrals(self) -> tuple[Integral, ...]:
+        return ()
+
+    def conditions(self) -> tuple[Condition, ...]:
+        return (Condition("phi", self.ground), Condition("phi", self.live, live=True))

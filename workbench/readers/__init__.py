@@ -1,0 +1,99 @@
+"""Recordings of impedance: find out the format, read it, and say what looks wrong.
+
+    reading = read(Path("disc.csv"))
+    reading.spectrum, reading.findings
+
+A file that cannot be trusted (cut short, out of order, not a number) is an :class:`inputs.InputError` with the line.
+A file that can be read but contradicts physics gives findings, and is corrected only on request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from inputs import InputError, choose
+from workbench.readers import columns as _columns
+from workbench.readers import e4990a, hp4294a, touchstone, workbench_csv
+from workbench.readers.columns import ColumnMap
+from workbench.readers.findings import Finding, examine
+from workbench.readers.quantities import Quantity
+from workbench.readers.text import RecordingText, load, refuse_waveform
+from workbench.spectrum import Spectrum, corrected
+
+__all__ = ["FORMATS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format: a test of the text, its parser, and a description for messages."""
+
+    description: str
+    recognises: Callable[[RecordingText], bool]
+    parse: Callable[[RecordingText], Spectrum]
+
+
+FORMATS: Mapping[str, Format] = {
+    "workbench": Format("the workbench's own CSV", workbench_csv.recognises, workbench_csv.parse),
+    "e4990a": Format("Keysight/Agilent E4990A CSV", e4990a.recognises, e4990a.parse),
+    "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises, hp4294a.parse),
+    "touchstone": Format("Touchstone .s1p", touchstone.recognises, touchstone.parse),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A spectrum as recorded and what was noticed in it."""
+
+    spectrum: Spectrum
+    findings: tuple[Finding, ...]
+
+    def corrected(self, correction: str) -> Reading:
+        """The reading with its spectrum put right by "negate" or "conjugate", noted in the origin, and re-examined."""
+        spectrum = corrected(self.spectrum, correction)
+        return Reading(spectrum, examine(spectrum))
+
+
+def detect(path: Path) -> str:
+    """The name of the file's format, a key of :data:`FORMATS`.
+
+    Raises:
+        InputError: the file is missing, empty, binary, an oscilloscope waveform, or of no known format.
+    """
+    return _detect(load(Path(path)))
+
+
+def read(
+    path: Path, *, columns: ColumnMap | None = None, format: str | None = None, correction: str | None = None
+) -> Reading:
+    """Read a recording of impedance.
+
+    `format` (a key of :data:`FORMATS`) skips the detection; `columns` reads any other table; `correction` ("negate"
+    or "conjugate") is applied as :meth:`Reading.corrected` does.
+
+    Raises:
+        InputError: the file is not a spectrum that can be trusted; the message gives line and column.
+        ValueError: both `columns` and `format`, or an unknown correction.
+    """
+    if columns is not None and format is not None:
+        raise ValueError("give columns or format, not both")
+    text = load(Path(path))
+    refuse_waveform(text)
+    if columns is not None:
+        spectrum = _columns.parse(text, columns)
+    else:
+        name = _detect(text) if format is None else choose(format, FORMATS, source=text.path, field="format")
+        spectrum = FORMATS[name].parse(text)
+    reading = Reading(spectrum, examine(spectrum, shunt_gain=columns is not None and columns.quantity.kind == "gain"))
+    return reading if correction is None else reading.corrected(correction)
+
+
+def _detect(text: RecordingText) -> str:
+    refuse_waveform(text)
+    for name, known in FORMATS.items():
+        if known.recognises(text):
+            return name
+    descriptions = ", ".join(f"{name} ({known.description})" for name, known in FORMATS.items())
+    first = [line[:80] for line in text.lines if line.strip()][:3]
+    raise InputError(text.path, "format", first, f"one of {descriptions}; for any other table give a ColumnMap")

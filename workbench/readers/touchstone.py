@@ -1,0 +1,54 @@
+"""Touchstone one-port files (.s1p), read by scikit-rf; network analysers use e^{+j w t}, as a spectrum does."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from inputs import InputError
+from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
+from workbench.spectrum import Origin, Spectrum
+
+_OPTION = re.compile(r"#\s*([kmg]?hz\b|[szy]\b|ma\b|db\b|ri\b|r\s+[\d.]+)", re.IGNORECASE)
+
+
+def recognises(text: RecordingText) -> bool:
+    if Path(text.path).suffix.casefold() == ".s1p":
+        return True
+    first = next((line.strip() for line in text.lines if line.strip() and not line.strip().startswith("!")), "")
+    return _OPTION.match(first) is not None
+
+
+def parse(text: RecordingText) -> Spectrum:
+    """Read the file.
+
+    Raises:
+        InputError: a row without exactly three numbers, frequencies that do not increase, a short circuit exactly
+            (zero impedance) or an open one, or anything scikit-rf cannot read.
+    """
+    content = [(index + 1, line.split("!")[0].strip()) for index, line in enumerate(text.lines)]
+    data = [(line, " ".join(row.split())) for line, row in content if row and not row.startswith(("#", "["))]
+    rows = numbers(text, [(line, row.replace(" ", "\t")) for line, row in data], delimiter="\t", columns=3)
+    check_frequencies(text, rows.values[:, 0], rows.lines, column=1)
+
+    import skrf
+
+    try:
+        # An open circuit is reported below with its line; scikit-rf only warns of the division.
+        with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
+            warnings.simplefilter("ignore", RuntimeWarning)
+            network = skrf.Network(text.path)
+            impedance = np.array(network.z[:, 0, 0], dtype=np.complex128)
+    except (ValueError, IndexError, KeyError, TypeError, NotImplementedError, AttributeError, OSError) as error:
+        raise InputError(text.path, "Touchstone", str(error), "a one-port Touchstone file that scikit-rf reads") from None
+    if impedance.shape != (len(data),):
+        raise InputError(text.path, "Touchstone", f"{len(impedance)} points read", f"the {len(data)} rows of the file")
+    check_impedance(text, impedance, rows.lines)
+    notes = [line.lstrip(" !").strip() for line in text.lines if line.strip().startswith("!")]
+    option = next((" ".join(cells(row[1:], "\t")[0].split()) for _, row in content if row.startswith("#")), "")
+    settings = {"option line": option} | {f"comment {i}": note for i, note in enumerate(notes, 1) if note}
+    origin = Origin("measured", text.path, text.sha256, settings=settings)
+    return Spectrum(np.asarray(network.f, dtype=np.float64), impedance, None, origin)

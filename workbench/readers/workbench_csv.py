@@ -1,0 +1,65 @@
+"""The workbench's own file, written by :func:`workbench.spectrum.write_csv`; the origin's lines may be missing."""
+
+from __future__ import annotations
+
+from inputs import InputError, nearest_names
+from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
+from workbench.spectrum import COLUMNS, ORIGIN_KINDS, UNCERTAINTY_COLUMN, Origin, Spectrum
+
+_ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
+
+
+def recognises(text: RecordingText) -> bool:
+    header = next((line for line in text.lines if not line.startswith("#") and line.strip()), "")
+    return header.lstrip().strip('"').startswith(COLUMNS[0])
+
+
+def parse(text: RecordingText) -> Spectrum:
+    """Read the file.
+
+    Raises:
+        InputError: a metadata key, column name or row that :func:`~workbench.spectrum.write_csv` would not write.
+    """
+    numbered = [(index + 1, line) for index, line in enumerate(text.lines) if line.strip()]
+    comments = [(line, content) for line, content in numbered if content.startswith("#")]
+    table = [(line, content) for line, content in numbered if not content.startswith("#")]
+    if not table:
+        raise text.error(len(text.lines), None, text.lines[-1], "the column names and rows; the file is cut short")
+    origin = _origin(text, comments)
+    header_line, header = table[0]
+    names = tuple(cells(header, ","))
+    if names not in (COLUMNS, (*COLUMNS, UNCERTAINTY_COLUMN)):
+        wanted = ",".join(COLUMNS)
+        raise text.error(header_line, None, header, f"{wanted} or {wanted},{UNCERTAINTY_COLUMN}")
+    rows = numbers(text, table[1:], delimiter=",", columns=len(names))
+    check_frequencies(text, rows.values[:, 0], rows.lines, column=1)
+    impedance = rows.values[:, 1] + 1j * rows.values[:, 2]
+    check_impedance(text, impedance, rows.lines)
+    uncertainty = None
+    if len(names) == 4:
+        uncertainty = rows.values[:, 3]
+        for line, value in zip(rows.lines, uncertainty, strict=True):
+            if value <= 0.0:
+                raise text.error(line, 4, float(value), "an uncertainty above zero")
+    return Spectrum(rows.values[:, 0], impedance, uncertainty, origin)
+
+
+def _origin(text: RecordingText, comments: list[tuple[int, str]]) -> Origin:
+    if not comments:
+        return Origin("unknown", source=text.path, sha256=text.sha256)
+    found: dict[str, str] = {}
+    settings: dict[str, str] = {}
+    for line, content in comments:
+        key, colon, value = content[1:].partition(":")
+        key, value = key.strip(), value.strip()
+        target, name = (settings, key.removeprefix("setting ")) if key.startswith("setting ") else (found, key)
+        if not colon or (target is found and name not in _ORIGIN_KEYS):
+            raise InputError(text.path, f"line {line}", content,
+                             "'# key: value' with a key of " + ", ".join((*_ORIGIN_KEYS, "setting NAME")),
+                             nearest_names(key, _ORIGIN_KEYS))
+        if name in target:
+            raise text.error(line, None, content, f"{key!r} only once")
+        target[name] = value
+    if found.get("kind", "unknown") not in ORIGIN_KINDS:
+        raise InputError(text.path, "kind", found["kind"], "one of " + ", ".join(ORIGIN_KINDS))
+    return Origin(**found, settings=settings)

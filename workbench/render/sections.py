@@ -1,0 +1,243 @@
+"""The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, regions and mesh.
+
+VTK draws the biquadratic cells off screen, matplotlib frames them: axes in millimetres at equal scale, a colour bar with
+its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is largest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.nodal import FloatArray, IntArray, NodalMesh
+from workbench.particles import TrapReport
+from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, new_figure, photograph, prefixed, pyvista, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from workbench.fields import Fields
+
+#: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is two dots wide.
+_WIDTH = 13.0
+_DOTS_PER_INCH = 200
+_OUTLINE = "#303030"
+
+
+@dataclass(frozen=True)
+class _Window:
+    """The rectangle of the r-z plane that is shown, in metres."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+
+def draw_axial_displacement(fields: Fields, path: Path, *, drive: str) -> Path:
+    """u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
+    values, phase = at_largest(fields.displacement[:, 1])
+    return _draw_signed(
+        fields.mesh, values, path, unit="m", label="axial displacement $u_z$", title=_title(fields, drive, phase)
+    )
+
+
+def draw_pressure(fields: Fields, path: Path, *, drive: str) -> Path:
+    """Pressure in the fluids of the whole section. Writes `path`."""
+    values, phase = at_largest(fields.pressure)
+    return _draw_signed(
+        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", title=_title(fields, drive, phase)
+    )
+
+
+def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
+    """Gor'kov potential in its region, traps marked, as in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
+    forces = report.forces
+    factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
+    values = forces.potential * factor
+    limits = float(np.nanmin(values)), float(np.nanmax(values))
+    cells = forces.mesh.cells_of([forces.region])
+    window = _window(forces.mesh.points[forces.mesh.cells[cells]].reshape(-1, 2))
+    figure, axes, bar = _frame(window, title=(
+        f"Gor'kov potential of a {2e6 * forces.particle.radius:.3g} µm {forces.particle.name} sphere in {forces.region}\n"
+        f"{_excitation_line(str(forces.excitation))}"
+    ))
+    axes.imshow(_photograph_cells(forces.mesh, cells, values, window, limits=limits, colours=PLAIN_COLOURS),
+                extent=_extent(window), interpolation="antialiased")
+    for trap in report.traps:
+        place = [sign * trap.radius * 1e3 for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,))]
+        axes.plot(place, [trap.height * 1e3] * len(place), linestyle="", marker="x", color="white", markersize=6)
+    _outline(axes, forces.mesh)
+    _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"Gor'kov potential $U$ ({unit})")
+    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+
+
+def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Path:
+    """The regions in colour with their names, and the cells of the mesh unless `show_cells` is off. Writes `path`."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+    from matplotlib.patches import Patch
+
+    window = _window(mesh.points)
+    figure, axes, bar = _frame(window, title=f"{len(mesh.regions)} regions, {len(mesh.cells)} biquadratic cells")
+    palette = [to_hex(colormaps["tab20"](index % 20)) for index in (*range(1, 20, 2), *range(0, 20, 2))]
+    colours = [palette[index % 20] for index in range(len(mesh.regions))]
+    lines = mesh.cells[:, :4]
+
+    def arrange(plotter: Any) -> None:
+        for mirror in (1.0, -1.0):
+            for index, colour in enumerate(colours):
+                quads = _grid(mesh.points, lines[mesh.region == index], mirror=mirror, kind="QUAD")
+                plotter.add_mesh(quads, color=colour, lighting=False, show_edges=show_cells, edge_color="#606060",
+                                 edge_opacity=0.5, line_width=0.5)
+
+    axes.imshow(_photograph(window, arrange), extent=_extent(window), interpolation="antialiased")
+    _outline(axes, mesh)
+    bar.axis("off")
+    bar.legend(handles=[Patch(facecolor=colour, edgecolor=_OUTLINE, linewidth=0.5, label=name)
+                        for name, colour in zip(mesh.regions, colours, strict=True)],
+               loc="center", ncols=min(8, len(colours)), frameon=False, fontsize=10)
+    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+
+
+def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
+    """Real part of complex `amplitude` (N,) at the phase at which its largest value is real and positive, and that
+    phase in degrees; NaN stays NaN.
+
+    Raises:
+        ValueError: nothing is finite.
+    """
+    finite = np.isfinite(amplitude)
+    if not finite.any():
+        raise ValueError("no finite value to draw: the field does not live in any region of this mesh")
+    largest = amplitude[np.argmax(np.where(finite, np.abs(amplitude), -1.0))]
+    phase = float(np.angle(largest))
+    return np.real(amplitude * np.exp(-1j * phase)), float(np.degrees(phase))
+
+
+def _title(fields: Fields, drive: str, phase: float) -> str:
+    return (f"{drive}: {fields.frequency / 1e6:.4f} MHz, {2.0 * abs(fields.voltage):.3g} Vpp at the transducer\n"
+            f"shown at the phase of its maximum, {phase:+.0f}° to the drive")
+
+
+def _excitation_line(text: str) -> str:
+    return text.replace("J/m^3", "J/m³").replace("p0 =", "$p_0$ =").replace("E_ac", "$E_{ac}$")
+
+
+def _draw_signed(mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, title: str) -> Path:
+    """The cells all of whose nodes have a value, in colours symmetric about zero; the others stay white."""
+    largest = float(np.nanmax(np.abs(values)))
+    factor, shown_unit = prefixed(largest, unit)
+    limits = (-largest * factor or -1.0, largest * factor or 1.0)
+    cells = np.flatnonzero(np.isfinite(values[mesh.cells]).all(axis=1))
+    window = _window(mesh.points)
+    figure, axes, bar = _frame(window, title=title)
+    axes.imshow(_photograph_cells(mesh, cells, values * factor, window, limits=limits, colours=SIGNED_COLOURS),
+                extent=_extent(window), interpolation="antialiased")
+    _outline(axes, mesh)
+    _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS, label=f"{label} ({shown_unit})")
+    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+
+
+def _window(points: FloatArray) -> _Window:
+    """All of the (K, 2) `points` and their mirror images, with a margin."""
+    radius, low, high = points[:, 0].max(), points[:, 1].min(), points[:, 1].max()
+    margin = 0.015 * max(2.0 * radius, high - low)
+    return _Window(-radius - margin, radius + margin, low - margin, high + margin)
+
+
+def _extent(window: _Window) -> tuple[float, float, float, float]:
+    return (window.left * 1e3, window.right * 1e3, window.bottom * 1e3, window.top * 1e3)
+
+
+def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
+    """A figure with axes for the section at equal scale and, below, axes for its colour bar or legend."""
+    left, right, below, above = 0.75, 0.25, 1.35, 0.75
+    height = (_WIDTH - left - right) * (window.top - window.bottom) / (window.right - window.left)
+    total = height + below + above
+    figure = new_figure(_WIDTH, total)
+    axes = figure.add_axes((left / _WIDTH, below / total, 1.0 - (left + right) / _WIDTH, height / total))
+    bar = figure.add_axes((0.3, 0.5 / total, 0.4, 0.16 / total))
+    axes.set_xlim(window.left * 1e3, window.right * 1e3)
+    axes.set_ylim(window.bottom * 1e3, window.top * 1e3)
+    axes.set_aspect("equal")
+    axes.set_autoscale_on(False)
+    axes.set_xlabel("r (mm)", fontsize=11)
+    axes.set_ylabel("z (mm)", fontsize=11)
+    axes.set_title(title, fontsize=12)
+    # A radius has no sign: the left half is the right half again.
+    axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
+    return figure, axes, bar
+
+
+def _colour_bar(figure: Figure, bar: Axes, *, limits: tuple[float, float], colours: str, label: str) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    figure.colorbar(ScalarMappable(Normalize(*limits), colours), cax=bar, orientation="horizontal")
+    bar.set_xlabel(label, fontsize=11)
+
+
+def _photograph_cells(
+    mesh: NodalMesh, cells: IntArray, values: FloatArray, window: _Window, *, limits: tuple[float, float], colours: str
+) -> NDArray[np.uint8]:
+    """The `cells` and their mirror images coloured by nodal `values`; the rest white."""
+
+    def arrange(plotter: Any) -> None:
+        for mirror in (1.0, -1.0):
+            grid = _grid(mesh.points, mesh.cells[cells], mirror=mirror, kind="BIQUADRATIC_QUAD")
+            grid.point_data["value"] = values
+            plotter.add_mesh(grid, scalars="value", cmap=colours, clim=limits, lighting=False, show_scalar_bar=False)
+
+    return _photograph(window, arrange)
+
+
+def _photograph(window: _Window, arrange: Callable[[Any], None]) -> NDArray[np.uint8]:
+    """A scene in the plane of the section as exactly `window` shows it."""
+    width = round((_WIDTH - 1.0) * _DOTS_PER_INCH)
+    height = round(width * (window.top - window.bottom) / (window.right - window.left))
+
+    def arrange_flat(plotter: Any) -> None:
+        arrange(plotter)
+        centre = ((window.left + window.right) / 2.0, (window.bottom + window.top) / 2.0)
+        plotter.camera.parallel_projection = True
+        plotter.camera.focal_point = (*centre, 0.0)
+        plotter.camera.position = (*centre, window.right)
+        plotter.camera.up = (0.0, 1.0, 0.0)
+        plotter.camera.parallel_scale = (window.top - window.bottom) / 2.0
+        plotter.camera.clipping_range = (0.5 * window.right, 2.0 * window.right)
+
+    return photograph(arrange_flat, width=width, height=height)
+
+
+def _grid(points: FloatArray, cells: IntArray, *, mirror: float, kind: str) -> Any:
+    """A pyvista grid of `cells` (m, k) in the plane z = 0 of VTK, r times `mirror` along x."""
+    module = pyvista()
+    flat = np.column_stack([mirror * points[:, 0], points[:, 1], np.zeros(len(points))])
+    return module.UnstructuredGrid({getattr(module.CellType, kind): cells}, flat)
+
+
+def _outline(axes: Axes, mesh: NodalMesh) -> None:
+    """Hair lines around every region."""
+    from matplotlib.collections import LineCollection
+
+    lines = outlines(mesh) * 1e3
+    for mirror in (1.0, -1.0):
+        axes.add_collection(LineCollection(list(lines * [mirror, 1.0]), colors=_OUTLINE, linewidths=0.25))
+
+
+def outlines(mesh: NodalMesh, regions: Sequence[str] | None = None) -> FloatArray:
+    """Straight pieces (L, 2, 2) of the edges of `regions` (all unless given), the axis left out, in m."""
+    cells = mesh.cells if regions is None else mesh.cells[mesh.cells_of(regions)]
+    edges = np.concatenate([cells[:, [0, 1, 4]], cells[:, [1, 2, 5]], cells[:, [2, 3, 6]], cells[:, [3, 0, 7]]])
+    # Nodes are not shared between regions, so an edge between two regions counts once in each.
+    _, first, counts = np.unique(edges[:, 2], return_index=True, return_counts=True)
+    lines: FloatArray = mesh.points[edges[first[counts == 1]][:, :2]]
+    on_axis = (lines[:, :, 0] <= 1e-9 * mesh.points[:, 0].max()).all(axis=1)
+    return lines[~on_axis]

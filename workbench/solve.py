@@ -1,0 +1,261 @@
+"""Solving the full model at given frequencies, and what follows from a solution by quadratic forms alone.
+
+A solution is taken at unit voltage of the live electrode. Because A is symmetric and the drive is the electrode
+voltage, the electrode charge is Q = -x^T A x, and its derivative with respect to any coefficient is one more quadratic
+form of the same x: dQ = -x^T (dA) x. No adjoint solve, no finite difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from threadpoolctl import threadpool_limits
+
+from workbench.operators import FullOperators, Operators, ReducedOperators, coefficients, frequency_groups
+from workbench.physics.term import Values
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Largest scaled residual of an accepted solve. Refined solves reach 1e-13; a matrix close to singular does not.
+RESIDUAL_LIMIT = 1e-10
+
+
+class NotConverged(RuntimeError):
+    """A linear solve whose residual stayed above the limit. Carries the frequency, the residual and the iterate."""
+
+    def __init__(self, frequency: float, residual: float, iterate: Complex) -> None:
+        super().__init__(
+            f"the solve at {frequency:.6g} Hz left a scaled residual of {residual:.2e}, above {RESIDUAL_LIMIT:.0e}; "
+            "the model may be singular there (an undamped resonance, a region that is not held by anything)"
+        )
+        self.frequency, self.residual, self.iterate = frequency, residual, iterate
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (NotConverged, (self.frequency, self.residual, self.iterate))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """States at unit electrode voltage, e^{-i w t}.
+
+    ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``coefficients`` (n, integrals),
+    ``residual`` (n,) scaled residual of each solve.
+    """
+
+    operators: Operators
+    frequency: Real
+    coefficients: Complex
+    states: Complex
+    residual: Real
+
+    @property
+    def omega(self) -> Real:
+        return 2.0 * np.pi * self.frequency
+
+    @property
+    def charge(self) -> Complex:
+        """Charge of the live electrode for 1 V (n,), C: -x^T A x."""
+        forms = self.operators.quadratic(self.states, self.states)
+        return -np.sum(self.coefficients * forms, axis=1)
+
+    @property
+    def admittance(self) -> Complex:
+        """Y = -i w Q (n,), siemens, e^{-i w t}."""
+        return -1j * self.omega * self.charge
+
+    @property
+    def impedance(self) -> Complex:
+        """Z (n,), ohm, e^{-i w t}: a capacitor has a *positive* imaginary part. Spectra hold the conjugate."""
+        return 1.0 / self.admittance
+
+    def impedance_gradient(self) -> Complex:
+        """dZ/dg_q (n, integrals) with respect to every complex coefficient g_q, e^{-i w t}."""
+        forms = self.operators.quadratic(self.states, self.states)
+        charge = -np.sum(self.coefficients * forms, axis=1)
+        # Z = i / (w Q), dQ = -x^T A_q x dg.
+        return (1j / (self.omega * charge**2))[:, None] * forms
+
+    def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
+        """dZ/dtheta (n, len(names)) with respect to complex parameters, e^{-i w t}.
+
+        For a spectrum (the conjugate), the derivative by the real part of theta is conj(dZ), by the imaginary part
+        conj(i dZ).
+
+        Raises:
+            KeyError: a name no coefficient depends on.
+        """
+        gradient = self.impedance_gradient()
+        known = {name for integral in self.operators.integrals for name in integral.coefficient.parameters}
+        result = np.zeros((self.frequency.size, len(names)), dtype=complex)
+        for column, name in enumerate(names):
+            if name not in known:
+                raise KeyError(f"no coefficient depends on {name!r}; known: {', '.join(sorted(known))}")
+            for q, integral in enumerate(self.operators.integrals):
+                if name in integral.coefficient.parameters:
+                    result[:, column] += gradient[:, q] * integral.coefficient.derivative(self.omega, values, name)
+        return result
+
+    def dissipation(self) -> Real:
+        """Time-averaged power (W) lost in each integral at 1 V amplitude: (n, integrals).
+
+        -w/2 Im(g_q) x^H A_q x. Their sum is the electrical input power w/2 Im Q (Acevedo-Espinosa et al. (RP-UEIS),
+        eq. A.4 integrated over the volume).
+        """
+        forms = self.operators.quadratic(np.conj(self.states), self.states).real
+        return -0.5 * self.omega[:, None] * self.coefficients.imag * forms
+
+    def input_power(self) -> Real:
+        """Electrical input power (W) at 1 V amplitude from charge and voltage alone: (n,)."""
+        return 0.5 * self.admittance.real
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One BLAS thread: two made sparse factorisations up to 300 times slower on a busy two-core machine."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """A factorised, symmetrically scaled system at one frequency, and what is needed to refine a solve."""
+
+    frequency: float
+    matrix: sparse.csc_matrix
+    scale: Real
+    solve_scaled: Callable[[Complex], Complex]
+
+    def solve(self, right: Complex) -> tuple[Complex, float]:
+        """x with matrix x = right (size - 1,), and its scaled residual, after iterative refinement.
+
+        Raises:
+            NotConverged: the scaled residual stays above :data:`RESIDUAL_LIMIT`.
+        """
+        scaled = self.scale * right
+        norm = float(np.linalg.norm(scaled))
+        x = self.solve_scaled(scaled)
+        residual = np.inf
+        for _ in range(4):
+            remainder = scaled - self.matrix @ x
+            previous, residual = residual, float(np.linalg.norm(remainder)) / norm
+            if residual < 1e-14 or residual > 0.5 * previous:
+                break
+            x = x + self.solve_scaled(remainder)
+        if not residual <= RESIDUAL_LIMIT:
+            raise NotConverged(self.frequency, residual, self.scale * x)
+        return self.scale * x, residual
+
+
+class System:
+    """The full model with its parameter values in place, ready to be factorised at any frequency.
+
+    Matrices of equal frequency dependence are summed once (see `operators.frequency_groups`).
+    """
+
+    def __init__(self, operators: FullOperators, values: Values) -> None:
+        self.operators, self.values = operators, values
+        groups = frequency_groups(operators.integrals, np.ones(1), values)
+        self._entries = [operators.matrix(constants) for _, constants in groups]
+
+    def matrix(self, frequency: float) -> sparse.csc_matrix:
+        """A(w) (size, size), complex symmetric, electrode included."""
+        omega = np.array([2.0 * np.pi * frequency])
+        groups = frequency_groups(self.operators.integrals, omega, self.values)
+        entries = sum(complex(h[0]) * e for (h, _), e in zip(groups, self._entries, strict=True))
+        pattern = self.operators.pattern
+        return sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+
+    def solve(self, frequency: float) -> tuple[Complex, float]:
+        """The state (size,) at unit electrode voltage, and its scaled residual."""
+        states, residual = self.krylov(frequency, 1)
+        return states[:, 0], residual
+
+    def krylov(self, frequency: float, count: int, *, step: float = 0.01) -> tuple[Complex, float]:
+        """The state at `frequency` and `count` - 1 further vectors that make up its neighbours: (size, count).
+
+        With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
+        close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
+        neighbourhood, whatever the coefficients' dependence on frequency. The second result is the scaled residual of
+        the state itself.
+        """
+        whole = self.matrix(frequency)
+        free = whole.shape[0] - 1
+        factor = factorise(whole[:free, :free], frequency)
+        electrode = np.asarray(whole[:free, free].toarray()).ravel()
+        x, residual = factor.solve(-electrode)
+        states = np.zeros((free + 1, count), dtype=complex)
+        states[:, 0] = np.append(x, 1.0)
+        if count > 1:
+            change = self.matrix(frequency * (1.0 + step)) - whole
+            vector = states[:, 0]
+            directions = np.zeros((free, 0), dtype=complex)
+            for k in range(1, count):
+                found = factor.solve_scaled(factor.scale * (change @ vector)[:free])
+                for _ in range(2):
+                    found = found - directions @ (directions.conj().T @ found)
+                found = found / np.linalg.norm(found)
+                directions = np.column_stack([directions, found])
+                vector = np.append(factor.scale * found, 0.0)
+                states[:, k] = vector
+        return states, residual
+
+
+def factorise(matrix: sparse.csc_matrix, frequency: float) -> Factor:
+    """Scale symmetrically to unit diagonal and factorise with SuperLU tuned for a symmetric pattern.
+
+    The diagonal scaling brings displacement, potential and pressure to one size; without it energy does not close.
+    """
+    diagonal = np.abs(matrix.diagonal())
+    if not (diagonal > 0.0).all():
+        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex))
+    scale = 1.0 / np.sqrt(diagonal)
+    columns = np.repeat(scale, np.diff(matrix.indptr))
+    scaled = sparse.csc_matrix((matrix.data * scale[matrix.indices] * columns, matrix.indices, matrix.indptr),
+                               shape=matrix.shape)
+    with one_thread():
+        factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+    return Factor(frequency, scaled, scale, factor.solve)
+
+
+def solve_full(
+    operators: FullOperators, frequencies: Real, values: Values, *, progress: Callable[[float], None] | None = None
+) -> Solution:
+    """The full model at every frequency, one factorisation each. `progress` is called with the fraction done."""
+    frequencies = np.asarray(frequencies, dtype=float)
+    system = System(operators, values)
+    states = np.zeros((operators.size, frequencies.size), dtype=complex)
+    residual = np.zeros(frequencies.size)
+    with one_thread():
+        for k, frequency in enumerate(frequencies):
+            states[:, k], residual[k] = system.solve(float(frequency))
+            if progress is not None:
+                progress((k + 1) / frequencies.size)
+    omega = 2.0 * np.pi * frequencies
+    return Solution(operators, frequencies, coefficients(operators.integrals, omega, values), states, residual)
+
+
+def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values) -> Solution:
+    """The reduced model at every frequency: batched dense solves."""
+    frequencies = np.asarray(frequencies, dtype=float)
+    omega = 2.0 * np.pi * frequencies
+    g = coefficients(operators.integrals, omega, values)
+    with one_thread():
+        r = operators.size
+        matrices = np.zeros((frequencies.size, r, r), dtype=complex)
+        for h, constants in frequency_groups(operators.integrals, omega, values):
+            summed = np.tensordot(constants, operators.matrices, axes=1)
+            matrices += h[:, None, None] * summed
+        inner, right = matrices[:, :-1, :-1], -matrices[:, :-1, -1:]
+        x = np.linalg.solve(inner, right)[:, :, 0]
+        remainder = (inner @ x[:, :, None] - right)[:, :, 0]
+        residual = np.linalg.norm(remainder, axis=1) / np.linalg.norm(right[:, :, 0], axis=1)
+    states = np.concatenate([x, np.ones((frequencies.size, 1))], axis=1).T
+    return Solution(operators, frequencies, g, states, residual)
