@@ -3,8 +3,8 @@
 :func:`read_chip` reads a TOML file; every length carries its unit, every mistake is answered by an
 :class:`inputs.InputError` that names the file, the field, the value and the remedy. Materials are only names here.
 
-Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one axis, and
-the cavity is a cylindrical hole through one or more neighbouring layers, closed by a layer below and a layer above.
+Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one
+axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed by a layer below and a layer above.
 """
 
 from __future__ import annotations
@@ -100,11 +100,11 @@ class Layer:
 
 @dataclass(frozen=True)
 class Ports:
-    """Inlet and outlet of the cavity: straight channels from its wall to the outer surface, evenly spaced round the axis.
+    """Inlet and outlet of the cavity: straight channels from its wall to the outer surface, evenly round the axis.
 
     Only the solid model has them; the section and the mesh are axisymmetric and leave them out. ``diameter`` of the
     channel and ``height`` of its axis above the cavity floor; without a height the channel runs at mid-height of the
-    tallest layer around the cavity. Fig. 3 of Acevedo-Espinosa et al. (RP-UEIS) shows an inlet and an outlet but no size.
+    tallest layer around the cavity. Fig. 3 of Acevedo-Espinosa et al. (RP-UEIS) shows both ports without a size.
     """
 
     diameter: Dimension
@@ -117,7 +117,8 @@ class State:
     """What a chip holds while it is measured.
 
     ``cavity``: material in the cavity, ``"vacuum"`` for nothing, ``None`` for a chip without cavity. ``temperature`` in
-    kelvin. ``materials`` replaces the material of single regions. ``particle`` is a material name, ``particle_radius`` metres.
+    kelvin. ``materials`` replaces the material of single regions. ``particle`` is a material name,
+    ``particle_radius`` in metres.
     """
 
     name: str
@@ -132,8 +133,8 @@ class State:
 class Chip:
     """A chip whose description has been checked.
 
-    ``layers`` from bottom to top, ``band`` the two ends (Hz) of the frequencies it is meant for, ``states`` in the order
-    of the file, ``source`` where the description comes from, ``file`` the name errors are reported under.
+    ``layers`` from bottom to top, ``band`` the two ends (Hz) of the frequencies it is meant for, ``states`` in the
+    order of the file, ``source`` where the description comes from, ``file`` the name errors are reported under.
 
     Raises:
         InputError: the layers do not make a chip (see the checks below), whether read from a file or made in code.
@@ -213,7 +214,7 @@ class Chip:
         ``<region>.cavity_radius`` each; ``electrode_live.radius``, ``electrode_live.inner_radius`` and the same of the
         ground electrode where they are not the whole face; ``ports.diameter`` and ``ports.height`` where given.
         """
-        return {name: dimension for name, dimension in _named_dimensions(self)}
+        return dict(_named_dimensions(self))
 
     def with_dimensions(self, values: Mapping[str, float]) -> Chip:
         """The same chip with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
@@ -271,7 +272,7 @@ def _discs(electrodes: Electrodes) -> tuple[tuple[str, ElectrodeDisc], tuple[str
 
 
 def _hole_names(layers: Iterable[Layer]) -> dict[str, str]:
-    """Name of the dimension that holds the hole's radius, by region: one shared name while all holes are equally wide."""
+    """Name of the dimension that holds the hole's radius, by region: shared while all holes are equally wide."""
     holes = {layer.region: layer.inner_radius for layer in layers if layer.cavity_radius is not None}
     if holes and max(holes.values()) - min(holes.values()) < SAME_LENGTH:
         return dict.fromkeys(holes, f"{CAVITY}.radius")
@@ -327,7 +328,10 @@ def _check_dimensions(chip: Chip) -> None:
         tolerance = dimension.tolerance
         if tolerance is not None and not 0.0 <= tolerance < dimension.value:
             raise InputError(
-                chip.file, f"{place}.tolerance", _mm(tolerance), f"zero or more and below the value, {_mm(dimension.value)}"
+                chip.file,
+                f"{place}.tolerance",
+                _mm(tolerance),
+                f"zero or more and below the value, {_mm(dimension.value)}",
             )
     for i, layer in enumerate(chip.layers):
         if layer.density is not None and not (math.isfinite(layer.density) and layer.density > 0.0):
@@ -363,7 +367,8 @@ def _check_cavity(chip: Chip) -> None:
                     chip.file,
                     f"layers[{i}].cavity_radius",
                     _mm(layer.inner_radius),
-                    f"a closed cavity: {chip.layers[j].region!r} {side} reaches only {_mm(chip.layers[j].outer_radius)}",
+                    f"a closed cavity: {chip.layers[j].region!r} {side} reaches only "
+                    f"{_mm(chip.layers[j].outer_radius)}",
                 )
     if places and places != list(range(places[0], places[-1] + 1)):
         gap = next(i for i in range(places[0], places[-1]) if i not in places)
@@ -385,7 +390,9 @@ def _check_stack(chip: Chip) -> None:
         )
     for i, (layer, region) in enumerate(zip(chip.layers, region_names(roles), strict=True)):
         if layer.region != region:
-            raise InputError(chip.file, f"layers[{i}].region", layer.region, f"{region!r}, its role numbered from below")
+            raise InputError(
+                chip.file, f"layers[{i}].region", layer.region, f"{region!r}, its role numbered from below"
+            )
         if i == 0:
             continue
         below = chip.layers[i - 1]
@@ -407,9 +414,7 @@ def _check_electrodes(chip: Chip) -> None:
     for name, disc in _discs(chip.electrodes):
         radius = rim if disc.radius is None else disc.radius.value
         if radius > rim + SAME_LENGTH:
-            raise InputError(
-                chip.file, f"{name}.radius", _mm(radius), f"at most the transducer's radius, {_mm(rim)}"
-            )
+            raise InputError(chip.file, f"{name}.radius", _mm(radius), f"at most the transducer's radius, {_mm(rim)}")
         if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
             raise InputError(
                 chip.file, f"{name}.inner_radius", _mm(disc.inner_radius.value), f"below its radius, {_mm(radius)}"
@@ -435,7 +440,10 @@ def _check_ports(chip: Chip) -> None:
         )
     if 2.0 * wall.inner_radius * math.sin(math.pi / chip.ports.count) < 2.0 * radius and chip.ports.count > 1:
         raise InputError(
-            chip.file, "cavity.ports.count", chip.ports.count, "fewer or narrower ports: they overlap at the cavity wall"
+            chip.file,
+            "cavity.ports.count",
+            chip.ports.count,
+            "fewer or narrower ports: they overlap at the cavity wall",
         )
 
 
@@ -485,9 +493,7 @@ def _check_states(chip: Chip) -> None:
             continue
         if not chip.holes or state.cavity == VACUUM:
             raise InputError(chip.file, f"{place}.particle", state.particle, "no particle without a fluid to carry it")
-        room = min(
-            min(hole.inner_radius for hole in chip.holes), 0.5 * (chip.holes[-1].z_top - chip.holes[0].z_bottom)
-        )
+        room = min(min(hole.inner_radius for hole in chip.holes), 0.5 * (chip.holes[-1].z_top - chip.holes[0].z_bottom))
         if not 0.0 < state.particle_radius < room:
             raise InputError(
                 chip.file,
@@ -603,7 +609,8 @@ def _read_band(head: _Table) -> tuple[float, float]:
     if not isinstance(band, list) or len(band) != 2:
         raise InputError(head.file, head.at("band"), band, expected)
     low, high = (
-        parse_quantity(end, "frequency", source=head.file, field=f"{head.at('band')}[{i}]") for i, end in enumerate(band)
+        parse_quantity(end, "frequency", source=head.file, field=f"{head.at('band')}[{i}]")
+        for i, end in enumerate(band)
     )
     return low, high
 
@@ -613,7 +620,9 @@ def _read_layers(root: _Table) -> tuple[tuple[Layer, ...], Electrodes]:
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(root.file, "layers", entries, "a list of layers from bottom to top, each under [[layers]]")
     tables = [_Table(entry, f"layers[{i}]", root.file) for i, entry in enumerate(entries)]
-    roles = [choose(table.required("role", "a role"), ROLES, source=root.file, field=table.at("role")) for table in tables]
+    roles = [
+        choose(table.required("role", "a role"), ROLES, source=root.file, field=table.at("role")) for table in tables
+    ]
     layers: list[Layer] = []
     electrodes = Electrodes()
     for table, region, role in zip(tables, region_names(roles), roles, strict=True):

@@ -1,4 +1,4 @@
-"""Files of the solids of a chip for other programs: STEP with the names of the parts, and one STL a part. Millimetres."""
+"""Files of the solids of a chip for other programs: STEP with part names, and one STL a part. Millimetres."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ rectangle of panels is one transfinite, recombined surface of gmsh. Quadrilatera
 section exactly, so the mesh has first-order geometry whatever the order of the fields on it.
 
 Element size: at most a tenth of the slowest wavelength at the highest frequency with second-order fields
-(Acevedo-Espinosa et al. (RP-UEIS), section 3.2), finer towards the rims of the cavity and of the couplant, where a fluid meets
-two solids.
+(Acevedo-Espinosa et al. (RP-UEIS), section 3.2), finer towards the rims of the cavity and of the couplant, where a
+fluid meets two solids.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class MeshSize:
 
     ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` where nothing propagates (a
     vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
-    ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: size of the elements at the
-    rims of cavity and couplant relative to the others; 1 leaves them alike.
+    ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: size of the elements at
+    the rims of cavity and couplant relative to the others; 1 leaves them alike.
     """
 
     slowest_wave: Mapping[str, float]
@@ -134,9 +134,7 @@ def refined(size: MeshSize, factor: float) -> MeshSize:
     )
 
 
-def elements_per_wavelength(
-    mesh: SectionMesh, slowest_wave: Mapping[str, float], frequency: float
-) -> dict[str, float]:
+def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float], frequency: float) -> dict[str, float]:
     """Elements per wavelength in the longest edge of each region of `slowest_wave`, at `frequency` (Hz).
 
     Raises:
@@ -147,9 +145,7 @@ def elements_per_wavelength(
     for region, speed in slowest_wave.items():
         if region not in mesh.mesh.subdomains:
             known = mesh.section.regions
-            raise InputError(
-                "mesh", "slowest_wave", region, "one of " + ", ".join(known), nearest_names(region, known)
-            )
+            raise InputError("mesh", "slowest_wave", region, "one of " + ", ".join(known), nearest_names(region, known))
         counts[region] = speed / frequency / float(edges[mesh.mesh.subdomains[region]].max())
     return counts
 
@@ -241,7 +237,9 @@ def _panels(
         lengths, counts, ratios = _divide(end - start, limit, ends, size.corner_refinement, minimum)
         knots = start + np.concatenate([[0.0], np.cumsum(lengths)])
         knots[-1] = end
-        panels += [_Panel(i, float(a), float(b), n, q) for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False)]
+        panels += [
+            _Panel(i, float(a), float(b), n, q) for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False)
+        ]
     return panels
 
 
@@ -262,11 +260,15 @@ def _divide(
     middle = length - sides * zone
     if middle >= largest:
         regular = max(_ceiling(middle / largest), minimum - sides * growing)
-        pieces = [(zone, growing, ratio)] * graded[0] + [(middle, regular, 1.0)] + [(zone, growing, 1 / ratio)] * graded[1]
+        pieces = (
+            [(zone, growing, ratio)] * graded[0] + [(middle, regular, 1.0)] + [(zone, growing, 1 / ratio)] * graded[1]
+        )
     else:
         part = length / sides
         count = -(-minimum // sides)
-        while count == 1 and part > refinement * largest or count > 1 and _longest(part, count, refinement) > largest:
+        while (count == 1 and part > refinement * largest) or (
+            count > 1 and _longest(part, count, refinement) > largest
+        ):
             count += 1
         total = refinement ** (-1.0 / (count - 1)) if count > 1 else 1.0
         pieces = [(part, count, total)] * graded[0] + [(part, count, 1 / total)] * graded[1]
@@ -302,6 +304,7 @@ def _rims(section: Section) -> tuple[set[float], set[float]]:
 def _divided(section: Section, size: MeshSize) -> tuple[list[_Panel], list[_Panel]]:
     """Panels along r and along z."""
     grid = section.grid()
+    # VOID is -1: it takes the last entry, no limit.
     limits = np.array([size.largest_element(region) for region in section.regions] + [math.inf])[grid]
     columns, rows = limits.min(axis=0), limits.min(axis=1)
     if math.isinf(max(columns.max(), rows.max())):
@@ -415,8 +418,6 @@ def _ordered(
     """The cells with nodes and cells numbered along r, then upwards, and local nodes anticlockwise from bottom left."""
     (r_lines, r_index), (z_lines, z_index) = r, z
     place, node = np.unique(z_index * len(r_lines) + r_index, return_inverse=True)
-    if len(place) != len(node):
-        raise MeshError(f"gmsh made {len(node) - len(place)} nodes twice")
     # By its place on the grid a corner is bottom left, bottom right, top left, top right when the four are sorted.
     corners = np.sort(node[cells], axis=0)[[0, 1, 3, 2]]
     order = np.argsort(corners[0], kind="stable")

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 MILLIMETRES = 1e3
 
 #: Relative agreement demanded between the volume of a solid and the chip's arithmetic. The kernel integrates plain
-#: cylinders to rounding; where a channel leaves through a round wall it describes the edge by a spline, which costs some
-#: 1e-8 of the channel, 1e-11 of the part.
+#: cylinders to rounding; where a channel leaves through a round wall it describes the edge by a spline, which costs
+#: some 1e-8 of the channel, 1e-11 of the part.
 VOLUME_TOLERANCE = 1e-9
 
 
@@ -46,7 +46,7 @@ def parts(chip: Chip) -> dict[str, tuple[Layer, ...]]:
 
 
 def part_volumes(chip: Chip) -> dict[str, float]:
-    """Volume of every part in cubic metres from the chip's arithmetic, ports subtracted, and of the cavity without them."""
+    """Volume of every part in cubic metres from the chip's arithmetic, less the ports; the cavity without them."""
     volumes = chip.volumes()
     drilled = port_axis(chip)[0].region if chip.ports is not None else None
     by_part = {
@@ -61,8 +61,8 @@ def ports_volume(chip: Chip) -> float:
     """Volume of wall that the ports of `chip` remove, cubic metres.
 
     A channel of radius a along x between the cylinders r = b and r = c holds
-    ``2 int_{-a}^{a} sqrt(a^2 - y^2) (sqrt(c^2 - y^2) - sqrt(b^2 - y^2)) dy``. With y = a sin(t) the integrand is smooth and
-    periodic, so the midpoint rule converges to rounding.
+    ``2 int_{-a}^{a} sqrt(a^2 - y^2) (sqrt(c^2 - y^2) - sqrt(b^2 - y^2)) dy``. With y = a sin(t) the integrand is smooth
+    and periodic, so the midpoint rule converges to rounding.
 
     Raises:
         InputError: the chip has no ports.
@@ -85,8 +85,8 @@ def solids(chip: Chip) -> dict[str, Solid]:
     """Every part of `chip` (see :func:`parts`) and the fluid in its cavity, by region name, in millimetres.
 
     The ports are straight channels through the wall, at the height and of the diameter the chip states: Fig. 3 of
-    Acevedo-Espinosa et al. (RP-UEIS) shows an inlet and an outlet of the printed substrate and gives no size. The fluid in
-    them is not part of the solid ``cavity``.
+    Acevedo-Espinosa et al. (RP-UEIS) shows an inlet and an outlet of the printed substrate and gives no size. The fluid
+    in them is not part of the solid ``cavity``.
 
     Raises:
         SolidError: CadQuery is not installed, or a solid is not valid or has not the volume of the chip's arithmetic.
@@ -157,7 +157,8 @@ def _channels(cadquery: ModuleType, chip: Chip) -> list[Shape]:
 def volume(shape: Shape) -> float:
     """Volume of a solid of :func:`solids` in cubic metres.
 
-    By adaptive integration: CadQuery's default uses a fixed number of points, 1 % off in a channel through a round wall.
+    By adaptive integration: CadQuery's default takes a fixed number of points and is up to 1 % off in a channel that
+    ends in round walls.
     """
     return float(shape.Volume(tol=0.1 * VOLUME_TOLERANCE)) / MILLIMETRES**3
 

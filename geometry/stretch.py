@@ -1,7 +1,7 @@
 """The same mesh on another section: nodes move with the breaks of r and z, cells and names stay.
 
-Between two breaks the map is linear, in r and in z apart, so a straight-sided quadrilateral stays one and a dimension of the chip
-becomes a parameter like a modulus: no remeshing, and node coordinates that depend linearly on it.
+Between two breaks the map is linear, in r and in z apart, so a straight-sided quadrilateral stays one, and a
+dimension of the chip becomes a parameter like a modulus: no remeshing, and nodes that move in proportion to it.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from geometry.section import Section, cut_section
 def stretch(mesh: SectionMesh, target: Chip | Section) -> SectionMesh:
     """`mesh` moved onto `target`, which must have the same regions between the same breaks in the same order.
 
-    The elements grow and shrink with their layers: :func:`geometry.mesh.elements_per_wavelength` tells when the mesh has
-    become too coarse.
+    The elements grow and shrink with their layers: :func:`geometry.mesh.elements_per_wavelength` tells when the mesh
+    has become too coarse.
 
     Raises:
         MeshError: a break appeared, vanished or changed places, or a region lies between other breaks.
@@ -29,10 +29,12 @@ def stretch(mesh: SectionMesh, target: Chip | Section) -> SectionMesh:
     section = target if isinstance(target, Section) else cut_section(target)
     _require_same_topology(mesh.section, section)
     r, z = mesh.mesh.p
-    moved = np.stack([
-        np.interp(r, mesh.section.r_breaks, section.r_breaks),
-        np.interp(z, mesh.section.z_breaks, section.z_breaks),
-    ])
+    moved = np.stack(
+        [
+            np.interp(r, mesh.section.r_breaks, section.r_breaks),
+            np.interp(z, mesh.section.z_breaks, section.z_breaks),
+        ]
+    )
     return replace(mesh, mesh=replace(mesh.mesh, doflocs=moved), section=section)
 
 
@@ -51,7 +53,9 @@ def velocity(mesh: SectionMesh, chip: Chip, name: str, *together: str) -> NDArra
         MeshError: `mesh` is not of this chip, or the dimension cannot be changed without changing the topology.
     """
     if cut_section(chip) != mesh.section:
-        raise MeshError(f"the mesh is not of chip {chip.name!r} with its present dimensions; stretch it onto the chip first")
+        raise MeshError(
+            f"the mesh is not of chip {chip.name!r} with its present dimensions; stretch it onto the chip first"
+        )
     known = chip.dimensions()
     # Ten times the distance at which breaks are told apart: enough to part breaks that coincide by chance only.
     step = 10.0 * SAME_LENGTH
@@ -65,10 +69,12 @@ def velocity(mesh: SectionMesh, chip: Chip, name: str, *together: str) -> NDArra
         return whole
 
     before, (r, z) = mesh.section, mesh.mesh.p
-    return np.stack([
-        np.interp(r, before.r_breaks, rates(before.r_breaks, section.r_breaks)),
-        np.interp(z, before.z_breaks, rates(before.z_breaks, section.z_breaks)),
-    ])
+    return np.stack(
+        [
+            np.interp(r, before.r_breaks, rates(before.r_breaks, section.r_breaks)),
+            np.interp(z, before.z_breaks, rates(before.z_breaks, section.z_breaks)),
+        ]
+    )
 
 
 def _require_same_topology(old: Section, new: Section) -> None:
@@ -78,7 +84,11 @@ def _require_same_topology(old: Section, new: Section) -> None:
                 f"the stretch would change {len(before)} breaks in {axis} into {len(after)}; "
                 "lengths that coincide must change together, otherwise mesh the new section"
             )
-    if old.regions != new.regions or (old.grid() != new.grid()).any() or _electrode_breaks(old) != _electrode_breaks(new):
+    if (
+        old.regions != new.regions
+        or (old.grid() != new.grid()).any()
+        or _electrode_breaks(old) != _electrode_breaks(new)
+    ):
         raise MeshError("a region or electrode of the new section lies between other breaks; mesh the new section")
 
 

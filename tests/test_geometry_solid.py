@@ -54,7 +54,9 @@ def test_solids_are_where_the_chip_says_in_millimetres() -> None:
             bottom, top, radius = 2.89, 3.71, 4.0
         else:
             layers = parts(DRILLED)[name]
-            bottom, top, radius = (1e3 * value for value in (layers[0].z_bottom, layers[-1].z_top, layers[0].outer_radius))
+            bottom, top, radius = (
+                1e3 * value for value in (layers[0].z_bottom, layers[-1].z_top, layers[0].outer_radius)
+            )
         # The kernel widens bounding boxes by its tolerance, 1e-7 mm, and by the curve approximations near the ports.
         assert (low, high, box.xmax) == pytest.approx((bottom, top, radius), abs=1e-3), name
 
@@ -72,12 +74,12 @@ def test_ports_remove_the_volume_of_their_channels(count: int) -> None:
     removed = volume(solids(PLAIN)["substrate"]) - volume(solids(chip)["substrate"])
     # Edges are splines within 1e-7 mm of the true curve: measured 1e-8 of the channel.
     assert removed == pytest.approx(ports_volume(chip), rel=1e-7)
-    # A straight plug from wall to wall is 9 mm long on the axis and shorter or longer by (radius / wall radius)^2 beside it.
+    # A straight plug from wall to wall is 9 mm long on the axis, and by (radius / wall radius)^2 more or less beside it.
     assert ports_volume(chip) == pytest.approx(count * math.pi * 0.2e-3**2 * 9e-3, rel=1e-3)
 
 
 def test_the_volume_of_a_port_is_the_integral_of_its_chord() -> None:
-    # Independent of the substitution in the code: adaptive quadrature over y of the chord times the height of the circle.
+    # Independent of the substitution in the code: adaptive quadrature over y of chord times circle height.
     from scipy.integrate import quad
 
     chip = replace(DRILLED, ports=Ports(Dimension(0.7e-3), Dimension(0.36e-3), 1))
@@ -86,7 +88,9 @@ def test_the_volume_of_a_port_is_the_integral_of_its_chord() -> None:
         lambda y: 2 * math.sqrt(a**2 - y**2) * (math.sqrt(c**2 - y**2) - math.sqrt(b**2 - y**2)), -a, a, epsabs=1e-13
     )
     assert ports_volume(chip) == pytest.approx(1e-9 * integral, rel=1e-10)
-    assert part_volumes(PLAIN)["substrate"] - part_volumes(chip)["substrate"] == pytest.approx(1e-9 * integral, rel=1e-9)
+    assert part_volumes(PLAIN)["substrate"] - part_volumes(chip)["substrate"] == pytest.approx(
+        1e-9 * integral, rel=1e-9
+    )
     solids(chip)  # a channel almost as wide as the wall is high still has its volume
     with pytest.raises(InputError, match="ports"):
         ports_volume(PLAIN)
@@ -105,6 +109,12 @@ def test_a_solid_of_another_volume_is_refused(monkeypatch: pytest.MonkeyPatch) -
     wrong: dict[str, float] = {name: 1.00001 * value for name, value in part_volumes(PLAIN).items()}
     monkeypatch.setattr("geometry.solid.part_volumes", lambda chip: wrong)
     with pytest.raises(SolidError, match="volume of the solid 'transducer'"):
+        solids(PLAIN)
+
+
+def test_a_part_in_two_pieces_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("geometry.solid._fused", cadquery.Compound.makeCompound)  # the printed layers side by side
+    with pytest.raises(SolidError, match="'substrate' should be one valid solid and is 2"):
         solids(PLAIN)
 
 

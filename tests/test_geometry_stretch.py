@@ -30,16 +30,15 @@ def scaled(chip: Chip, factors: dict[str, float]) -> Chip:
 
 def test_stretching_onto_the_same_chip_changes_nothing() -> None:
     same = stretch(MESH, CHIP)
-    assert np.array_equal(same.mesh.p, MESH.mesh.p) and same.section == MESH.section
+    assert np.array_equal(same.mesh.p, MESH.mesh.p)
+    assert same.section == MESH.section
 
 
 @pytest.mark.parametrize("name", [*FREE, "transducer.radius"])
 def test_a_stretched_mesh_is_the_new_mesh_where_the_elements_are_uniform(name: str) -> None:
     # Without grading, and so coarse that only the minimum counts, the mesher puts the same elements on both chips.
-    size = MeshSize(
-        dict.fromkeys(CHIP.regions, 1e5), 1e6, minimum_through_thickness=3, corner_refinement=1.0
-    )
-    new = scaled(CHIP, {each: 1.03 for each in (RIMS if name == "transducer.radius" else [name])})
+    size = MeshSize(dict.fromkeys(CHIP.regions, 1e5), 1e6, minimum_through_thickness=3, corner_refinement=1.0)
+    new = scaled(CHIP, dict.fromkeys(RIMS if name == "transducer.radius" else [name], 1.03))
     moved = stretch(mesh_section(cut_section(CHIP), size), new)
     meshed = mesh_section(cut_section(new), size)
     # Rounding of coordinates of 13 mm.
@@ -81,20 +80,32 @@ def test_a_stretch_that_would_change_the_topology_is_refused() -> None:
         stretch(MESH, scaled(CHIP, dict.fromkeys(RIMS, 13.0 / 12.5)))
     with pytest.raises(MeshError, match="between other breaks"):
         stretch(MESH, scaled(CHIP, dict.fromkeys(WALLS, 12.0 / 13.0)))  # narrower than the transducer
+    # Only the lid overhangs, then everything but the lid: the same number of breaks, the regions between others.
+    overhanging = cut_section(scaled(CHIP, {"superstrate.radius": 1.1}))
+    lid = mesh_section(overhanging, MeshSize(dict.fromkeys(CHIP.regions, 9e3), 1e6))
     with pytest.raises(MeshError, match="between other breaks"):
-        stretch(MESH, replace(MESH.section, rectangles=MESH.section.rectangles[::-1]))
+        stretch(lid, scaled(CHIP, dict.fromkeys(WALLS[:-1], 1.1)))
+
+
+def test_a_stretch_onto_a_section_of_other_names_electrodes_or_layers_is_refused() -> None:
+    old = MESH.section
+    renamed = [replace(piece, region="layer") if piece.region == "bond" else piece for piece in old.rectangles]
     with pytest.raises(MeshError, match="between other breaks"):
-        narrow = replace(MESH.section.electrodes[0], r_outer=MESH.section.r_breaks[1])
-        stretch(MESH, replace(MESH.section, electrodes=(narrow, MESH.section.electrodes[1])))
+        stretch(MESH, replace(old, rectangles=tuple(renamed)))
+    narrow = replace(old.electrodes[0], r_outer=old.r_breaks[1])
+    with pytest.raises(MeshError, match="between other breaks"):
+        stretch(MESH, replace(old, electrodes=(narrow, old.electrodes[1])))
+    # Without the gel: the substrate reaches down to the transducer.
+    lower = replace(old.rectangles[2], z_bottom=old.z_breaks[1])
     with pytest.raises(MeshError, match="7 breaks in z into 6"):
-        upper = replace(MESH.section.rectangles[-2], z_bottom=MESH.section.z_breaks[1])
-        stretch(MESH, replace(MESH.section, rectangles=(MESH.section.rectangles[0], upper, *MESH.section.rectangles[3:-1])))
+        stretch(MESH, replace(old, rectangles=(old.rectangles[0], lower, *old.rectangles[3:])))
 
 
 @pytest.mark.parametrize("names", [*([name] for name in FREE), RIMS, WALLS], ids=lambda names: "+".join(names))
 def test_the_velocity_is_the_derivative_of_the_stretch(names: list[str]) -> None:
     rate = velocity(MESH, CHIP, *names)
-    assert rate.shape == MESH.mesh.p.shape and np.abs(rate).max() == 1.0
+    assert rate.shape == MESH.mesh.p.shape
+    assert np.abs(rate).max() == 1.0
     known = CHIP.dimensions()
     for step in (3e-6, -2e-6):  # metres; the map is linear, so any step within the topology
         moved = stretch(MESH, CHIP.with_dimensions({name: known[name].value + step for name in names}))
@@ -106,10 +117,12 @@ def test_a_thickness_lifts_all_that_is_above() -> None:
     r, z = MESH.mesh.p
     along_r, along_z = velocity(MESH, CHIP, "couplant.thickness")
     assert (along_r == 0.0).all()
-    assert (along_z[z >= MESH.section.z_breaks[2]] == 1.0).all() and (along_z[z <= MESH.section.z_breaks[1]] == 0.0).all()
+    assert (along_z[z >= MESH.section.z_breaks[2]] == 1.0).all()
+    assert (along_z[z <= MESH.section.z_breaks[1]] == 0.0).all()
     along_r, along_z = velocity(MESH, CHIP, "cavity.radius")
     assert (along_z == 0.0).all()
-    assert (along_r[r == 4e-3] == 1.0).all() and (along_r[(r == 0.0) | (r >= 12.5e-3)] == 0.0).all()
+    assert (along_r[r == 4e-3] == 1.0).all()
+    assert (along_r[(r == 0.0) | (r >= 12.5e-3)] == 0.0).all()
 
 
 def test_a_velocity_of_another_chip_or_of_no_dimension_is_refused() -> None:
@@ -132,4 +145,6 @@ def test_a_partial_electrode_moves_by_its_own_name() -> None:
     r = moved.mesh.p[0, moved.mesh.facets[:, moved.mesh.boundaries["electrode_live"]]]
     assert (r.min(), r.max()) == pytest.approx((1e-3, 9.5e-3))
     rate = velocity(mesh, chip, "electrode_live.radius")[0]
-    assert rate[mesh.mesh.p[0] == 9e-3] == pytest.approx(1.0) and rate[mesh.mesh.p[0] == 12.5e-3] == pytest.approx(0.0)
+    r = mesh.mesh.p[0]
+    assert rate[r == 9e-3] == pytest.approx(1.0)
+    assert rate[r == 12.5e-3] == pytest.approx(0.0)

@@ -106,7 +106,7 @@ def test_a_passive_solid_attenuates() -> None:
     assert max(gaining) < 0
 
 
-@pytest.mark.parametrize("there, back", [(conversions.decibels_per_metre, conversions.nepers_per_metre)])
+@pytest.mark.parametrize(("there", "back"), [(conversions.decibels_per_metre, conversions.nepers_per_metre)])
 def test_decibels(there: Callable[[float], float], back: Callable[[float], float]) -> None:
     assert there(1.0) == pytest.approx(8.685889638065035, rel=1e-14)  # 20 / ln 10
     assert back(there(3.7)) == pytest.approx(3.7, rel=1e-14)

@@ -44,7 +44,8 @@ def test_every_number_has_a_source_conditions_and_a_unit(name: str) -> None:
     assert material.values
     for value in material.values.values():
         assert value.source in REFERENCES
-        assert value.conditions and value.unit
+        assert value.conditions
+        assert value.unit
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -64,8 +65,10 @@ def test_every_entry_is_of_a_plausible_size(name: str) -> None:
             assert 5e8 < material.parameters()[modulus].real < 3e11
     if isinstance(material, Piezoelectric):
         assert material.e31.real < 0 < material.e33.real  # poled along +z
-        assert 5 < material.e33.real < 30 and 5 < material.e15.real < 30
-        assert 300 < material.eps11.real < 4000 and 300 < material.eps33.real < 4000
+        assert 5 < material.e33.real < 30
+        assert 5 < material.e15.real < 30
+        assert 300 < material.eps11.real < 4000
+        assert 300 < material.eps33.real < 4000
         # Thickness coupling of a poled lead zirconate titanate: 0.4 to 0.6.
         stiffened = material.c33.real + material.e33.real**2 / material.absolute_eps33.real
         assert 0.4 < math.sqrt(1 - material.c33.real / stiffened) < 0.6
@@ -108,7 +111,7 @@ def test_pzt4_is_as_printed() -> None:
 
 # Longitudinal and shear speeds (m/s) of Table 4; 0.4 % is what rounding G to 0.01 GPa can do (ABS, 0.67 GPa).
 @pytest.mark.parametrize(
-    "name, longitudinal, shear",
+    ("name", "longitudinal", "shear"),
     [("pla", 2062.2, 907.5), ("abs", 1939.7, 854.6), ("petg", 2420.6, 800.4), ("pmma", 2698.7, 1147.0),
      ("epoxy", 2373.9, 931.8)],
 )  # fmt: skip
@@ -150,7 +153,7 @@ def test_water_at_25_degrees() -> None:
 # tolerances: 0.02 kg/m^3 and 0.1 m/s are the distances of the Kell and Marczak correlations from it, half a unit of the
 # last digit for the formulas taken from it, 0.2 J/(kg K) for the fitted heat capacity.
 @pytest.mark.parametrize(
-    "temperature, density, sound_speed, viscosity, conductivity, heat_capacity",
+    ("temperature", "density", "sound_speed", "viscosity", "conductivity", "heat_capacity"),
     [
         (283.15, 999.702, 1447.270, 1305.902e-6, 0.578787, 4195.14),
         (298.15, 997.047, 1496.699, 889.997e-6, 0.606502, 4181.45),
@@ -175,7 +178,8 @@ def test_water_is_thermodynamically_consistent(temperature: float) -> None:
     water = _fluid("water", temperature)
     warmer, cooler = _fluid("water", temperature + 0.5), _fluid("water", temperature - 0.5)
     expansion = -(warmer.density - cooler.density) / water.density
-    assert water.heat_capacity is not None and water.heat_capacity_ratio is not None
+    assert water.heat_capacity is not None
+    assert water.heat_capacity_ratio is not None
     identity = 1 + temperature * expansion**2 * water.sound_speed**2 / water.heat_capacity
     assert water.heat_capacity_ratio == pytest.approx(identity, abs=1e-4)
 
@@ -183,7 +187,8 @@ def test_water_is_thermodynamically_consistent(temperature: float) -> None:
 def test_bulk_viscosity_of_water_is_the_stated_multiple() -> None:
     for temperature in (285.15, 298.15, 320.15):
         water = _fluid("water", temperature)
-        assert water.bulk_viscosity is not None and water.shear_viscosity is not None
+        assert water.bulk_viscosity is not None
+        assert water.shear_viscosity is not None
         assert water.bulk_viscosity / water.shear_viscosity == pytest.approx(2.79, rel=1e-9)
 
 
@@ -224,7 +229,7 @@ def test_a_material_alone_means_its_only_entry_or_its_default() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong, near",
+    ("wrong", "near"),
     [("pzt4/acevedo_2026_fited", "pzt4/acevedo_2026_fitted"), ("watr", "water"), ("PZT4", "pzt4"), ("pla/", "pla")],
 )
 def test_a_wrong_name_is_answered_with_near_ones(wrong: str, near: str) -> None:
@@ -249,7 +254,8 @@ def test_an_overridden_number_loses_its_source_and_nothing_else() -> None:
 
 def test_a_fluid_number_set_to_none_loses_its_source() -> None:
     inviscid = replace(_fluid("water"), shear_viscosity=None)
-    assert "shear_viscosity" not in inviscid.values and "shear_viscosity" not in inviscid.parameters()
+    assert "shear_viscosity" not in inviscid.values
+    assert "shear_viscosity" not in inviscid.parameters()
     assert "density" in inviscid.values
 
 
@@ -287,7 +293,7 @@ def test_a_folder_of_ones_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "old, new, message",
+    ("old", "new", "message"),
     [
         (', unit = "g/cm^3"', "", "density.unit: received None; expected a unit of density"),
         ('"g/cm^3"', '"GPa"', "density.unit: received 'GPa'; expected a unit of density"),
@@ -386,7 +392,7 @@ def test_a_law_of_ones_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "old, new, message",
+    ("old", "new", "message"),
     [
         ('temperature = "20 degC"', "", "temperature: received None"),
         ('temperature = "20 degC"', 'temperature = "60 degC"', "extrapolated"),

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from inputs import InputError
 from workbench.merit import bvd_impedance
 from workbench.readers import FORMATS, ColumnMap, Quantity, detect, read
 from workbench.readers.findings import examine
-from workbench.spectrum import Spectrum
+from workbench.spectrum import Origin, Spectrum, write_csv
 
 DATA = Path(__file__).parent / "data" / "spectra"
 REFERENCE = Path(__file__).parent / "data" / "reference"
@@ -59,8 +60,8 @@ def test_origin_of_the_analysers():
     assert read(DATA / "workbench.csv").spectrum.origin.kind == "unknown"
 
 
-def test_touchstone_in_megahertz_with_default_reference(tmp_path):
-    """Decibel and angle, 75 ohm, gigahertz by its own option line: an open-ended 75 ohm match gives Z = 75 * 3."""
+def test_touchstone_in_gigahertz_decibel_and_75_ohm(tmp_path):
+    """A reflection of one half is three times 75 ohm."""
     path = tmp_path / "a.s1p"
     path.write_text("# GHz S DB R 75\n0.001 -6.020599913279624 0 ! comment\n0.002 -6.020599913279624 180\n")
     spectrum = read(path).spectrum
@@ -184,7 +185,7 @@ def test_trace_b_cut_short_or_on_other_frequencies(tmp_path):
         read(path)
     head, _, tail = content.rpartition("9.96")
     path.write_text(head + "9.97" + tail)
-    with pytest.raises(InputError, match=r"line 35, column 1: received 997000.0; expected the frequency of trace A, 996"):
+    with pytest.raises(InputError, match=r"line 35, column 1: received 997000.0; .* trace A, 996"):
         read(path)
 
 
@@ -209,7 +210,7 @@ def test_zero_admittance_and_open_circuit(tmp_path):
         read(path, columns=ColumnMap("f", "G", "B", Quantity("admittance", "rectangular", "S")))
     path = tmp_path / "open.s1p"
     path.write_text("# MHz S RI R 50\n1 0.5 0\n2 1 0\n")
-    with pytest.raises(InputError, match="line 3: .*neither zero nor infinite"):
+    with pytest.raises(InputError, match=r"line 3: .*neither zero nor infinite"):
         read(path)
 
 
@@ -273,7 +274,8 @@ def test_spreadsheet_copies_of_an_analyser_file(tmp_path):
 
 def test_quoted_headings_and_byte_order_mark(tmp_path):
     path = tmp_path / "quoted.csv"
-    path.write_bytes(b"\xef\xbb\xbf\"frequency_hz\", \"z_real_ohm\", \"z_imag_ohm\"\r\n+1.0e+006, 1, -2\r\n2e6 ,1,-2\t\r\n")
+    headings = b'\xef\xbb\xbf"frequency_hz", "z_real_ohm", "z_imag_ohm"\r\n'
+    path.write_bytes(headings + b"+1.0e+006, 1, -2\r\n2e6 ,1,-2\t\r\n")
     np.testing.assert_array_equal(read(path).spectrum.frequency, [1e6, 2e6])
 
 
@@ -311,19 +313,25 @@ def test_active_points_and_units():
     impedance[7] -= 0.2
     (finding,) = examine(Spectrum(WIDE, impedance))
     assert finding.code == "active"
-    assert "1 of 201" in finding.message and "907000 Hz" in finding.message
+    assert "1 of 201" in finding.message
+    assert "907000 Hz" in finding.message
     assert codes(impedance.real.clip(0.1) * 1e-5 + 0j) == ["magnitude"]
     assert codes(np.full(201, 50.0 + 0j), WIDE / 1e6) == ["frequency"]
 
 
 def test_correction_is_asked_for_and_noted(tmp_path):
-    path = changed(tmp_path, "e4990a_r_x.csv", ", +", ", -", count=99)
-    assert [finding.code for finding in read(path).findings] == ["negated"]
-    # The file's two capacitive points lost their sign with the others' gain of one; restore by hand for the oracle.
+    path = tmp_path / "reversed.csv"
+    write_csv(Spectrum(FREQUENCY, -IMPEDANCE, origin=Origin("measured")), path)
+    as_recorded = read(path)
+    assert [finding.code for finding in as_recorded.findings] == ["negated"]
+    np.testing.assert_array_equal(as_recorded.spectrum.impedance, -IMPEDANCE)
+    assert as_recorded.spectrum.origin.settings == {}
     asked = read(path, correction="negate")
-    assert asked.spectrum.origin.settings["correction"] == "negate"
-    np.testing.assert_array_equal(asked.spectrum.impedance, -read(path).spectrum.impedance)
-    assert "negated" not in [finding.code for finding in asked.findings]
+    assert asked.findings == ()
+    np.testing.assert_array_equal(asked.spectrum.impedance, IMPEDANCE)
+    assert asked.spectrum.origin.settings == {"correction": "negate"}
+    with pytest.raises(ValueError, match="'flip' is not one of"):
+        read(path, correction="flip")
 
 
 # ---- real recordings

@@ -325,8 +325,9 @@ def _fit_circuit(spectrum: Spectrum, start: Figures, series_resistance: bool) ->
 
     omega0 = 2.0 * np.pi * start.f0
     capacitance = start.antiresonance.static_capacitance if start.antiresonance else math.nan
-    if not capacitance > 0.0:  # no antiresonance in the band, or its overtones spoil the estimate: C0 of the far end
-        capacitance = max(spectrum.admittance.imag[-1], 0.1 / start.z_min / start.q) / (2.0 * np.pi * spectrum.frequency[-1])
+    if not capacitance > 0.0:  # no antiresonance in the band, or overtones spoil the estimate: take the far end's
+        susceptance = max(float(spectrum.admittance.imag[-1]), 0.1 / (start.z_min * start.q))
+        capacitance = susceptance / omega[-1]
     vector = [math.log(start.f0), math.log(start.q), math.log(start.z_min * start.q / omega0), math.log(capacitance)]
     solution = _least_squares(residual, jacobian, vector + [0.0] * series_resistance)
     covariance = _covariance(solution, spectrum)
@@ -384,7 +385,7 @@ def _fit_pole(spectrum: Spectrum, start: Figures) -> ResonanceFit:
     covariance = _covariance(solution, spectrum)[:2, :2] * half**2
     pole = complex(start.f0 + half * solution[0][0], half * solution[0][1])
     if pole.imag <= 0.0:
-        raise ValueError(f"the fitted pole {pole:.6g} Hz does not decay: the spectrum is not that of a passive resonance")
+        raise ValueError(f"the fitted pole {pole:.6g} Hz does not decay: this is no passive resonance")
     q = pole.real / (2.0 * pole.imag)
     slope = np.array([0.5 / pole.imag, -q / pole.imag])
     return _fitted("pole", Estimate(pole.real, math.sqrt(covariance[0, 0])),

@@ -1,7 +1,8 @@
 """Values at the nodes of biquadratic cells: their gradient, their integral and their value at any point.
 
-A :class:`NodalMesh` is what post-processing and pictures need of a finite-element mesh and no more. Each node belongs to
-one region, so that a stress that jumps at an interface is still single valued. Lengths are metres, (r, z) axisymmetric.
+A :class:`NodalMesh` is what post-processing and pictures need of a finite-element mesh and no more. Each node belongs
+to one region, so that a stress that jumps at an interface is still single valued. Lengths are metres, (r, z)
+axisymmetric.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ class NodalMesh:
             raise ValueError(f"points has shape {points.shape}; expected finite (N, 2)")
         if cells.ndim != 2 or cells.shape[1] != 9 or region.shape != (len(cells),):
             raise ValueError(f"cells has shape {cells.shape} and region {region.shape}; expected (M, 9) and (M,)")
-        if len(cells) and not (0 <= cells.min() and cells.max() < len(points)):
+        if len(cells) and not (cells.min() >= 0 and cells.max() < len(points)):
             raise ValueError(f"cells names nodes {cells.min()} to {cells.max()}; there are {len(points)} points")
-        if len(cells) and not (0 <= region.min() and region.max() < len(self.regions)):
+        if len(cells) and not (region.min() >= 0 and region.max() < len(self.regions)):
             raise ValueError(f"region holds {region.min()} to {region.max()}; there are {len(self.regions)} regions")
         owner = np.full(len(points), -1)
         owner[cells] = region[:, None]
@@ -99,8 +100,8 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
     off at the corners. So the derivative is taken of the polynomial through all nodes of the (usually two by two)
     cells around a corner, where those nodes form a rectangular grid, which is fourth order; each node takes the patch
     in which it lies most centrally. This is polynomial-preserving recovery (Zhang & Naga, SIAM J. Sci. Comput. 26,
-    1192, 2005) with interpolation in place of the least-squares fit. Nodes without such a patch (general quadrilaterals)
-    take the average of the gradients in their cells, weighted by area. Regions never mix.
+    1192, 2005) with interpolation in place of the least-squares fit. Nodes without such a patch (general
+    quadrilaterals) take the average of the gradients in their cells, weighted by area. Regions never mix.
     """
     flat = values.reshape(len(mesh.points), -1)
     operators = gradient_operators(mesh, regions)
@@ -325,8 +326,8 @@ def _rectangular(mesh: NodalMesh, nodes: IntArray) -> list[_Patches]:
         slope_r, slope_z = _differentiation(grid[:, :, 0, 0]), _differentiation(grid[:, 0, :, 1])
         along_r = np.einsum("pik,jl->pijkl", slope_r, np.eye(count_z)).reshape(-1, width, width)
         along_z = np.einsum("ik,pjl->pijkl", np.eye(int(count_r)), slope_z).reshape(-1, width, width)
-        off = np.add.outer(np.abs(np.arange(count_r) - (count_r - 1) / 2), np.abs(np.arange(count_z) - (count_z - 1) / 2))
-        result.append(_Patches(ordered, along_r, along_z, 100.0 * width - off.ravel()))
+        off_r, off_z = (np.abs(np.arange(count) - (count - 1) / 2) for count in (int(count_r), count_z))
+        result.append(_Patches(ordered, along_r, along_z, 100.0 * width - np.add.outer(off_r, off_z).ravel()))
     return result
 
 

@@ -1,7 +1,8 @@
 """What the acoustic field does to a suspended particle: contrast, Gor'kov potential, force, traps, time to focus.
 
-A particle is a compressible sphere much smaller than the wavelength, alone and away from walls. The formulas are those
-of Settnes & Bruus, Phys. Rev. E 85, 016327 (2012), and of Gor'kov (1962) without viscosity, with time factor e^{-i w t}.
+A particle is a compressible sphere much smaller than the wavelength, alone and away from walls. The formulas are
+those of Settnes & Bruus, Phys. Rev. E 85, 016327 (2012), and of Gor'kov (1962) without viscosity; time factor
+e^{-i w t}.
 A force means nothing without the field it was computed in, so every result carries an :class:`Excitation`.
 """
 
@@ -137,7 +138,7 @@ def boundary_layer_thickness(fluid: FluidProperties, frequency: float) -> float:
 
 
 def monopole(particle: Particle, fluid: FluidProperties) -> float:
-    """f1 = 1 - kappa_p / kappa_f (Settnes & Bruus 2012, eq. 26)."""
+    """f1 = 1 - kappa_p / kappa_f (Settnes & Bruus 2012)."""
     return 1.0 - particle.compressibility / compressibility(fluid)
 
 
@@ -148,7 +149,7 @@ def dipole(particle: Particle, fluid: FluidProperties) -> float:
 
 
 def viscous_dipole(particle: Particle, fluid: FluidProperties, frequency: float) -> complex:
-    """f2 = 2 (1 - g)(r - 1) / (2 r + 1 - 3 g), g = -(3/2) [1 + i (1 + d)] d, d = delta / a (Settnes & Bruus, eq. 39)."""
+    """f2 = 2 (1 - g)(r - 1) / (2 r + 1 - 3 g), g = -(3/2) [1 + i (1 + d)] d, d = delta / a (Settnes & Bruus 2012)."""
     ratio = particle.density / fluid.density
     layer = boundary_layer_thickness(fluid, frequency) / particle.radius
     drag = -1.5 * (1.0 + 1j * (1.0 + layer)) * layer
@@ -171,7 +172,12 @@ def acoustic_energy_density(pressure_amplitude: float, fluid: FluidProperties) -
 
 
 def gorkov_potential(
-    particle: Particle, fluid: FluidProperties, *, scattering: Scattering, pressure: NDArray[Any], velocity: NDArray[Any]
+    particle: Particle,
+    fluid: FluidProperties,
+    *,
+    scattering: Scattering,
+    pressure: NDArray[Any],
+    velocity: NDArray[Any],
 ) -> FloatArray:
     """U = V [ (f1/2) kappa <p^2> - (3/4) Re f2 rho <v^2> ] in J.
 
@@ -196,7 +202,7 @@ def radiation_force(
     velocity: NDArray[Any],
     velocity_gradient: NDArray[Any],
 ) -> FloatArray:
-    """Time-averaged radiation force (..., d) in N, standing and travelling parts (Settnes & Bruus 2012, eq. 18).
+    """Time-averaged radiation force (..., d) in N, standing and travelling parts (Settnes & Bruus 2012).
 
         F = -pi a^3 [ (2 kappa/3) Re(f1* p* grad p) - rho Re(f2* (v* . grad) v) ]
 
@@ -306,7 +312,7 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParticleForces:
-    """Potential (N,) J and radiation force (N, 2) N on one particle at the nodes of ``mesh``; NaN outside ``region``."""
+    """Potential (N,) J and radiation force (N, 2) N on a particle at the nodes of ``mesh``; NaN outside ``region``."""
 
     excitation: Excitation
     mesh: NodalMesh
@@ -320,8 +326,8 @@ class ParticleForces:
     def __str__(self) -> str:
         largest = float(np.nanmax(np.linalg.norm(self.force, axis=1)))
         return (
-            f"{self.particle.name}, {2e6 * self.particle.radius:.3g} um in {self.region}: up to {largest * 1e12:.3g} pN, "
-            f"net weight {net_weight(self.particle, self.fluid) * 1e12:.3g} pN, "
+            f"{self.particle.name}, {2e6 * self.particle.radius:.3g} um in {self.region}: "
+            f"up to {largest * 1e12:.3g} pN, net weight {net_weight(self.particle, self.fluid) * 1e12:.3g} pN, "
             f"contrast factor {self.scattering.contrast_factor:.4g}\n{self.excitation}"
         )
 
@@ -332,7 +338,7 @@ class Trap:
 
     ``radius``, ``height`` r, z in m; ``potential`` J; ``depth`` J, what it takes to leave for a deeper trap or, from
     the deepest, to reach the highest potential in the region; ``radial_stiffness``, ``axial_stiffness`` N/m;
-    ``on_wall``: held against a wall by a force that does not vanish there (stiffness is then the curvature at the wall).
+    ``on_wall``: held at a wall, where the force need not vanish (stiffness is then the curvature at the wall).
     """
 
     radius: float
@@ -345,7 +351,7 @@ class Trap:
 
     def __str__(self) -> str:
         return (
-            f"r = {self.radius * 1e3:.3f} mm, z = {self.height * 1e3:.3f} mm{' (on the wall)' if self.on_wall else ''}: "
+            f"r = {self.radius * 1e3:.3f} mm, z = {self.height * 1e3:.3f} mm{' on the wall' if self.on_wall else ''}: "
             f"depth {self.depth * 1e15:.3g} fJ, stiffness {self.radial_stiffness * 1e9:.3g} pN/mm radial, "
             f"{self.axial_stiffness * 1e9:.3g} pN/mm axial"
         )
@@ -523,8 +529,8 @@ def _refine(
     """Place (2,), value and second derivatives (2,) along r and z of the minimum next to `node`.
 
     Newton's method on a polynomial fitted to the two rings of cells around the node, of sixth degree along r and along
-    z (less where there are fewer lines of nodes): at ten cells a sound wavelength the rings span most of a period of the
-    potential. The potential is even in r, so nodes near the axis count once more behind it.
+    z (less where there are fewer lines of nodes): at ten cells a sound wavelength the rings span most of a period of
+    the potential. The potential is even in r, so nodes near the axis count once more behind it.
     """
     pointer, index = neighbours.indptr, neighbours.indices
     ring = index[pointer[node]:pointer[node + 1]]

@@ -133,7 +133,9 @@ def numbers(
     return Rows(values, tuple(line for line, _ in numbered))
 
 
-def check_frequencies(text: RecordingText, frequency: NDArray[np.float64], lines: Sequence[int], *, column: int) -> None:
+def check_frequencies(
+    text: RecordingText, frequency: NDArray[np.float64], lines: Sequence[int], *, column: int
+) -> None:
     """Raise unless `frequency` (n,) Hz has two points or more and is positive and strictly increasing."""
     if len(frequency) < 2:
         where = lines[0] if lines else len(text.lines)
@@ -142,7 +144,8 @@ def check_frequencies(text: RecordingText, frequency: NDArray[np.float64], lines
         if value <= 0.0:
             raise text.error(lines[index], column, float(value), "a frequency above zero")
         if index and value == frequency[index - 1]:
-            raise text.error(lines[index], column, float(value), f"a new frequency; line {lines[index - 1]} has the same")
+            raise text.error(lines[index], column, float(value),
+                             f"a new frequency; line {lines[index - 1]} has the same")
         if index and value < frequency[index - 1]:
             turns = "the sweep runs downwards" if np.all(np.diff(frequency) < 0) else (
                 "the frequencies are out of order, or an upward sweep is followed by another sweep")
@@ -155,4 +158,4 @@ def check_impedance(text: RecordingText, impedance: NDArray[np.complex128], line
     wrong = ~np.isfinite(impedance) | (impedance == 0.0)
     if np.any(wrong):
         index = int(np.argmax(wrong))
-        raise text.error(lines[index], None, str(impedance[index]) + " ohm", "an impedance that is neither zero nor infinite")
+        raise text.error(lines[index], None, f"{impedance[index]} ohm", "an impedance neither zero nor infinite")

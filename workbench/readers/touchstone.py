@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -37,15 +36,15 @@ def parse(text: RecordingText) -> Spectrum:
     import skrf
 
     try:
-        # An open circuit is reported below with its line; scikit-rf only warns of the division.
-        with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-            warnings.simplefilter("ignore", RuntimeWarning)
-            network = skrf.Network(text.path)
-            impedance = np.array(network.z[:, 0, 0], dtype=np.complex128)
+        network = skrf.Network(text.path)
     except (ValueError, IndexError, KeyError, TypeError, NotImplementedError, AttributeError, OSError) as error:
-        raise InputError(text.path, "Touchstone", str(error), "a one-port Touchstone file that scikit-rf reads") from None
-    if impedance.shape != (len(data),):
-        raise InputError(text.path, "Touchstone", f"{len(impedance)} points read", f"the {len(data)} rows of the file")
+        raise InputError(text.path, "Touchstone", str(error), "a one-port file that scikit-rf reads") from None
+    if network.s.shape != (len(data), 1, 1):
+        raise InputError(text.path, "Touchstone", f"{network.s.shape} read", f"one port and the {len(data)} rows")
+    reflection, reference = network.s[:, 0, 0], network.z0[:, 0]
+    # Not the network's own z: scikit-rf moves an ideal open circuit a little to keep its matrices invertible.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        impedance = reference * (1.0 + reflection) / (1.0 - reflection)
     check_impedance(text, impedance, rows.lines)
     notes = [line.lstrip(" !").strip() for line in text.lines if line.strip().startswith("!")]
     option = next((" ".join(cells(row[1:], "\t")[0].split()) for _, row in content if row.startswith("#")), "")

@@ -19,9 +19,20 @@ from inputs import write_atomic
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from workbench.particles import Excitation
+
 #: For quantities with a sign, zero in the middle; and for the others, equal steps looking equal.
 SIGNED_COLOURS = "RdBu_r"
 PLAIN_COLOURS = "viridis"
+
+#: The colour of a region by its role, the same in every picture; a repeated role (bond_2) keeps its colour.
+ROLE_COLOURS = {
+    "transducer": "#8fa9c9", "backing": "#b3b3b3", "couplant": "#f28e2b", "matching": "#e9c46a", "substrate": "#9ccb86",
+    "sidewall": "#c9b2d6", "cavity": "#bfe3f2", "bond": "#b5651d", "superstrate": "#e8b4bc", "sample": "#9ccb86",
+    "layer": "#d9cfa3",
+}
+#: What is coloured by no field and is not a known role.
+OTHER_COLOUR = "#cccccc"
 
 _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
@@ -50,7 +61,7 @@ def photograph(arrange: Callable[[Any], None], *, width: int, height: int) -> ND
     plotter = pyvista().Plotter(off_screen=True, window_size=(width, height), lighting="three lights")
     try:
         plotter.set_background("white")
-        plotter.enable_anti_aliasing("msaa", multi_samples=8)
+        plotter.enable_anti_aliasing("msaa", multi_samples=4)
         arrange(plotter)
         # Without this pyvista fits the camera to the scene when it first draws.
         plotter.camera_set = True
@@ -59,12 +70,23 @@ def photograph(arrange: Callable[[Any], None], *, width: int, height: int) -> ND
         plotter.close()
 
 
+def role_colour(region: str) -> str:
+    """The colour of a region or solid by its role, its number and anything after a dot aside."""
+    role = region.split(".")[0].rstrip("0123456789").rstrip("_")
+    return ROLE_COLOURS.get(role, OTHER_COLOUR)
+
+
 def prefixed(largest: float, unit: str) -> tuple[float, str]:
     """Factor and label that bring values up to `largest` into the range 1 to 1000: (1e9, "nm") for 5.4e-8 m."""
     if not largest > 0.0 or not math.isfinite(largest):
         return 1.0, unit
     exponent = min(max(3 * math.floor(math.log10(largest) / 3 + 1e-9), min(_PREFIXES)), max(_PREFIXES))
     return 10.0**-exponent, _PREFIXES[exponent] + unit
+
+
+def typeset(excitation: Excitation) -> str:
+    """The line that says what field a force was computed in, with its symbols set for matplotlib."""
+    return str(excitation).replace("J/m^3", "J/m³").replace("p0 =", "$p_0$ =").replace("E_ac", "$E_{ac}$")
 
 
 def new_figure(width: float, height: float) -> Figure:

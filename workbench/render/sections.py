@@ -1,7 +1,7 @@
 """The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, regions and mesh.
 
-VTK draws the biquadratic cells off screen, matplotlib frames them: axes in millimetres at equal scale, a colour bar with
-its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is largest.
+VTK draws the biquadratic cells off screen, matplotlib frames them: axes in millimetres at equal scale, a colour bar
+with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is largest.
 """
 
 from __future__ import annotations
@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from workbench.nodal import FloatArray, IntArray, NodalMesh
 from workbench.particles import TrapReport
-from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, new_figure, photograph, prefixed, pyvista, save
+from workbench.render.canvas import (
+    PLAIN_COLOURS,
+    SIGNED_COLOURS,
+    new_figure,
+    photograph,
+    prefixed,
+    pyvista,
+    role_colour,
+    save,
+    typeset,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,9 +34,9 @@ if TYPE_CHECKING:
 
     from workbench.fields import Fields
 
-#: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is two dots wide.
+#: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is more than a dot wide.
 _WIDTH = 13.0
-_DOTS_PER_INCH = 200
+_DOTS_PER_INCH = 160
 _OUTLINE = "#303030"
 
 
@@ -44,20 +54,28 @@ def draw_axial_displacement(fields: Fields, path: Path, *, drive: str) -> Path:
     """u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
-        fields.mesh, values, path, unit="m", label="axial displacement $u_z$", title=_title(fields, drive, phase)
+        fields.mesh, values, path, unit="m", label="axial displacement $u_z$", window=_window(fields.mesh.points),
+        title=phase_title(fields, drive, phase),
     )
 
 
-def draw_pressure(fields: Fields, path: Path, *, drive: str) -> Path:
-    """Pressure in the fluids of the whole section. Writes `path`."""
-    values, phase = at_largest(fields.pressure)
+def draw_pressure(fields: Fields, path: Path, *, drive: str, region: str | None = None) -> Path:
+    """Pressure in the fluids of the whole section, or close up in the one `region`. Writes `path`."""
+    pressure, shown = fields.pressure, fields.mesh.points
+    if region is not None:
+        nodes = fields.mesh.nodes_of([region])
+        shown = shown[nodes]
+        pressure = np.full_like(fields.pressure, np.nan)
+        pressure[nodes] = fields.pressure[nodes]
+    values, phase = at_largest(pressure)
     return _draw_signed(
-        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", title=_title(fields, drive, phase)
+        fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", window=_window(shown),
+        title=phase_title(fields, drive, phase),
     )
 
 
 def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
-    """Gor'kov potential in its region, traps marked, as in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
+    """Gor'kov potential, traps marked, as in Fig. 9a of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
     forces = report.forces
     factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
     values = forces.potential * factor
@@ -65,8 +83,9 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
     cells = forces.mesh.cells_of([forces.region])
     window = _window(forces.mesh.points[forces.mesh.cells[cells]].reshape(-1, 2))
     figure, axes, bar = _frame(window, title=(
-        f"Gor'kov potential of a {2e6 * forces.particle.radius:.3g} µm {forces.particle.name} sphere in {forces.region}\n"
-        f"{_excitation_line(str(forces.excitation))}"
+        f"Gor'kov potential of a {2e6 * forces.particle.radius:.3g} µm {forces.particle.name} sphere "
+        f"in the {forces.region}\n"
+        f"{typeset(forces.excitation)}"
     ))
     axes.imshow(_photograph_cells(forces.mesh, cells, values, window, limits=limits, colours=PLAIN_COLOURS),
                 extent=_extent(window), interpolation="antialiased")
@@ -80,14 +99,11 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
 
 def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Path:
     """The regions in colour with their names, and the cells of the mesh unless `show_cells` is off. Writes `path`."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
     from matplotlib.patches import Patch
 
     window = _window(mesh.points)
     figure, axes, bar = _frame(window, title=f"{len(mesh.regions)} regions, {len(mesh.cells)} biquadratic cells")
-    palette = [to_hex(colormaps["tab20"](index % 20)) for index in (*range(1, 20, 2), *range(0, 20, 2))]
-    colours = [palette[index % 20] for index in range(len(mesh.regions))]
+    colours = [role_colour(name) for name in mesh.regions]
     lines = mesh.cells[:, :4]
 
     def arrange(plotter: Any) -> None:
@@ -95,7 +111,7 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
             for index, colour in enumerate(colours):
                 quads = _grid(mesh.points, lines[mesh.region == index], mirror=mirror, kind="QUAD")
                 plotter.add_mesh(quads, color=colour, lighting=False, show_edges=show_cells, edge_color="#606060",
-                                 edge_opacity=0.5, line_width=0.5)
+                                 edge_opacity=0.4, line_width=0.5)
 
     axes.imshow(_photograph(window, arrange), extent=_extent(window), interpolation="antialiased")
     _outline(axes, mesh)
@@ -118,25 +134,26 @@ def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
         raise ValueError("no finite value to draw: the field does not live in any region of this mesh")
     largest = amplitude[np.argmax(np.where(finite, np.abs(amplitude), -1.0))]
     phase = float(np.angle(largest))
-    return np.real(amplitude * np.exp(-1j * phase)), float(np.degrees(phase))
+    shown: FloatArray = np.real(amplitude * np.exp(-1j * phase))
+    return shown, float(np.degrees(phase))
 
 
-def _title(fields: Fields, drive: str, phase: float) -> str:
+def phase_title(fields: Fields, drive: str, phase: float) -> str:
+    """Two lines: the drive, and when in the cycle a field of that `phase` (degrees, e^{-i w t}) is shown."""
+    # With e^{-i w t} a larger phase comes later.
+    later = (phase - np.degrees(np.angle(fields.voltage))) % 360.0
     return (f"{drive}: {fields.frequency / 1e6:.4f} MHz, {2.0 * abs(fields.voltage):.3g} Vpp at the transducer\n"
-            f"shown at the phase of its maximum, {phase:+.0f}° to the drive")
+            f"shown at its maximum in the cycle, {later:.0f}° after that of the voltage")
 
 
-def _excitation_line(text: str) -> str:
-    return text.replace("J/m^3", "J/m³").replace("p0 =", "$p_0$ =").replace("E_ac", "$E_{ac}$")
-
-
-def _draw_signed(mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, title: str) -> Path:
+def _draw_signed(
+    mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, window: _Window, title: str
+) -> Path:
     """The cells all of whose nodes have a value, in colours symmetric about zero; the others stay white."""
     largest = float(np.nanmax(np.abs(values)))
     factor, shown_unit = prefixed(largest, unit)
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
     cells = np.flatnonzero(np.isfinite(values[mesh.cells]).all(axis=1))
-    window = _window(mesh.points)
     figure, axes, bar = _frame(window, title=title)
     axes.imshow(_photograph_cells(mesh, cells, values * factor, window, limits=limits, colours=SIGNED_COLOURS),
                 extent=_extent(window), interpolation="antialiased")
@@ -158,7 +175,7 @@ def _extent(window: _Window) -> tuple[float, float, float, float]:
 
 def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
     """A figure with axes for the section at equal scale and, below, axes for its colour bar or legend."""
-    left, right, below, above = 0.75, 0.25, 1.35, 0.75
+    left, right, below, above = 0.75, 0.25, 1.3, 0.6
     height = (_WIDTH - left - right) * (window.top - window.bottom) / (window.right - window.left)
     total = height + below + above
     figure = new_figure(_WIDTH, total)
@@ -227,17 +244,17 @@ def _outline(axes: Axes, mesh: NodalMesh) -> None:
     """Hair lines around every region."""
     from matplotlib.collections import LineCollection
 
-    lines = outlines(mesh) * 1e3
+    lines = mesh.points[outline_nodes(mesh, mesh.regions)[:, :2]] * 1e3
     for mirror in (1.0, -1.0):
         axes.add_collection(LineCollection(list(lines * [mirror, 1.0]), colors=_OUTLINE, linewidths=0.25))
 
 
-def outlines(mesh: NodalMesh, regions: Sequence[str] | None = None) -> FloatArray:
-    """Straight pieces (L, 2, 2) of the edges of `regions` (all unless given), the axis left out, in m."""
-    cells = mesh.cells if regions is None else mesh.cells[mesh.cells_of(regions)]
+def outline_nodes(mesh: NodalMesh, regions: Sequence[str]) -> IntArray:
+    """Edges (L, 3) of the outlines of `regions`, each first node, last node and middle; the axis is left out."""
+    cells = mesh.cells[mesh.cells_of(regions)]
     edges = np.concatenate([cells[:, [0, 1, 4]], cells[:, [1, 2, 5]], cells[:, [2, 3, 6]], cells[:, [3, 0, 7]]])
     # Nodes are not shared between regions, so an edge between two regions counts once in each.
     _, first, counts = np.unique(edges[:, 2], return_index=True, return_counts=True)
-    lines: FloatArray = mesh.points[edges[first[counts == 1]][:, :2]]
-    on_axis = (lines[:, :, 0] <= 1e-9 * mesh.points[:, 0].max()).all(axis=1)
-    return lines[~on_axis]
+    outline: IntArray = edges[first[counts == 1]]
+    on_axis = (mesh.points[outline, 0] <= 1e-9 * mesh.points[:, 0].max()).all(axis=1)
+    return outline[~on_axis]

@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workbench.nodal import FloatArray, IntArray, NodalMesh
-from workbench.render.canvas import SIGNED_COLOURS, new_figure, photograph, prefixed, pyvista, save
-from workbench.render.sections import at_largest, outlines
+from workbench.render.canvas import SIGNED_COLOURS, new_figure, photograph, prefixed, pyvista, role_colour, save
+from workbench.render.sections import at_largest, outline_nodes, phase_title
 
 if TYPE_CHECKING:
     from workbench.fields import Fields
 
-_WIDTH, _HEIGHT, _DOTS_PER_INCH = 10.0, 6.2, 160
-_WATER = "#cfe8f5"
+_WIDTH, _HEIGHT, _DOTS_PER_INCH = 10.0, 6.2, 140
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,21 +50,24 @@ def draw_revolved(fields: Fields, path: Path, *, drive: str, degrees: float = 25
     largest = float(np.nanmax(np.abs(values)))
     factor, unit = prefixed(largest, "m")
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
-    solid = np.isfinite(values[mesh.cells]).all(axis=1)
+    fluid = [not np.isfinite(values[mesh.nodes_of([name])]).all() for name in mesh.regions]
 
     def arrange(plotter: Any) -> None:
+        # The cut faces are unlit, so that their colours are those of the colour bar.
+        coloured = {"scalars": "value", "cmap": SIGNED_COLOURS, "clim": limits, "show_scalar_bar": False}
+        skin = _skin(mesh)
         for index in range(len(mesh.regions)):
             inside = mesh.region == index
-            if solid[inside].all():
-                surface = _revolved(mesh, mesh.cells[inside], degrees=degrees, values=values * factor)
-                plotter.add_mesh(surface, scalars="value", cmap=SIGNED_COLOURS, clim=limits, show_scalar_bar=False,
-                                 ambient=0.35, diffuse=0.7, specular=0.05)
-            else:
-                surface = _revolved(mesh, mesh.cells[inside], degrees=degrees, values=None)
-                plotter.add_mesh(surface, color=_WATER, ambient=0.5, diffuse=0.6)
+            look = {"color": role_colour("cavity")} if fluid[index] else coloured
+            for face in _cut_faces(mesh, mesh.cells[inside], degrees=degrees, values=values * factor):
+                plotter.add_mesh(face, lighting=False, **look)
+            edges = skin[np.isin(skin[:, 2], mesh.cells[inside])]
+            if len(edges):
+                swept = _swept(mesh, edges, degrees=degrees, values=values * factor)
+                plotter.add_mesh(swept, ambient=0.6, diffuse=0.42, **look)
         for line in _section_outlines(mesh, degrees):
             plotter.add_mesh(line, color="#303030", line_width=1.0, lighting=False)
-        _look_from(plotter, azimuth=-90.0 + (degrees - 360.0) / 2.0, elevation=28.0)
+        _look_from(plotter, azimuth=(degrees + 360.0) / 2.0, elevation=24.0, zoom=2.3)
 
     picture = photograph(arrange, width=round(_WIDTH * _DOTS_PER_INCH), height=round(0.74 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
@@ -74,8 +75,7 @@ def draw_revolved(fields: Fields, path: Path, *, drive: str, degrees: float = 25
     axes.imshow(picture)
     axes.axis("off")
     axes.set_title(
-        f"{drive}: {fields.frequency / 1e6:.4f} MHz, {2.0 * abs(fields.voltage):.3g} Vpp at the transducer\n"
-        f"shown at the phase of its maximum, {phase:+.0f}° to the drive; "
+        f"{phase_title(fields, drive, phase)}; "
         f"Ø {2e3 * mesh.points[:, 0].max():.3g} mm × {1e3 * np.ptp(mesh.points[:, 1]):.3g} mm, fluids pale blue",
         fontsize=11,
     )
@@ -89,7 +89,7 @@ def draw_revolved(fields: Fields, path: Path, *, drive: str, degrees: float = 25
 
 
 def draw_solids(solids: Sequence[Solid], path: Path, *, title: str, opacity: float = 1.0, explode: float = 0.0) -> Path:
-    """The solids of a CAD model in different colours with their names, those given first at the bottom of the legend.
+    """The solids of a CAD model with their names, in the colours of their roles, the first at the bottom of the legend.
 
     `explode` (m) is the extra gap drawn between consecutive solids along z, so that inner faces can be seen.
     Writes `path`.
@@ -99,25 +99,24 @@ def draw_solids(solids: Sequence[Solid], path: Path, *, title: str, opacity: flo
     """
     if not solids:
         raise ValueError("no solids to draw")
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
     from matplotlib.patches import Patch
 
-    colours = [to_hex(colormaps["Set2"](index % 8)) for index in range(len(solids))]
+    colours = [role_colour(solid.name) for solid in solids]
     module = pyvista()
 
     def arrange(plotter: Any) -> None:
         for index, (solid, colour) in enumerate(zip(solids, colours, strict=True)):
-            lifted = solid.vertices + [0.0, 0.0, explode * index]
+            lifted = solid.vertices + np.array([0.0, 0.0, explode * index])
             surface = module.PolyData.from_regular_faces(lifted, solid.triangles)
             plotter.add_mesh(surface, color=colour, opacity=opacity, ambient=0.3, diffuse=0.7, specular=0.15)
             # Edges where faces meet at an angle show the shape; the triangles would hide it.
             edges = surface.clean().extract_feature_edges(feature_angle=25.0)
             if edges.n_cells:
                 plotter.add_mesh(edges, color="#303030", line_width=1.2, lighting=False)
-        _look_from(plotter, azimuth=-60.0, elevation=28.0)
+        _look_from(plotter, azimuth=-60.0, elevation=28.0, zoom=1.4)
 
-    picture = photograph(arrange, width=round(0.8 * _WIDTH * _DOTS_PER_INCH), height=round(0.9 * _HEIGHT * _DOTS_PER_INCH))
+    width, height = round(0.8 * _WIDTH * _DOTS_PER_INCH), round(0.9 * _HEIGHT * _DOTS_PER_INCH)
+    picture = photograph(arrange, width=width, height=height)
     figure = new_figure(_WIDTH, _HEIGHT)
     axes = figure.add_axes((0.0, 0.0, 0.8, 0.9))
     axes.imshow(picture)
@@ -131,36 +130,60 @@ def draw_solids(solids: Sequence[Solid], path: Path, *, title: str, opacity: flo
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
-def _look_from(plotter: Any, *, azimuth: float, elevation: float) -> None:
+def _look_from(plotter: Any, *, azimuth: float, elevation: float, zoom: float) -> None:
     """Parallel projection from `azimuth` (degrees from +x, about z) and `elevation`, everything in view."""
     turn, rise = np.radians(azimuth), np.radians(elevation)
     direction = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
     plotter.camera.parallel_projection = True
     plotter.view_vector(direction, viewup=(0.0, 0.0, 1.0))
     plotter.reset_camera()
-    plotter.camera.zoom(1.45)
+    plotter.camera.zoom(zoom)
 
 
-def _revolved(mesh: NodalMesh, cells: IntArray, *, degrees: float, values: NDArray[Any] | None) -> Any:
-    """The surface swept by `cells` about the axis, both ends closed, with point array "value" where given."""
+def _turned(points: FloatArray, angle: float) -> FloatArray:
+    """Points (K, 2) r, z of the half plane at `angle` (radians) in space (K, 3)."""
+    return np.column_stack([points[:, 0] * np.cos(angle), points[:, 0] * np.sin(angle), points[:, 1]])
+
+
+def _cut_faces(mesh: NodalMesh, cells: IntArray, *, degrees: float, values: FloatArray) -> list[Any]:
+    """`cells` on the two faces of the cut, with point array "value"."""
     module = pyvista()
-    flat = np.column_stack([mesh.points[:, 0], np.zeros(len(mesh.points)), mesh.points[:, 1]])
-    grid = module.UnstructuredGrid({module.CellType.BIQUADRATIC_QUAD: cells}, flat)
-    if values is not None:
+    faces = []
+    for angle in (0.0, np.radians(degrees)):
+        grid = module.UnstructuredGrid({module.CellType.BIQUADRATIC_QUAD: cells}, _turned(mesh.points, angle))
         grid.point_data["value"] = values
-    section = grid.extract_surface(nonlinear_subdivision=1, algorithm="dataset_surface").clean(tolerance=0.0)
-    return section.extrude_rotate(resolution=round(degrees / 3.0), angle=degrees, rotation_axis=(0.0, 0.0, 1.0),
-                                  capping=True)
+        faces.append(grid)
+    return faces
+
+
+def _skin(mesh: NodalMesh) -> IntArray:
+    """Edges (L, 3) as of :func:`outline_nodes` that no other region shares: nothing else is seen from outside."""
+    edges = outline_nodes(mesh, mesh.regions)
+    middle = mesh.points[edges[:, 2]]
+    _, same, counts = np.unique((middle / (1e-6 * np.ptp(mesh.points))).round(), axis=0, return_inverse=True,
+                                return_counts=True)
+    return edges[counts[same] == 1]
+
+
+def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float, values: FloatArray) -> Any:
+    """The surface swept by `edges` (L, 3), with point array "value"."""
+    nodes, numbers = np.unique(edges, return_inverse=True)
+    links = numbers.reshape(-1, 3)[:, [0, 2, 2, 1]].reshape(-1, 2)
+    outline = pyvista().PolyData(_turned(mesh.points[nodes], 0.0),
+                                 lines=np.column_stack([np.full(len(links), 2), links]).ravel())
+    outline.point_data["value"] = values[nodes]
+    return outline.extrude_rotate(resolution=round(degrees / 2.0), angle=degrees, rotation_axis=(0.0, 0.0, 1.0),
+                                  capping=False)
 
 
 def _section_outlines(mesh: NodalMesh, degrees: float) -> list[Any]:
-    """The outlines of the regions on the two cut faces."""
-    module = pyvista()
-    pieces = outlines(mesh)
+    """The outlines of the regions on the two cut faces, a hair in front of them."""
+    edges = outline_nodes(mesh, mesh.regions)
+    links = np.column_stack([np.full(len(edges), 2), np.arange(2 * len(edges)).reshape(-1, 2)]).ravel()
+    pieces = mesh.points[edges[:, :2]].reshape(-1, 2)
+    front = 1e-3 * mesh.points[:, 0].max()
     result = []
-    for angle in (0.0, np.radians(degrees)):
-        radius, height = pieces[:, :, 0].ravel(), pieces[:, :, 1].ravel()
-        points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
-        links = np.column_stack([np.full(len(pieces), 2), np.arange(2 * len(pieces)).reshape(-1, 2)])
-        result.append(module.PolyData(points, lines=links.ravel()))
+    for angle, side in ((0.0, -1.0), (np.radians(degrees), 1.0)):
+        normal = side * front * np.array([-np.sin(angle), np.cos(angle), 0.0])
+        result.append(pyvista().PolyData(_turned(pieces, angle) + normal, lines=links))
     return result

@@ -1,0 +1,139 @@
+"""Search the dimensions the paper does not print for the best agreement with the model columns of its Table 5.
+
+Known: the transducer (25 x 2.02 mm), the gel (20 um), a pressure node at z = 3.25 mm, six numbers of Table 5. Unknown:
+heights of substrate, sidewall, bond and glass, radius of the cavity and of the section. The node ties the substrate's
+height to the cavity's, which leaves six lengths for six numbers.
+
+    python examples/02_find_paper_chip.py [--samples 400] [--seed 1] [--polish 4]
+
+A quasi-random sample on a coarse mesh, then a simplex search from the best few on a finer one. Every evaluated point
+is appended to ``out/paper_chip_search.csv`` at once, and a second run continues where the first was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import qmc
+
+from geometry.chip import Chip, read_chip
+from inputs import InputError
+from materials.registry import Registry
+from workbench.merit import NoResonance, figures
+from workbench.operators import assemble
+from workbench.problem import build
+from workbench.reduce import reduce
+from workbench.spectrum import Spectrum
+
+CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
+
+#: Table 5, columns "Num": f0 (Hz), Z_min (ohm), Q.
+TARGET = {"empty": (1028.6e3, 3.24, 114.29), "filled": (1030.6e3, 4.04, 103.06)}
+#: What counts as one unit of disagreement: 0.5 kHz, 5 %, 5 %.
+SCALE = (500.0, 0.05, 0.05)
+#: Ranges searched (m): sidewall, bond, glass, cavity radius, section radius.
+RANGES = {
+    "sidewall.thickness": (0.50e-3, 0.85e-3),
+    "bond.thickness": (0.02e-3, 0.20e-3),
+    "superstrate.thickness": (0.15e-3, 2.0e-3),
+    "cavity.radius": (2.0e-3, 10.0e-3),
+    "section.radius": (12.6e-3, 20.0e-3),
+    "node.offset": (-0.04e-3, 0.04e-3),
+}
+#: Height (m) of the node above the gel: 3.25 mm less the transducer and the gel.
+NODE = 3.25e-3 - 2.04e-3
+BAND = (1.000e6, 1.060e6)
+
+
+def chip_with(start: Chip, values: dict[str, float]) -> Chip:
+    """The chip with these lengths (m). The middle of the cavity lies `node.offset` above the node."""
+    height = values["sidewall.thickness"] + values["bond.thickness"]
+    lengths = {name: values[name] for name in
+               ("sidewall.thickness", "bond.thickness", "superstrate.thickness", "cavity.radius")}
+    lengths["substrate.thickness"] = NODE + values["node.offset"] - 0.5 * height
+    for region in ("substrate", "sidewall", "bond", "superstrate"):
+        lengths[f"{region}.radius"] = values["section.radius"]
+    return start.with_dimensions(lengths)
+
+
+def evaluate(chip: Chip, elements_per_wavelength: float) -> dict[str, tuple[float, float, float]]:
+    """f0, Z_min and Q of both states."""
+    found = {}
+    for state in TARGET:
+        problem = build(chip, state, Registry(), band=BAND, elements_per_wavelength=elements_per_wavelength)
+        frequencies = np.arange(BAND[0], BAND[1] + 1.0, 250.0)
+        model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=1e-4, first=2)
+        spectrum = Spectrum.from_solver(frequencies, model.solve(frequencies, problem.values).impedance)
+        merit = figures(spectrum)
+        found[state] = (merit.f0, merit.z_min, merit.q)
+    return found
+
+
+def disagreement(found: dict[str, tuple[float, float, float]]) -> float:
+    """Root mean square of the six differences in units of :data:`SCALE`."""
+    parts = []
+    for state, (f0, z_min, q) in TARGET.items():
+        a = found[state]
+        parts += [(a[0] - f0) / SCALE[0], np.log(a[1] / z_min) / SCALE[1], np.log(a[2] / q) / SCALE[2]]
+    return float(np.sqrt(np.mean(np.square(parts))))
+
+
+class Search:
+    """Evaluates points and keeps every one of them on disk."""
+
+    def __init__(self, path: Path, start: Chip) -> None:
+        self.path, self.start = path, start
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.known: dict[tuple[str, ...], float] = {}
+        if path.exists():
+            with path.open() as stream:
+                self.known = {tuple(row[:7]): float(row[7]) for row in csv.reader(stream)}
+
+    def __call__(self, point: np.ndarray, elements_per_wavelength: float) -> float:
+        key = (f"{elements_per_wavelength:g}", *(f"{x:.4e}" for x in point))
+        if key not in self.known:
+            values = dict(zip(RANGES, point, strict=True))
+            try:
+                found = evaluate(chip_with(self.start, values), elements_per_wavelength)
+                self.known[key] = disagreement(found)
+                figures_text = [f"{x:.6g}" for state in found.values() for x in state]
+            except (InputError, NoResonance) as error:
+                self.known[key], figures_text = 1e3, [type(error).__name__]
+            with self.path.open("a") as stream:
+                csv.writer(stream).writerow([*key, f"{self.known[key]:.4f}", *figures_text])
+        return self.known[key]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--samples", type=int, default=400)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--polish", type=int, default=4)
+    parser.add_argument("--coarse", type=float, default=4.0)
+    parser.add_argument("--fine", type=float, default=8.0)
+    arguments = parser.parse_args()
+    start = replace(read_chip(CHIPS / "reference_chip.toml"), ports=None)
+    search = Search(Path("out/paper_chip_search.csv"), start)
+    low, high = np.array(list(RANGES.values())).T
+    sample = qmc.scale(qmc.Sobol(len(RANGES), seed=arguments.seed).random(arguments.samples), low, high)
+    scores = []
+    for k, point in enumerate(sample):
+        scores.append(search(point, arguments.coarse))
+        print(f"{k + 1}/{len(sample)}  best {min(scores):.3f}", flush=True)
+    for index in np.argsort(scores)[: arguments.polish]:
+        for mesh in (arguments.coarse, arguments.fine):
+            start_point = sample[index] if mesh == arguments.coarse else best.x * (high - low) + low  # noqa: F821
+            best = minimize(lambda x, mesh=mesh: search(np.clip(x, 0, 1) * (high - low) + low, mesh),
+                            (start_point - low) / (high - low), method="Nelder-Mead",
+                            options={"maxfev": 150, "xatol": 1e-3, "fatol": 1e-2, "initial_simplex": None})
+            print(f"mesh {mesh:g}: {best.fun:.3f} at",
+                  {n: f"{x * 1e3:.4f} mm" for n, x in zip(RANGES, best.x * (high - low) + low, strict=True)}, flush=True)
+
+
+if __name__ == "__main__":
+    main()

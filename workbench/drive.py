@@ -1,0 +1,94 @@
+"""How a device is driven: the voltage that reaches its electrodes.
+
+The model is solved at unit electrode voltage; a drive says what that voltage is. A generator's open-circuit voltage is
+not it: fifty ohm in front of four leave about a thirteenth. Lickert et al. (arXiv 2210.02311) find a constant generator
+voltage unsuitable for comparing frequencies and recommend constant device voltage or constant power.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inputs import InputError, parse_quantity
+
+
+class Drive(Protocol):
+    """Anything that says which voltage a device of a given impedance sees."""
+
+    def amplitude(self, impedance: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Voltage amplitude (V, zero to peak) at the electrodes of a device of `impedance` (ohm)."""
+
+    def __str__(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class VoltageDrive:
+    """A constant voltage at the electrodes, stated peak-to-peak (V)."""
+
+    peak_to_peak: float = 10.0
+
+    def amplitude(self, impedance: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return np.full(np.shape(impedance), 0.5 * self.peak_to_peak, dtype=complex)
+
+    def __str__(self) -> str:
+        return f"{self.peak_to_peak:g} Vpp at the electrodes"
+
+
+@dataclass(frozen=True)
+class GeneratorDrive:
+    """A generator of constant open-circuit voltage (V peak-to-peak) behind a source resistance (ohm)."""
+
+    open_circuit_peak_to_peak: float
+    source_resistance: float = 50.0
+
+    def amplitude(self, impedance: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return 0.5 * self.open_circuit_peak_to_peak * impedance / (impedance + self.source_resistance)
+
+    def __str__(self) -> str:
+        return f"{self.open_circuit_peak_to_peak:g} Vpp open circuit behind {self.source_resistance:g} ohm"
+
+
+@dataclass(frozen=True)
+class PowerDrive:
+    """A constant time-averaged electrical input power (W)."""
+
+    power: float
+
+    def amplitude(self, impedance: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        conductance = (1.0 / impedance).real
+        return np.sqrt(2.0 * self.power / conductance).astype(complex)
+
+    def __str__(self) -> str:
+        return f"{self.power:g} W of electrical input power"
+
+
+_GENERATOR = re.compile(r"\s*(?P<voltage>[^@]*?)\s*@\s*(?P<resistance>[^@]*?)\s*$")
+
+
+def parse_drive(text: str, *, source: str = "command line", field: str = "--drive") -> Drive:
+    """A drive from ``"10 Vpp"`` (at the electrodes), ``"10 Vpp @ 50 ohm"`` (generator) or ``"0.1 W"`` (power).
+
+    Raises:
+        InputError: none of these, or a value that is not positive.
+    """
+    def positive(part: str, dimension: str) -> float:
+        value = parse_quantity(part, dimension, source=source, field=field)
+        if value <= 0.0:
+            raise InputError(source, field, text, "a drive above zero")
+        return value
+
+    generator = _GENERATOR.match(text)
+    if generator is not None:
+        return GeneratorDrive(
+            positive(generator["voltage"], "peak-to-peak voltage"), positive(generator["resistance"], "resistance")
+        )
+    if text.rstrip().endswith("W"):
+        return PowerDrive(positive(text, "power"))
+    if text.rstrip().endswith("Vpp"):
+        return VoltageDrive(positive(text, "peak-to-peak voltage"))
+    raise InputError(source, field, text, '"10 Vpp", "10 Vpp @ 50 ohm" or "0.1 W"')

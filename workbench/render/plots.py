@@ -1,0 +1,200 @@
+"""Curves: impedance spectra and their residuals, potential along lines, loss budget, mesh convergence. PNG or SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.nodal import FloatArray, sample
+from workbench.particles import Trap, TrapReport
+from workbench.render.canvas import new_figure, prefixed, role_colour, save, typeset
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Distinct in hue and in grey, and to colour-blind eyes (Okabe & Ito 2008).
+LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+
+
+class SpectrumLike(Protocol):
+    """What is drawn of a spectrum: frequency (n,) Hz and impedance (n,) complex ohm, time factor e^{+j w t}."""
+
+    @property
+    def frequency(self) -> NDArray[np.float64]: ...
+    @property
+    def impedance(self) -> NDArray[np.complex128]: ...
+
+
+def draw_spectra(
+    spectra: Mapping[str, SpectrumLike], path: Path, *, measured: Sequence[str] = (), title: str = ""
+) -> Path:
+    """Magnitude (logarithmic) over phase of labelled spectra, those `measured` as dots and the others as lines.
+
+    As in Fig. 7 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
+
+    Raises:
+        ValueError: no spectra, or a measured label that is none of them.
+    """
+    if not spectra:
+        raise ValueError("no spectra to draw")
+    for label in measured:
+        if label not in spectra:
+            raise ValueError(f"measured spectrum {label!r} is not one of {', '.join(spectra)}")
+    figure = new_figure(8.0, 6.5)
+    magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    for index, (label, spectrum) in enumerate(spectra.items()):
+        colour = LINE_COLOURS[index % len(LINE_COLOURS)]
+        megahertz, impedance = np.asarray(spectrum.frequency) / 1e6, np.asarray(spectrum.impedance)
+        # Dots drawn first: the model's line stays visible on a dense measurement.
+        style = ({"linestyle": "", "marker": "o", "markersize": 3.0, "alpha": 0.55, "markeredgewidth": 0.0, "zorder": 1}
+                 if label in measured else {"linestyle": "-", "linewidth": 1.5, "zorder": 2})
+        magnitude.plot(megahertz, np.abs(impedance), color=colour, label=label, **style)
+        phase.plot(megahertz, np.degrees(np.angle(impedance)), color=colour, **style)
+    magnitude.set_yscale("log")
+    magnitude.set_ylabel("|Z| (Ω)")
+    magnitude.set_title(title)
+    magnitude.legend(frameon=False)
+    phase.set_ylabel("phase of Z (°)")
+    phase.set_ylim(-100.0, 100.0)
+    phase.set_yticks([-90, -45, 0, 45, 90])
+    phase.set_xlabel("frequency (MHz)")
+    for axes in (magnitude, phase):
+        _tidy(axes, both=True)
+    figure.align_ylabels()
+    figure.tight_layout()
+    return save(figure, path)
+
+
+def draw_residuals(
+    frequency: NDArray[np.float64], residuals: Mapping[str, NDArray[np.float64]], path: Path, *, label: str,
+    title: str = "", band: float | None = None,
+) -> Path:
+    """Labelled residuals (n,) over `frequency` (n,) in Hz; `label` names the quantity with its unit, and a shaded
+    `band` of plus and minus that much shows what noise alone would do. Writes `path`."""
+    figure = new_figure(8.0, 3.6)
+    axes = figure.subplots()
+    if band is not None:
+        axes.axhspan(-band, band, color="#dddddd", label=f"±{band:.3g}")
+    for index, (name, values) in enumerate(residuals.items()):
+        axes.plot(np.asarray(frequency) / 1e6, values, color=LINE_COLOURS[index % len(LINE_COLOURS)], linewidth=1.2,
+                  label=name)
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.set_xlabel("frequency (MHz)")
+    axes.set_ylabel(label)
+    axes.set_title(title)
+    axes.legend(frameon=False)
+    _tidy(axes)
+    figure.tight_layout()
+    return save(figure, path)
+
+
+def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None = None) -> Path:
+    """Gor'kov potential along the axis and, at the height of `trap` (the deepest unless given), along the radius.
+
+    As in Fig. 9b of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
+
+    Raises:
+        ValueError: there is no trap.
+    """
+    if trap is None:
+        if not report.traps:
+            raise ValueError("no trap in this field: name the trap whose profiles to draw")
+        trap = report.traps[0]
+    forces = report.forces
+    nodes = forces.mesh.points[forces.mesh.nodes_of([forces.region])]
+    height = np.linspace(nodes[:, 1].min(), nodes[:, 1].max(), 400)
+    radius = np.linspace(0.0, nodes[:, 0].max(), 400)
+
+    def along(points: list[FloatArray]) -> FloatArray:
+        values: FloatArray = sample(forces.mesh, forces.potential, np.stack(points, axis=1), [forces.region])
+        return values
+
+    axial = along([np.full_like(height, trap.radius), height])
+    radial = along([radius, np.full_like(radius, trap.height)])
+    factor, unit = prefixed(float(np.nanmax(np.abs(np.concatenate([axial, radial])))), "J")
+    figure = new_figure(9.5, 4.4)
+    left, right = figure.subplots(1, 2)
+    left.plot(height * 1e3, axial * factor, color=LINE_COLOURS[0])
+    left.set_xlabel("z (mm)")
+    left.set_title(f"along r = {trap.radius * 1e3:.3g} mm", fontsize=10)
+    # The other half is the mirror image.
+    right.plot(np.concatenate([-radius[::-1], radius]) * 1e3, np.concatenate([radial[::-1], radial]) * factor,
+               color=LINE_COLOURS[1])
+    right.set_xlabel("r (mm)")
+    right.set_title(f"along z = {trap.height * 1e3:.3f} mm", fontsize=10)
+    left.axvline(trap.height * 1e3, color="#888888", linewidth=0.8, linestyle=":")
+    right.axvline(trap.radius * 1e3, color="#888888", linewidth=0.8, linestyle=":")
+    for axes in (left, right):
+        axes.set_ylabel(f"Gor'kov potential $U$ ({unit})")
+        _tidy(axes)
+    particle = f"{2e6 * forces.particle.radius:.3g} µm {forces.particle.name}"
+    figure.suptitle(f"{particle}\n{typeset(forces.excitation)}", fontsize=9)
+    figure.tight_layout()
+    return save(figure, path)
+
+
+def draw_loss_budget(losses: Mapping[str, float], path: Path, *, title: str) -> Path:
+    """Dissipated power (W) by region, largest on top, each with its share of the whole. Writes `path`.
+
+    Raises:
+        ValueError: nothing is dissipated.
+    """
+    total = sum(losses.values())
+    if not total > 0.0:
+        raise ValueError(f"the losses add up to {total} W; expected a positive power")
+    ranked = sorted(losses.items(), key=lambda item: item[1])
+    factor, unit = prefixed(max(losses.values()), "W")
+    figure = new_figure(7.5, 1.4 + 0.42 * len(ranked))
+    axes = figure.subplots()
+    bars = axes.barh([name for name, _ in ranked], [power * factor for _, power in ranked],
+                     color=[role_colour(name) for name, _ in ranked], edgecolor="#404040", linewidth=0.6)
+    axes.bar_label(bars, [f"{100.0 * power / total:.2g} %" for _, power in ranked], padding=4)
+    axes.margins(x=0.12)
+    axes.set_xlabel(f"dissipated power ({unit}), total {total * factor:.4g} {unit}")
+    axes.set_title(title)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    return save(figure, path)
+
+
+def draw_convergence(
+    size: NDArray[np.float64], errors: Mapping[str, NDArray[np.float64]], path: Path, *, title: str,
+    order: float | None = None,
+) -> Path:
+    """Labelled relative errors (n,) over cell `size` (n,) in m, both logarithmic, with a dashed line of slope `order`
+    through the finest point of the first. Writes `path`.
+
+    Raises:
+        ValueError: no errors.
+    """
+    if not errors:
+        raise ValueError("no errors to draw")
+    figure = new_figure(6.5, 4.8)
+    axes = figure.subplots()
+    size = np.asarray(size, dtype=float)
+    for index, (name, values) in enumerate(errors.items()):
+        axes.loglog(size * 1e6, values, marker="o", color=LINE_COLOURS[index % len(LINE_COLOURS)], label=name)
+    if order is not None:
+        finest = int(np.argmin(size))
+        anchor = float(np.asarray(next(iter(errors.values())))[finest])
+        axes.loglog(size * 1e6, anchor * (size / size[finest]) ** order, linestyle="--", color="#888888",
+                    label=f"order {order:g}")
+    axes.set_xticks(size * 1e6, [f"{value * 1e6:.3g}" for value in size])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("cell size (µm)")
+    axes.set_ylabel("relative error")
+    axes.set_title(title)
+    axes.legend(frameon=False)
+    _tidy(axes, both=True)
+    figure.tight_layout()
+    return save(figure, path)
+
+
+def _tidy(axes: Axes, *, both: bool = False) -> None:
+    axes.grid(visible=True, which="both" if both else "major", color="#e4e4e4", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
