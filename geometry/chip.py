@@ -4,7 +4,7 @@
 :class:`inputs.InputError` that names the file, the field, the value and the remedy. Materials are only names here.
 
 Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one
-axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed by a layer below and a layer above.
+axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed below and above.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 from geometry.names import (
@@ -113,6 +112,16 @@ class Ports:
 
 
 @dataclass(frozen=True)
+class ReportedFigures:
+    """Figures of merit somebody reported for a state: f0 in Hz, smallest impedance in ohm, quality factor."""
+
+    label: str
+    f0: float
+    z_min: float
+    q: float
+
+
+@dataclass(frozen=True)
 class State:
     """What a chip holds while it is measured.
 
@@ -124,9 +133,10 @@ class State:
     name: str
     cavity: str | None = None
     temperature: float | None = None
-    materials: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    materials: Mapping[str, str] = field(default_factory=dict)
     particle: str | None = None
     particle_radius: float | None = None
+    reported: tuple[ReportedFigures, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -679,16 +689,34 @@ def _read_states(states: _Table) -> tuple[State, ...]:
     read = []
     for name in states.content:
         table = states.table(name)
-        table.only("cavity", "temperature", "materials", "particle", "particle_radius")
+        table.only("cavity", "temperature", "materials", "particle", "particle_radius", "reported")
         materials = table.table("materials")
         read.append(
             State(
                 name=name,
                 cavity=table.optional_text("cavity"),
                 temperature=table.optional_quantity("temperature", "temperature"),
-                materials=MappingProxyType({region: materials.text(region) for region in materials.content}),
+                materials={region: materials.text(region) for region in materials.content},
                 particle=table.optional_text("particle"),
                 particle_radius=table.optional_quantity("particle_radius", "length"),
+                reported=_read_reported(table),
             )
         )
+    return tuple(read)
+
+
+def _read_reported(state: _Table) -> tuple[ReportedFigures, ...]:
+    entries = state.content.get("reported", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError(state.file, state.at("reported"), entries, "a list of tables with label, f0, z_min and q")
+    read = []
+    for index, entry in enumerate(entries):
+        table = _Table(entry, f"{state.at('reported')}[{index}]", state.file)
+        table.only("label", "f0", "z_min", "q")
+        figures = ReportedFigures(table.text("label"), table.quantity("f0", "frequency"),
+                                  table.quantity("z_min", "resistance"), table.quantity("q", "dimensionless"))
+        for key in ("f0", "z_min", "q"):
+            if not getattr(figures, key) > 0.0:
+                raise InputError(table.file, table.at(key), entry[key], "a value above zero")
+        read.append(figures)
     return tuple(read)

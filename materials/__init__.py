@@ -35,9 +35,10 @@ How to add a material
    rounding loads with a :class:`PassivityWarning`. The tests pick up every file by themselves.
 """
 
+from materials.describe import describe
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.passivity import PassivityWarning
 from materials.registry import Registry
 from materials.value import Value
 
-__all__ = ["Fluid", "IsotropicSolid", "Material", "PassivityWarning", "Piezoelectric", "Registry", "Value"]
+__all__ = ["Fluid", "IsotropicSolid", "Material", "PassivityWarning", "Piezoelectric", "Registry", "Value", "describe"]

@@ -155,6 +155,21 @@ class Fluid:
             return None
         return self.thermal_conductivity / (self.density * self.heat_capacity)
 
+    @property
+    def diffusivity_of_sound(self) -> float | None:
+        """[4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None where a viscosity is unknown.
+
+        The classical absorption of sound is omega^2 / (2 c^3) times this (Pierce, Acoustics, 1989, section 10-2).
+        Heat conduction counts where its three numbers are known; in water it is a thousandth of the whole.
+        """
+        if self.shear_viscosity is None or self.bulk_viscosity is None:
+            return None
+        viscous = 4.0 / 3.0 * self.shear_viscosity + self.bulk_viscosity
+        if self.heat_capacity_ratio is None or self.thermal_conductivity is None or self.heat_capacity is None:
+            return viscous / self.density
+        thermal = (self.heat_capacity_ratio - 1.0) * self.thermal_conductivity / self.heat_capacity
+        return (viscous + thermal) / self.density
+
     def parameters(self) -> dict[str, complex]:
         """Every known number by its field name; density and sound speed are always there."""
         found = {name: getattr(self, name) for name in self.PARAMETERS}

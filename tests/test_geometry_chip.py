@@ -1,6 +1,7 @@
 """Chip files: what is read, what can be changed by name, and what is refused with which words."""
 
 import math
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -345,6 +346,11 @@ def test_the_lowest_hole_speaks_for_the_cavity(tmp_path: Path) -> None:
     stated = '{ value = "4 mm", tolerance = "50 um", note = "lowest" }'
     chip = read(TEXT.replace('cavity_radius = "4 mm"', f"cavity_radius = {stated}", 1), tmp_path)
     assert chip.dimensions()["cavity.radius"].note == "lowest"
+
+
+def test_a_chip_reaches_another_process_whole(tmp_path: Path) -> None:
+    chip = read(TEXT, tmp_path)
+    assert pickle.loads(pickle.dumps(chip)) == chip
 
 
 def test_a_chip_made_in_code_is_checked_like_a_file(tmp_path: Path) -> None:

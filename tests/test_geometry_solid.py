@@ -74,7 +74,7 @@ def test_ports_remove_the_volume_of_their_channels(count: int) -> None:
     removed = volume(solids(PLAIN)["substrate"]) - volume(solids(chip)["substrate"])
     # Edges are splines within 1e-7 mm of the true curve: measured 1e-8 of the channel.
     assert removed == pytest.approx(ports_volume(chip), rel=1e-7)
-    # A straight plug from wall to wall is 9 mm long on the axis, and by (radius / wall radius)^2 more or less beside it.
+    # A straight plug from wall to wall is 9 mm long on the axis, and about (radius / wall radius)^2 more beside it.
     assert ports_volume(chip) == pytest.approx(count * math.pi * 0.2e-3**2 * 9e-3, rel=1e-3)
 
 

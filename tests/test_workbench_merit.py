@@ -207,6 +207,20 @@ def test_standard_errors_are_those_of_repeated_noise(method, known):
         assert chi == [None] * 100
 
 
+def test_stated_and_estimated_uncertainty_agree():
+    """Told the noise or left to judge it, the same fit: the errors differ by the root of the reduced chi-square alone
+    (to the noise's own size, since one is of ln Z and the other of Z). Twice the uncertainty is twice the error."""
+    generator = np.random.default_rng(4)
+    clean = bvd_impedance(SWEEP, **sharp(150))
+    deviation = 2e-3 * np.abs(clean)
+    noisy = clean + deviation * (generator.normal(size=clean.size) + 1j * generator.normal(size=clean.size))
+    told, judged, doubled = (fit_resonance(Spectrum(SWEEP, noisy, uncertainty), "bvd")
+                             for uncertainty in (deviation, None, 2.0 * deviation))
+    expected = told.q.standard_error * math.sqrt(told.reduced_chi_square)
+    assert judged.q.standard_error == pytest.approx(expected, rel=0.01)
+    assert doubled.q.standard_error == pytest.approx(2.0 * told.q.standard_error, rel=1e-6)
+
+
 @pytest.mark.parametrize(("options", "message"), [
     ({"method": "circle"}, "'circle' is not one of bvd, pole"),
     ({"method": "pole", "series_resistance": True}, "belongs to the method bvd"),

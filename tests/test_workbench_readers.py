@@ -256,6 +256,15 @@ def test_missing_file_and_misspelt_arguments():
         read(DATA / "shunt_gain.csv", columns=ColumnMap(1, 2, 9, SHUNT))
 
 
+def test_headings_that_occur_twice_must_be_counted(tmp_path):
+    path = tmp_path / "twice.csv"
+    path.write_text("f,V,V\n1e6,1,2\n2e6,3,4\n")
+    ohm = Quantity("impedance", "rectangular", "ohm")
+    with pytest.raises(InputError, match="line 1: received 'V'; expected a heading that occurs once"):
+        read(path, columns=ColumnMap("f", "V", 3, ohm))
+    assert read(path, columns=ColumnMap("f", 2, 3, ohm)).spectrum.impedance[1] == 3 + 4j
+
+
 def test_spreadsheet_copies_of_an_analyser_file(tmp_path):
     """Commas kept and cells padded: read. Semicolons and decimal commas: refused, with the reason."""
     content = (DATA / "e4990a_r_x.csv").read_text()

@@ -94,6 +94,17 @@ def test_interpolant_passes_through_the_points_and_follows_reversed_polarity():
     np.testing.assert_allclose(spectrum.on(between).impedance, -circuit(between, 100), rtol=1e-7)
 
 
+def test_interpolant_of_a_reversed_matched_load():
+    """-Z of R = 50 ohm, 5 uH, 5 nF passes by minus its own geometric mean, where the plain reflection has a pole."""
+    def load(frequency):
+        omega = 2.0 * np.pi * frequency
+        return -(50.0 + 1j * (omega * 5e-6 - 1.0 / (omega * 5e-9)))
+
+    coarse, between = np.linspace(0.9e6, 1.1e6, 21), np.linspace(0.9e6, 1.1e6, 1001)
+    # 21 points over 0.5 in X / R: a cubic spline of something smooth is good to 1e-6.
+    np.testing.assert_allclose(Spectrum(coarse, load(coarse)).on(between).impedance, load(between), rtol=1e-5)
+
+
 @pytest.mark.parametrize("outside", [0.999e6, 1.2000001e6])
 def test_never_extrapolates(outside):
     with pytest.raises(ValueError, match="never extrapolated"):

@@ -178,7 +178,7 @@ def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antireson
 def thickness_coupling(resonance: float, antiresonance: float) -> float:
     """kt of a plate's thickness mode from its resonance and antiresonance (hertz).
 
-    kt^2 = (pi / 2) (fr / fa) tan((pi / 2) (fa - fr) / fa), IEEE Std 176-1987, section 6.4. Written for the lossless
+    kt^2 = (pi / 2) (fr / fa) tan((pi / 2) (fa - fr) / fa), IEEE Std 176-1987. Written for the lossless
     series and parallel frequencies; the extrema of |Z| stand for them to order 1 / (k Q)^2.
     """
     ratio = _ratio(resonance, antiresonance)

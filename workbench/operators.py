@@ -56,8 +56,8 @@ class Place:
     """A region or boundary with its basis functions tabulated at the quadrature points.
 
     ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``shapes`` maps what
-    is taken of a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is set
-    on boundaries. ``elements`` (ne,) are the mesh cells.
+    is taken of a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is
+    set on boundaries. ``elements`` (ne,) are the mesh cells.
     """
 
     dofs: NDArray[np.int64]

@@ -385,8 +385,8 @@ def particle_forces(
 ) -> ParticleForces:
     """Potential and radiation force on `particle` at every node of the fluid `region`.
 
-    `drive` states in words how the device was driven (for example "50 ohm generator, 10 Vpp open circuit").
-    `scattering` is :func:`viscous_scattering` at the field's frequency unless given.
+    `drive` says in words how the device is driven (``fields.drive``). `scattering` is :func:`viscous_scattering` at the
+    field's frequency unless given.
 
     Raises:
         ValueError: unknown region, or a region without pressure.

@@ -14,12 +14,11 @@ from geometry.section import cut_section
 from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
-from workbench.physics import electrodes, fluid, piezoelectric, solid
+from workbench.physics import absorption, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
 
-
-#: The transducer is meshed this much finer than the rest. Its radial overtones are sharp and all of its losses small, so
-#: a free disc at 10 quadratic elements per shear wavelength is off by 0.9 to 1.7 % rms in Z, at 15 by 0.1 to 0.3 %.
+#: The transducer is meshed this much finer than the rest. Its radial overtones are sharp and its losses small, so a
+#: free disc at 10 quadratic elements per shear wavelength is off by 0.9 to 1.7 % rms in Z, at 15 by 0.1 to 0.3 %.
 TRANSDUCER_FINER = 1.5
 
 
@@ -28,7 +27,8 @@ class Problem:
     """All that is needed to predict a spectrum: mesh, terms, and the value of every parameter by name.
 
     ``materials`` holds what fills each region (a vacuum is absent); ``values`` the complex parameters
-    ``<material>.<property>`` in SI units, e^{-i w t}; ``band`` the two ends (Hz) of the frequencies the mesh was made for.
+    ``<material>.<property>`` in SI units, e^{-i w t}; ``band`` the two ends (Hz) of the frequencies the mesh was made
+    for.
     """
 
     mesh: SectionMesh
@@ -83,6 +83,8 @@ def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Mate
 def model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Term, ...]:
     """The terms of the base model: solids, fluids, their contacts, pressure-release rims, electrodes.
 
+    A fluid whose viscosities are known absorbs sound in its bulk accordingly; one without is lossless.
+
     Regions absent from `materials` hold nothing; the walls around them are traction-free.
     """
     terms: list[Term] = []
@@ -94,6 +96,8 @@ def model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Term, .
                 terms.append(solid.IsotropicSolid(region, material.name))
             case Fluid():
                 terms.append(fluid.Fluid(region, material.name))
+                if material.diffusivity_of_sound is not None:
+                    terms.append(absorption.BulkAbsorption(region, material.name))
     for boundary in mesh.section.boundary_names():
         sides = boundary.split("|")
         if len(sides) == 2:
@@ -142,4 +146,7 @@ def problem(
 ) -> Problem:
     """The base model on a given mesh."""
     values = {f"{m.name}.{key}": value for m in materials.values() for key, value in m.parameters().items()}
+    for material in materials.values():
+        if isinstance(material, Fluid) and material.diffusivity_of_sound is not None:
+            values[f"{material.name}.diffusivity_of_sound"] = complex(material.diffusivity_of_sound)
     return Problem(mesh, model(mesh, materials), values, band, dict(materials), name)

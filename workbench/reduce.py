@@ -6,9 +6,9 @@ is second order in the residual,
 
     Q - Q_r = -e^T A e = -r^T A^{-1} r ,
 
-so that the squared norm of the residual, times a constant found where a full solve is at hand, estimates it. The norm is
-taken of a few random projections of the residual, which cost next to nothing for any parameter values (Balabanov and
-Nouy 2019, Adv. Comput. Math. 45, 2969: randomised linear algebra for model order reduction, part I).
+so that the squared norm of the residual, times a constant found where a full solve is at hand, estimates it. The norm
+is taken of a few random projections of the residual, which cost next to nothing for any parameter values (Balabanov
+and Nouy 2019, Adv. Comput. Math. 45, 2969: randomised linear algebra for model order reduction, part I).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class ReducedModel:
 
     ``basis`` (size, r), last column with unit electrode voltage and the others with none; ``sketch`` (integrals,
     PROJECTIONS, r) random projections of A_q basis; ``effectivity`` charge error per squared projected residual;
-    ``solves`` full solves spent.
+    ``solves`` full solves spent, ``residual`` the largest scaled residual among them.
     """
 
     full: FullOperators
@@ -66,6 +66,7 @@ class ReducedModel:
     effectivity: float
     tolerance: float
     solves: int
+    residual: float
 
     def solve(self, frequencies: Real, values: Values) -> Solution:
         """Reduced states at every frequency; see :meth:`error` for how far to trust them."""
@@ -101,34 +102,43 @@ def reduce(
     """
     frequencies = np.asarray(frequencies, dtype=float)
     system = System(operators, values)
+
+    def report(solves: int) -> None:
+        # How many solves it takes is not known beforehand; most models are done after six or seven.
+        if progress is not None:
+            progress(1.0 - 0.7**solves)
+
     with one_thread():
         if start is None:
             low, high = float(frequencies.min()), float(frequencies.max())
             nodes = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * (np.arange(first) + 0.5) / first)
             weights = np.sqrt(np.abs(system.matrix(float(nodes[first // 2])).diagonal()))
-            basis = _extended(None, system.krylov(float(nodes[0]), DEPTH)[0], weights)
-            for f in nodes[1:]:
-                basis = _extended(basis, system.krylov(float(f), DEPTH)[0], weights)
-            model = _project(operators, basis, weights, tolerance, first)
+            states, largest = system.krylov(float(nodes[0]), DEPTH)
+            basis = _extended(None, states, weights)
+            for k, f in enumerate(nodes[1:], start=1):
+                report(k)
+                states, residual = system.krylov(float(f), DEPTH)
+                basis, largest = _extended(basis, states, weights), max(largest, residual)
+            model = _project(operators, basis, weights, tolerance, first, largest)
         else:
             model = replace(start, tolerance=tolerance)
         while True:
             solution = model.solve(frequencies, values)
-            residual = _squared_residual(model.sketch, solution) / np.abs(solution.charge)
-            worst = int(np.argmax(residual))
-            states, _ = system.krylov(float(frequencies[worst]), DEPTH)
+            spread = _squared_residual(model.sketch, solution) / np.abs(solution.charge)
+            worst = int(np.argmax(spread))
+            report(model.solves)
+            states, residual = system.krylov(float(frequencies[worst]), DEPTH)
             exact = _charge(operators, states[:, 0], float(frequencies[worst]), values)
             error = abs(solution.charge[worst] / exact - 1.0)
-            effectivity = max(model.effectivity, SAFETY * error / residual[worst]) if error > 1e-12 else model.effectivity
-            solves = model.solves + 1
-            if error <= tolerance and effectivity * residual[worst] <= SAFETY * tolerance:
-                return replace(model, effectivity=effectivity, solves=solves)
+            effectivity = max(model.effectivity, SAFETY * error / spread[worst]) if error > 1e-12 else model.effectivity
+            solves, largest = model.solves + 1, max(model.residual, residual)
+            if error <= tolerance and effectivity * spread[worst] <= SAFETY * tolerance:
+                return replace(model, effectivity=effectivity, solves=solves, residual=largest)
             if solves >= limit:
                 raise NotEnriched(error, tolerance, solves)
             basis = _extended(model.basis, states, model.weights)
-            model = replace(_project(operators, basis, model.weights, tolerance, solves), effectivity=effectivity)
-            if progress is not None:
-                progress(min(0.95, solves / 20.0))
+            model = _project(operators, basis, model.weights, tolerance, solves, largest)
+            model = replace(model, effectivity=effectivity)
 
 
 def _charge(operators: FullOperators, state: Complex, frequency: float, values: Values) -> complex:
@@ -162,8 +172,11 @@ def _extended(basis: Real | None, states: Complex, weights: Real) -> Real:
     return np.column_stack([np.column_stack([columns, added]) / weights[:, None], lift])
 
 
-def _project(operators: FullOperators, basis: Real, weights: Real, tolerance: float, solves: int) -> ReducedModel:
+def _project(
+    operators: FullOperators, basis: Real, weights: Real, tolerance: float, solves: int, residual: float
+) -> ReducedModel:
     test = np.random.default_rng(0).standard_normal((basis.shape[0], PROJECTIONS)) / weights[:, None]
     test[-1] = 0.0  # the row of the electrode is not an equation
     sketch = operators.project(basis, test)
-    return ReducedModel(operators, operators.reduced(basis), basis, sketch, weights, 0.0, tolerance, solves)
+    return ReducedModel(operators, operators.reduced(basis), basis, sketch, weights, 0.0, tolerance,
+                        solves, residual)

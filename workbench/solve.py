@@ -225,21 +225,22 @@ def factorise(matrix: sparse.csc_matrix, frequency: float) -> Factor:
     return Factor(frequency, scaled, scale, factor.solve)
 
 
-def solve_full(
-    operators: FullOperators, frequencies: Real, values: Values, *, progress: Callable[[float], None] | None = None
-) -> Solution:
-    """The full model at every frequency, one factorisation each. `progress` is called with the fraction done."""
-    frequencies = np.asarray(frequencies, dtype=float)
+def sweep(operators: FullOperators, frequencies: Real, values: Values) -> Iterator[Solution]:
+    """The full model at one frequency after the other, each as soon as it is solved, so that a stop loses nothing."""
     system = System(operators, values)
-    states = np.zeros((operators.size, frequencies.size), dtype=complex)
-    residual = np.zeros(frequencies.size)
-    with one_thread():
-        for k, frequency in enumerate(frequencies):
-            states[:, k], residual[k] = system.solve(float(frequency))
-            if progress is not None:
-                progress((k + 1) / frequencies.size)
-    omega = 2.0 * np.pi * frequencies
-    return Solution(operators, frequencies, coefficients(operators.integrals, omega, values), states, residual)
+    for frequency in np.asarray(frequencies, dtype=float):
+        with one_thread():
+            state, residual = system.solve(float(frequency))
+        g = coefficients(operators.integrals, np.array([2.0 * np.pi * frequency]), values)
+        yield Solution(operators, np.array([frequency]), g, state[:, None], np.array([residual]))
+
+
+def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> Solution:
+    """The full model at every frequency with all states kept: for a few frequencies. Long spectra: :func:`sweep`."""
+    parts = list(sweep(operators, frequencies, values))
+    return Solution(operators, np.concatenate([p.frequency for p in parts]),
+                    np.concatenate([p.coefficients for p in parts]),
+                    np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.residual for p in parts]))
 
 
 def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values) -> Solution:

@@ -139,7 +139,7 @@ def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
 
 
 def phase_title(fields: Fields, drive: str, phase: float) -> str:
-    """Two lines: the drive, and when in the cycle a field of that `phase` (degrees, e^{-i w t}) is shown."""
+    """Two lines: the `drive` in words, and when in the cycle a field of that `phase` (degrees, e^{-i w t}) is shown."""
     # With e^{-i w t} a larger phase comes later.
     later = (phase - np.degrees(np.angle(fields.voltage))) % 360.0
     return (f"{drive}: {fields.frequency / 1e6:.4f} MHz, {2.0 * abs(fields.voltage):.3g} Vpp at the transducer\n"

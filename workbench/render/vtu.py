@@ -21,8 +21,9 @@ def write_vtu(fields: Fields, path: Path, *, extra: Mapping[str, NDArray[Any]] |
     """Write every array of `fields` and the `extra` nodal arrays (N, ...) to `path`, all at once; returns `path`.
 
     r is VTK's x and z its y, in metres; vectors get a third component of zero. Complex `name` becomes `name_real` and
-    `name_imag` (time factor e^{-i w t}); what a region does not carry is NaN there. Cell array `region` is the index of
-    its name in field array `region_names`; field arrays `frequency` (Hz) and `voltage` (V, complex as two) are kept.
+    `name_imag` (time factor e^{-i w t}); what a region does not carry is NaN there, and a field that no region carries
+    is left out. Cell array `region` is the index of its name in field array `region_names`; field arrays `frequency`
+    (Hz) and `voltage` (V, complex as two) are kept.
 
     Raises:
         ValueError: a suffix other than .vtu, or an extra array of another length or that hides a field.
@@ -44,6 +45,9 @@ def write_vtu(fields: Fields, path: Path, *, extra: Mapping[str, NDArray[Any]] |
     flat = np.column_stack([mesh.points, np.zeros(len(mesh.points))])
     grid = module.UnstructuredGrid({module.CellType.BIQUADRATIC_QUAD: mesh.cells}, flat)
     for name, values in arrays.items():
+        # A field that lives nowhere has no range, which makes readers complain.
+        if np.isnan(values).all():
+            continue
         padded = np.column_stack([values, np.zeros(len(values))]) if values.shape[1:] == (2,) else values
         if np.iscomplexobj(padded):
             grid.point_data[f"{name}_real"], grid.point_data[f"{name}_imag"] = padded.real.copy(), padded.imag.copy()

@@ -1,0 +1,155 @@
+"""Stacks that vibrate along z alone, against transfer matrices: every contact, loss included.
+
+Without c13, e31 and e15, without Poisson's ratio, and with a gel whose rim does not open, u_r = 0 and fields of z alone
+solve the equations of a stack of free discs exactly. The oracle is the plate as a three-port (Mason 1948; Kino 1987,
+"Acoustic Waves", eq. 1.4.15) loaded by lines, written in e^{+j w t}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from workbench.operators import assemble
+from workbench.physics.fluid import PressureRelease
+from workbench.problem import model, problem
+from workbench.solve import Solution, solve_full
+
+RADIUS, EDGE = 0.5e-3, 50e-6
+FREQUENCY = np.linspace(0.3e6, 2.0e6, 18)
+POLYMER = IsotropicSolid(name="polymer", density=1130.0, bulk_modulus=2.0 / 3.0 * (1.6e9 - 60e6j),
+                         shear_modulus=1.6e9 - 60e6j)
+GLASS = IsotropicSolid(name="glass", density=2500.0, bulk_modulus=2.0 / 3.0 * 29e9, shear_modulus=29e9)
+GEL = Fluid(name="gel", density=1020.0, sound_speed=1480.0)
+
+#: (role, thickness in metres, material), above the transducer; ``None`` is the transducer itself.
+STACKS: dict[str, list[tuple[str, float, Material | None]]] = {
+    "gel and sample": [("transducer", 2e-3, None), ("couplant", 0.1e-3, GEL), ("sample", 1e-3, POLYMER)],
+    "bonded sample": [("transducer", 2e-3, None), ("sample", 1e-3, POLYMER)],
+    "impedance tube": [("transducer", 2e-3, None), ("couplant", 1.5e-3, GEL), ("sample", 0.5e-3, GLASS)],
+    "four layers": [("transducer", 2e-3, None), ("couplant", 0.1e-3, GEL), ("substrate", 0.8e-3, POLYMER),
+                    ("couplant", 0.7e-3, GEL), ("superstrate", 1e-3, GLASS)],
+    "backed": [("backing", 0.6e-3, POLYMER), ("transducer", 2e-3, None), ("couplant", 0.2e-3, GEL),
+               ("sample", 1e-3, GLASS)],
+}
+
+
+def line(thickness: float, density: float, modulus: complex, end: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Specific impedance at the near face of a layer that sees `end` at its far face, e^{+j w t}."""
+    speed = np.sqrt(modulus / density)
+    own, phase = density * speed, np.tan(2.0 * np.pi * FREQUENCY * thickness / speed)
+    return own * (end + 1j * own * phase) / (own + 1j * end * phase)
+
+
+def load(layers: list[tuple[str, float, Material | None]]) -> NDArray[np.complex128]:
+    """What a face of the transducer sees of the layers, the nearest first; nothing beyond the last."""
+    seen = np.zeros(FREQUENCY.size, dtype=complex)
+    for _, thickness, material in reversed(layers):
+        match material:
+            case Fluid():
+                modulus = complex(material.density * material.sound_speed**2)
+            case IsotropicSolid():
+                modulus = complex(np.conj(2.0 * material.shear_modulus))
+            case _:
+                raise TypeError(material)
+        seen = line(thickness, material.density, modulus, seen)
+    return seen
+
+
+def three_port(
+    material: Piezoelectric, thickness: float, below: NDArray[np.complex128], above: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """Electrical impedance (e^{+j w t}) of the plate between two specific acoustic impedances."""
+    omega = 2.0 * np.pi * FREQUENCY
+    area = np.pi * RADIUS**2
+    permittivity = np.conj(material.absolute_eps33)
+    h = np.conj(material.e33) / permittivity
+    speed = np.sqrt((np.conj(material.c33) + np.conj(material.e33) ** 2 / permittivity) / material.density)
+    own, kl = material.density * speed * area, omega * thickness / speed
+    cot, csc = own / np.tan(kl), own / np.sin(kl)
+    # F = -Z v at both faces, v into the plate: (-j cot + Z) v1 - j csc v2 = j (h / w) I, likewise for v2.
+    a, b, c = -1j * cot + area * below, -1j * csc, -1j * cot + area * above
+    right = 1j * h / omega
+    determinant = a * c - b * b
+    v = right * (c - b) / determinant + right * (a - b) / determinant
+    return -1j * (h / omega * v + thickness / (omega * permittivity * area))
+
+
+@pytest.fixture(scope="module")
+def solved(
+    stacked: Callable[..., Chip],
+    uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> Callable[[str, float], tuple[Solution, NDArray[np.complex128]]]:
+    """The model's solution of a stack for an element edge, and the oracle's Z in the solver's e^{-i w t}."""
+    pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    assert isinstance(pzt, Piezoelectric)
+    pzt = replace(pzt, c13=0.0, e31=0.0, e15=0.0)
+
+    def solve(name: str, edge: float) -> tuple[Solution, NDArray[np.complex128]]:
+        layers = STACKS[name]
+        chip = stacked([(role, thickness, RADIUS, None) for role, thickness, _ in layers], band=(0.3e6, 2e6))
+        materials = {layer.region: material or pzt for layer, (_, _, material) in zip(chip.layers, layers, strict=True)}
+        mesh = uniform_mesh(chip, edge)
+        # A rim that does not open keeps the gel one-dimensional.
+        terms = tuple(term for term in model(mesh, materials) if not isinstance(term, PressureRelease))
+        assert len(terms) < len(model(mesh, materials)) or name == "bonded sample"
+        solution = solve_full(assemble(mesh, terms), FREQUENCY, problem(mesh, materials, chip.band).values)
+        place = next(i for i, (_, _, material) in enumerate(layers) if material is None)
+        oracle = three_port(pzt, layers[place][1], load(layers[:place][::-1]), load(layers[place + 1:]))
+        return solution, np.conj(oracle)
+
+    return solve
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_a_stack_that_vibrates_along_z_alone_is_the_transfer_matrix(
+    name: str, solved: Callable[[str, float], tuple[Solution, NDArray[np.complex128]]]
+) -> None:
+    solution, oracle = solved(name, EDGE)
+    error = np.abs(solution.impedance / oracle - 1.0)
+    print(f"{name}: relative error of Z {error.max():.1e}")
+    # 14 to 70 elements on a wavelength: (k h)^4 / 1440 up to 3e-5 in a polymer at 2 MHz, times the slope of a resonance.
+    assert error.max() < 2e-4
+
+
+def test_the_stack_converges_with_the_fourth_order(
+    solved: Callable[[str, float], tuple[Solution, NDArray[np.complex128]]],
+) -> None:
+    # All of the layers are whole numbers of the largest edge.
+    errors = []
+    for edge in (0.1e-3, 0.05e-3, 0.025e-3):
+        solution, oracle = solved("four layers", edge)
+        errors.append(np.sqrt(np.mean(np.abs(solution.impedance / oracle - 1.0) ** 2)))
+    order = np.log2(np.array(errors[:-1]) / errors[1:])
+    print(f"four layers: rms errors {errors}, order {np.round(order, 2).tolist()}")
+    assert abs(order[-1] - 4.0) < 0.2
+
+
+def test_the_pressure_gradient_in_the_gel_is_its_inertia(
+    solved: Callable[[str, float], tuple[Solution, NDArray[np.complex128]]],
+) -> None:
+    # e^{-i w t}: grad p = rho w^2 u, at both walls. A contact of the wrong sign leaves Z as it is and fails here.
+    solution, _ = solved("impedance tube", EDGE)
+    operators = solution.operators
+    states = solution.states
+    for wall in ("couplant|transducer", "couplant|sample"):
+        place = operators.places[wall]  # type: ignore[attr-defined]
+        u_z = operators.evaluate(place, ["u_z"], states)["u_z"].mean(axis=(0, 1))  # type: ignore[attr-defined]
+        gel = operators.places["couplant"]  # type: ignore[attr-defined]
+        slope = operators.evaluate(gel, ["grad_p_z"], states)["grad_p_z"]  # type: ignore[attr-defined]
+        touching = np.isin(gel.dofs, place.dofs).sum(axis=0) == 3
+        # Three quadrature points along z; the slope of a parabola is linear in z, so two of them continue it to the wall.
+        cell = slope[touching].reshape(int(touching.sum()), 3, 3, -1).mean(axis=0)
+        low, high = (c.mean(axis=0) for c in _by_height(cell, gel, touching))
+        distance = (1.0 - np.sqrt(0.6)) / (2.0 * np.sqrt(0.6))
+        found = low + distance * (low - high) if wall.endswith("transducer") else high + distance * (high - low)
+        expected = GEL.density * solution.omega**2 * u_z
+        assert np.abs(found / expected - 1.0).max() < 0.02
