@@ -7,7 +7,7 @@ height to the cavity's, which leaves six lengths for six numbers.
     python examples/02_find_paper_chip.py [--samples 64] [--seed 1] [--polish 3]
 
 A quasi-random sample on a coarse mesh, then least squares from the best few, the last steps on a finer one.
-Every evaluated point is appended to ``out/paper_chip_search.csv`` at once, and a second run continues where the first was stopped.
+Every evaluated point is appended to ``out/paper_chip_search.csv`` at once, and a second run continues from there.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ TARGET = {"empty": (1028.6e3, 3.24, 114.29), "filled": (1030.6e3, 4.04, 103.06)}
 SCALE = (500.0, 0.05, 0.05)
 #: Ranges searched (m): sidewall, bond, glass, cavity radius, section radius.
 RANGES = {
-    "sidewall.thickness": (0.50e-3, 0.85e-3),
-    "bond.thickness": (0.02e-3, 0.20e-3),
-    "superstrate.thickness": (0.15e-3, 2.0e-3),
-    "cavity.radius": (2.0e-3, 10.0e-3),
-    "section.radius": (12.6e-3, 17.0e-3),
-    "node.offset": (-0.04e-3, 0.04e-3),
+    "sidewall.thickness": (0.40e-3, 1.00e-3),
+    "bond.thickness": (0.01e-3, 0.30e-3),
+    "superstrate.thickness": (0.10e-3, 3.0e-3),
+    "cavity.radius": (1.5e-3, 12.0e-3),
+    "section.radius": (12.5e-3, 20.0e-3),
+    "node.offset": (-0.08e-3, 0.08e-3),
 }
 #: Height (m) of the node above the gel: 3.25 mm less the transducer and the gel.
 NODE = 3.25e-3 - 2.04e-3

@@ -108,8 +108,8 @@ def _tabulate(basis: Basis | FacetBasis, elements: NDArray[np.int64]) -> Place:
     r = np.asarray(basis.global_coordinates())[0]
     functions = [basis.basis[i][0] for i in range(basis.Nbfun)]
     shape = r.shape
-    value = np.stack([np.broadcast_to(f.value, shape) for f in functions], axis=2)
-    gradient = np.stack([np.broadcast_to(f.grad, (2, *shape)) for f in functions], axis=3)
+    value = np.stack([np.broadcast_to(np.asarray(f), shape) for f in functions], axis=2)
+    gradient = np.stack([np.broadcast_to(np.asarray(f.grad), (2, *shape)) for f in functions], axis=3)
     shapes = {"value": value, "d_r": gradient[0], "d_z": gradient[1], "over_r": value / r[:, :, None]}
     shapes = {kind: np.ascontiguousarray(s) for kind, s in shapes.items()}
     return Place(np.asarray(basis.element_dofs), 2.0 * np.pi * r * np.asarray(basis.dx), shapes, elements)

@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
-from workbench.operators import assemble
+from workbench.operators import FullOperators, assemble
 from workbench.physics.fluid import PressureRelease
 from workbench.problem import model, problem
 from workbench.solve import Solution, solve_full
 
-RADIUS, EDGE = 0.5e-3, 50e-6
+RADIUS, EDGE = 0.1e-3, 50e-6
 FREQUENCY = np.linspace(0.3e6, 2.0e6, 18)
 POLYMER = IsotropicSolid(name="polymer", density=1130.0, bulk_modulus=2.0 / 3.0 * (1.6e9 - 60e6j),
                          shear_modulus=1.6e9 - 60e6j)
-GLASS = IsotropicSolid(name="glass", density=2500.0, bulk_modulus=2.0 / 3.0 * 29e9, shear_modulus=29e9)
+GLASS = IsotropicSolid(name="glass", density=2500.0, bulk_modulus=2.0 / 3.0 * (29e9 - 0.3e9j),
+                       shear_modulus=29e9 - 0.3e9j)
 GEL = Fluid(name="gel", density=1020.0, sound_speed=1480.0)
 
 #: (role, thickness in metres, material), above the transducer; ``None`` is the transducer itself.
@@ -116,7 +117,7 @@ def test_a_stack_that_vibrates_along_z_alone_is_the_transfer_matrix(
     solution, oracle = solved(name, EDGE)
     error = np.abs(solution.impedance / oracle - 1.0)
     print(f"{name}: relative error of Z {error.max():.1e}")
-    # 14 to 70 elements on a wavelength: (k h)^4 / 1440 up to 3e-5 in a polymer at 2 MHz, times the slope of a resonance.
+    # 14 or more elements on a wavelength, (k h)^4 / 1440 = 3e-5 at 2 MHz, times the slope on a resonance's flank.
     assert error.max() < 2e-4
 
 
@@ -136,20 +137,16 @@ def test_the_stack_converges_with_the_fourth_order(
 def test_the_pressure_gradient_in_the_gel_is_its_inertia(
     solved: Callable[[str, float], tuple[Solution, NDArray[np.complex128]]],
 ) -> None:
-    # e^{-i w t}: grad p = rho w^2 u, at both walls. A contact of the wrong sign leaves Z as it is and fails here.
-    solution, _ = solved("impedance tube", EDGE)
+    # e^{-i w t}: grad p = rho w^2 u. A contact of the wrong sign leaves Z as it is and fails here.
+    solution, _ = solved("gel and sample", EDGE)
     operators = solution.operators
-    states = solution.states
+    assert isinstance(operators, FullOperators)
+    pressure, displacement = [], []
     for wall in ("couplant|transducer", "couplant|sample"):
-        place = operators.places[wall]  # type: ignore[attr-defined]
-        u_z = operators.evaluate(place, ["u_z"], states)["u_z"].mean(axis=(0, 1))  # type: ignore[attr-defined]
-        gel = operators.places["couplant"]  # type: ignore[attr-defined]
-        slope = operators.evaluate(gel, ["grad_p_z"], states)["grad_p_z"]  # type: ignore[attr-defined]
-        touching = np.isin(gel.dofs, place.dofs).sum(axis=0) == 3
-        # Three quadrature points along z; the slope of a parabola is linear in z, so two of them continue it to the wall.
-        cell = slope[touching].reshape(int(touching.sum()), 3, 3, -1).mean(axis=0)
-        low, high = (c.mean(axis=0) for c in _by_height(cell, gel, touching))
-        distance = (1.0 - np.sqrt(0.6)) / (2.0 * np.sqrt(0.6))
-        found = low + distance * (low - high) if wall.endswith("transducer") else high + distance * (high - low)
-        expected = GEL.density * solution.omega**2 * u_z
-        assert np.abs(found / expected - 1.0).max() < 0.02
+        values = operators.evaluate(operators.places[wall], ["p", "u_z"], solution.states)
+        pressure.append(values["p"].mean(axis=(0, 1)))
+        displacement.append(values["u_z"].mean(axis=(0, 1)))
+    found = (pressure[1] - pressure[0]) / 0.1e-3
+    expected = GEL.density * solution.omega**2 * (displacement[0] + displacement[1]) / 2.0
+    # The trapezoidal rule over the gel is off by (k h)^2 / 12, 5e-3 at 0.4 MHz.
+    assert np.abs(found / expected - 1.0)[:2].max() < 1e-2
