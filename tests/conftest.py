@@ -132,8 +132,12 @@ def _pencil(operators: FullOperators, values: Mapping[str, complex]) -> dict[int
     import numpy as np
     from scipy import sparse
 
-    powers = [integral.coefficient.omega_power for integral in operators.integrals]
-    constants = [integral.coefficient.constant(values) for integral in operators.integrals]
+    from workbench.physics.term import Monomial
+
+    monomials = [integral.coefficient for integral in operators.integrals]
+    powers = [c.omega_power for c in monomials if isinstance(c, Monomial)]
+    constants = [c.constant(values) for c in monomials if isinstance(c, Monomial)]
+    assert len(powers) == len(monomials), "a coefficient that is no power of w"
     pattern = operators.pattern
     found = {}
     for power in sorted(set(powers)):
@@ -224,6 +228,15 @@ def reference_chip() -> Callable[[str], Chip]:
 def reference_spectrum() -> Callable[[str], Spectrum]:
     """See :func:`_reference_spectrum`."""
     return _reference_spectrum
+
+
+@pytest.fixture(scope="session")
+def reference_figures() -> Callable[[str], dict[str, float]]:
+    """f0, Z_min and Q as the independent solver printed them."""
+    def read(name: str) -> dict[str, float]:
+        return dict(json.loads((REFERENCE / f"{name}.json").read_text(encoding="utf-8"))["figures"])
+
+    return read
 
 
 @pytest.fixture(scope="session")

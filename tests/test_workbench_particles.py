@@ -74,7 +74,7 @@ def cylinder_mode(cells_across: int = 6, *, half_waves: int = 1, radial: float =
 
 
 def forces_in(fields: Any, particle: Particle | None = None, **changes: Any) -> ParticleForces:
-    return particle_forces(fields, particle or bead(), fluid=WATER, region="cavity", drive=fields.drive, **changes)
+    return particle_forces(fields, particle or bead(), fluid=WATER, region="cavity", **changes)
 
 
 # --- one particle: the printed figures -------------------------------------------------------------------------------
@@ -346,8 +346,7 @@ def test_the_plane_wave_has_its_mean_energy_density() -> None:
 def test_no_force_is_printed_without_its_field() -> None:
     report = find_traps(forces_in(cylinder_mode()))
     for text in (str(report.forces), str(report)):
-        assert "test drive: " in text
-        assert "5 Vpp at the transducer" in text
+        assert "MHz, test drive, " in text
         assert "p0 = 100 kPa" in text
         assert "E_ac = 1.12 J/m^3" in text
 

@@ -81,7 +81,7 @@ def fields() -> Any:
 @pytest.fixture(scope="module")
 def report(fields: Any) -> TrapReport:
     particle = Particle(name="polystyrene", radius=5e-6, density=1050.0, compressibility=2.49e-10)
-    return find_traps(particle_forces(fields, particle, fluid=WATER, region="cavity", drive=fields.drive))
+    return find_traps(particle_forces(fields, particle, fluid=WATER, region="cavity"))
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -108,7 +108,7 @@ SECTION = (-6.0, 6.0, 0.0, 4.7)
 
 @needs_graphics
 def test_displacement_fills_the_solids_and_leaves_the_fluids_white(fields: Any, tmp_path: Path) -> None:
-    path = sections.draw_axial_displacement(fields, tmp_path / "new folder" / "uz.png", drive=fields.drive)
+    path = sections.draw_axial_displacement(fields, tmp_path / "new folder" / "uz.png")
     picture = pixels(path)
     # RdBu_r: its last colour at the largest positive value, on both sides of the axis.
     for r, z in ((0.5, 1.0), (-0.5, 1.0), (4.5, 3.35), (-4.5, 3.35), (2.0, 4.5)):
@@ -120,14 +120,14 @@ def test_displacement_fills_the_solids_and_leaves_the_fluids_white(fields: Any, 
 
 @needs_graphics
 def test_pressure_is_red_below_and_blue_above_and_only_in_fluids(fields: Any, tmp_path: Path) -> None:
-    picture = pixels(sections.draw_pressure(fields, tmp_path / "p.png", drive=fields.drive))
+    picture = pixels(sections.draw_pressure(fields, tmp_path / "p.png"))
     below, above = at(picture, 0.2, 3.1, span=SECTION), at(picture, 0.2, 3.6, span=SECTION)
     assert below[0] > 2 * below[2]
     assert above[2] > 2 * above[0]
     # The node plane at mid-height is as white as the solids, but for the 10 um that a dot is high.
     for z in (3.35, 1.0, 2.6):
         np.testing.assert_allclose(at(picture, 0.2, z, span=SECTION), 1.0, atol=0.1)
-    close = pixels(sections.draw_pressure(fields, tmp_path / "close.png", drive=fields.drive, region="cavity"))
+    close = pixels(sections.draw_pressure(fields, tmp_path / "close.png", region="cavity"))
     assert at(close, 0.2, 3.02, span=(-3.0, 3.0, 3.0, 3.7))[2] < 0.3
 
 
@@ -154,7 +154,7 @@ def test_regions_have_the_colours_of_their_roles(fields: Any, tmp_path: Path) ->
 
 @needs_graphics
 def test_the_revolved_chip_shows_field_and_water(fields: Any, tmp_path: Path) -> None:
-    picture = pixels(solids.draw_revolved(fields, tmp_path / "revolved.png", drive=fields.drive))
+    picture = pixels(solids.draw_revolved(fields, tmp_path / "revolved.png"))
     flat = picture[130:-180].reshape(-1, 3)
     dark_red = (np.abs(flat - [0.404, 0.0, 0.122]) < 0.03).all(axis=1).mean()
     water = (np.abs(flat - [0.749, 0.890, 0.949]) < 0.03).all(axis=1).mean()
@@ -244,8 +244,8 @@ def test_a_field_is_shown_when_it_is_largest() -> None:
 def test_the_title_says_how_late_the_field_is(fields: Any) -> None:
     _, phase = sections.at_largest(fields.displacement[:, 1])
     # e^{-i w t}: an amplitude with a phase of +30 degrees peaks 30 degrees after the voltage.
-    assert "30° after that of the voltage" in sections.phase_title(fields, fields.drive, phase)
-    assert "10 Vpp" in sections.phase_title(fields, fields.drive, phase)
+    assert "30° after that of the voltage" in sections.phase_title(fields, phase)
+    assert "10 Vpp" in sections.phase_title(fields, phase)
 
 
 @pytest.mark.parametrize(

@@ -1,70 +1,94 @@
 """The ``workbench`` command.
 
 Exit status: 0 done, 1 the computation failed or a check found something, 2 a mistake in the command or in a file,
-130 interrupted (what was finished is on disk).
+130 interrupted (what was finished is on disk). A defect of the program itself ends in Python's traceback, status 1.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TextIO
 
 from inputs import InputError
-from workbench import commands
 
-#: Shown by every command that simulates.
-DRIVE_HELP = '"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator, "0.1 W" constant input power'
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: Shown by every command that has a drive.
+DRIVE_HELP = ('"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator of that open-circuit voltage, '
+              '"0.1 W" constant input power')
+
+
+OUTPUT_HELP = "folder for the results, made if need be"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the return value is the exit status."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    """Run the command line (``sys.argv`` unless `arguments` are given); the return value is the exit status.
+
+    Raises:
+        SystemExit: as argparse does, status 2 for a faulty command and 0 after ``--help``.
+    """
+    options = _parser().parse_args(arguments)
+    # Not before: whoever asks for help, or mistypes an option, need not wait for the numerical libraries.
     from rich.console import Console
 
-    console = Console(stderr=True, soft_wrap=True)
+    from workbench import commands
+
+    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    run = {"simulate": commands.simulate, "compare": commands.compare, "mesh": commands.mesh,
+           "export": commands.export, "render": commands.render, "materials": commands.materials}[options.command]
     started = time.perf_counter()
     with warnings.catch_warnings():
         _show_warnings(console)
         try:
-            status = int(options.run(options, console))
+            status = run(options, console)
         except InputError as error:
-            console.print(f"[bold red]error:[/] {_escaped(str(error))}")
+            _complain(console, "error", error)
             return 2
         except KeyboardInterrupt:
-            console.print("[yellow]interrupted; what was finished is on disk[/]")
+            console.print("interrupted; what was finished is on disk", style="yellow")
             return 130
-        except (RuntimeError, ValueError, KeyError, OSError) as error:
-            if options.traceback:
-                raise
-            console.print(f"[bold red]{type(error).__name__}:[/] {_escaped(str(error))}")
+        except commands.FAILURES as error:
+            _complain(console, type(error).__name__, error)
             return 1
     if status == 0 and getattr(options, "output", None) is not None:
-        console.print(f"done in {time.perf_counter() - started:.1f} s; see [bold]{_escaped(str(options.output))}[/]")
+        console.print(f"done in {time.perf_counter() - started:.1f} s; see {options.output}", markup=False)
     return status
 
 
-def _escaped(text: str) -> str:
-    from rich.markup import escape
+def _complain(console: Console, label: str, error: Exception) -> None:
+    console.print(f"{label}:", style="bold red", end=" ")
+    console.print(str(error), markup=False)
 
-    return escape(text)
 
+def _show_warnings(console: Console) -> None:
+    """Print each warning of our own once, as one line; what other libraries say to programmers is not for the user.
 
-def _show_warnings(console: Any) -> None:
-    """Print each warning once, as one line."""
+    A lost imaginary part is a defect, never a warning.
+    """
+    from numpy.exceptions import ComplexWarning
+
+    root = Path(__file__).parent.parent
+    ours = tuple(str(root / name) for name in ("inputs.py", "geometry", "materials", "workbench"))
     seen: set[str] = set()
 
-    def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        text = f"{category.__name__}: {message}"
-        if text not in seen:
+    def show(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        text = str(message)
+        if issubclass(category, UserWarning | RuntimeWarning) and filename.startswith(ours) and text not in seen:
             seen.add(text)
-            console.print(f"[yellow]warning:[/] {_escaped(text)}")
+            console.print("warning:", style="yellow", end=" ")
+            console.print(text, markup=False)
 
     warnings.simplefilter("always")
+    warnings.simplefilter("error", ComplexWarning)
     warnings.showwarning = show
 
 
@@ -74,73 +98,89 @@ def _parser() -> argparse.ArgumentParser:
         description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
         epilog="exit status: 0 done, 1 computation failed, 2 mistake in the command or a file, 130 interrupted",
     )
-    parser.add_argument("--traceback", action="store_true", help="show where an unexpected error came from")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    def command(name: str, run: Callable[[argparse.Namespace, Any], int], text: str) -> argparse.ArgumentParser:
-        sub = subparsers.add_parser(name, help=text, description=text)
-        sub.set_defaults(run=run)
-        return sub
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        return subparsers.add_parser(name, help=text, description=text)
+
+    def with_materials(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--materials", type=Path, action="append", default=[], metavar="DIR",
+                         help="a further folder of materials, material/source.toml (may be repeated; default none)")
+
+    def with_state(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--state", metavar="NAME", help="state of the chip (default: the last of its file)")
 
     def with_model(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument("--from", dest="low", metavar="FREQ", help='lower end of the band, such as "0.91 MHz"')
-        sub.add_argument("--to", dest="high", metavar="FREQ", help="upper end of the band")
+        sub.add_argument("--from", dest="low", metavar="FREQ",
+                         help='lower end of the band, such as "0.91 MHz" (default: of the chip)')
+        sub.add_argument("--to", dest="high", metavar="FREQ", help="upper end of the band (default: of the chip)")
         sub.add_argument("--elements-per-wavelength", type=float, default=10.0, metavar="N",
                          help="quadratic elements per slowest wavelength (default 10)")
-        sub.add_argument("--materials", type=Path, action="append", default=[], metavar="DIR",
-                         help="a further folder of materials")
+        with_materials(sub)
+        # For the commands without these options.
+        sub.set_defaults(points=481, at=None, full=False, tolerance=1e-5, drive="10 Vpp")
 
-    simulate = command("simulate", commands.simulate,
-                       "spectrum, figures of merit, fields, traps, CAD and report of a chip")
+    simulate = command("simulate", "spectrum, figures of merit, fields, traps, CAD and report of a chip")
     simulate.add_argument("chip", type=Path, metavar="CHIP.toml")
-    simulate.add_argument("--state", action="append", metavar="NAME", help="only this state (may be repeated)")
+    simulate.add_argument("--state", action="append", metavar="NAME",
+                          help="only this state (may be repeated; default all)")
     with_model(simulate)
-    simulate.add_argument("--points", type=int, default=481, help="frequencies in the band (default 481)")
-    simulate.add_argument("--full", action="store_true", help="solve every frequency instead of the reduced model")
+    simulate.add_argument("--points", type=int, default=481, metavar="N", help="frequencies in the band (default 481)")
+    simulate.add_argument("--full", action="store_true",
+                          help="solve every frequency instead of a reduced model (default); may be interrupted and "
+                          "continued")
     simulate.add_argument("--at", metavar="FREQ", help="frequency of the fields (default f0)")
     simulate.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
-    simulate.add_argument("--tolerance", type=float, default=1e-5, help="relative error of the reduced model")
-    simulate.add_argument("--no-cad", action="store_true", help="leave out the solid model")
-    simulate.add_argument("--vtu", action="store_true", help="write the fields for ParaView too")
-    simulate.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    simulate.add_argument("--tolerance", type=float, default=1e-5, metavar="ERROR",
+                          help="relative error of the reduced model's impedance (default 1e-5)")
+    simulate.add_argument("--no-cad", action="store_true", help="leave out the solid model (default: STEP, STL, view)")
+    simulate.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
+    simulate.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
-    compare = command("compare", commands.compare, "compare a recorded impedance with the simulation of a chip")
+    compare = command("compare", "compare a recorded impedance with the simulation of a chip")
     compare.add_argument("recording", type=Path, metavar="RECORDING")
     compare.add_argument("chip", type=Path, metavar="CHIP.toml")
-    compare.add_argument("--state", metavar="NAME")
-    compare.add_argument("--format", help="file format of the recording (default: found out)")
-    compare.add_argument("--correction", choices=("negate", "conjugate"), help="put a wrong phase right, on your word")
+    with_state(compare)
+    compare.add_argument("--format", metavar="NAME",
+                         help="format of the recording: workbench, e4990a, 4294a or touchstone (default: found out)")
+    compare.add_argument("--correction", choices=("negate", "conjugate"),
+                         help="put a wrong phase right, on your word (default: as recorded)")
     with_model(compare)
-    compare.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    compare.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
-    mesh = command("mesh", commands.mesh, "mesh a chip; with --converge the change of f0 and Z_min between refinements")
+    mesh = command("mesh", "mesh a chip; with --converge the change of f0 and Z_min between refinements")
     mesh.add_argument("chip", type=Path, metavar="CHIP.toml")
-    mesh.add_argument("--state", metavar="NAME")
+    with_state(mesh)
     with_model(mesh)
     mesh.add_argument("--converge", action="store_true", help="refine until f0 and Z_min change by less than --limit")
     mesh.add_argument("--limit", type=float, default=3.0, metavar="PERCENT", help="default 3, as in the paper")
-    mesh.add_argument("--refinements", type=int, default=4, help="at most this many meshes (default 4)")
-    mesh.add_argument("-o", "--output", type=Path, metavar="DIR")
+    mesh.add_argument("--refinements", type=int, default=4, metavar="N", help="at most this many meshes (default 4)")
+    mesh.add_argument("-o", "--output", type=Path, metavar="DIR",
+                      help="folder for the report of the refinement (default: none is written)")
 
-    export = command("export", commands.export, "write the solids of a chip as STEP and STL")
+    export = command("export", "write the solids of a chip as STEP and STL")
     export.add_argument("chip", type=Path, metavar="CHIP.toml")
-    export.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    export.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
-    render = command("render", commands.render, "draw the fields of a chip at one frequency")
+    render = command("render", "draw the fields of a chip at one frequency")
     render.add_argument("chip", type=Path, metavar="CHIP.toml")
-    render.add_argument("--state", metavar="NAME")
+    with_state(render)
     with_model(render)
     render.add_argument("--at", metavar="FREQ", required=True, help="frequency of the fields")
     render.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
     render.add_argument("--field", action="append", metavar="NAME", help="displacement, pressure, gorkov, cutaway, "
                         "losses or mesh (may be repeated; default all)")
-    render.add_argument("--vtu", action="store_true", help="write the fields for ParaView too")
-    render.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    render.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
+    render.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
-    materials = command("materials", commands.materials, "list, show or check the materials")
+    materials = command("materials", "list, show or check the materials")
     materials.add_argument("action", choices=("list", "show", "check"))
-    materials.add_argument("name", nargs="?", help="material, or material/source")
-    materials.add_argument("--temperature", help='such as "25 degC"')
-    materials.add_argument("--materials", type=Path, action="append", default=[], metavar="DIR",
-                           help="a further folder of materials")
+    materials.add_argument("name", nargs="?", help="material, or material/source (default for check: all)")
+    materials.add_argument("--temperature", metavar="TEMP",
+                           help='such as "25 degC" (default: the reference temperature of the material)')
+    with_materials(materials)
     return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

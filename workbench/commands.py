@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import hashlib
-import json
 import math
+import subprocess
+import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 import materials as registry_package
 from geometry.chip import Chip, read_chip
-from inputs import InputError, choose, parse_quantity
+from geometry.mesh import elements_per_wavelength, user_cache
+from inputs import InputError, choose, parse_quantity, write_atomic
+from materials.kinds import Material
 from materials.registry import Registry
-from workbench.drive import parse_drive
+from workbench.drive import Drive, parse_drive
+from workbench.operators import ModelError
+from workbench.problem import build, chip_materials, mesh_speeds
 from workbench.report import (
     FIGURE_COLUMNS,
     Block,
@@ -38,29 +43,43 @@ from workbench.report import (
     write_json,
     write_report,
 )
-from workbench.simulate import Simulation
+from workbench.simulate import Simulation, Snapshot, snapshot, state_name
 from workbench.simulate import simulate as simulate_state
-from workbench.spectrum import write_csv
+from workbench.spectrum import Origin, write_csv
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: Called with a state, what is being done for it, and the fraction of it that is done.
 Show = Callable[[str, str, float], None]
 
+#: What a computation may fail with through no defect of the program: our own errors are RuntimeErrors apart from this.
+FAILURES: tuple[type[Exception], ...] = (RuntimeError, ModelError, OSError)
 
-def simulate(options: argparse.Namespace, console: Any) -> int:
+#: Share of the progress bar of a state that is the simulation; the pictures are the rest.
+_SIMULATED = 0.9
+
+
+def simulate(options: argparse.Namespace, console: Console) -> int:
     """``workbench simulate``: every state of a chip, its pictures, its CAD, and the report."""
     from workbench.render.gallery import draw_chip, draw_state
 
     chip = read_chip(options.chip)
-    states = [chip.state(name).name for name in options.state] if options.state else [s.name for s in chip.states]
-    folder: Path = options.output
-    folder.mkdir(parents=True, exist_ok=True)
+    asked = _asked(options, chip)
+    chosen = options.state or [state.name for state in chip.states]
+    # Each once; and every state's materials are read before the first state is solved.
+    states = list(dict.fromkeys(chip.state(name).name for name in chosen))
+    for name in states:
+        chip_materials(chip, name, asked.registry)
+    folder = _folder(options.output)
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}
-    with _solid_model(chip, folder, wanted=not options.no_cad) as parts, _progress(console) as show:
+    unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
+    with _solid_model(options.chip, folder, wanted=not options.no_cad) as parts, _progress(console) as show:
         for name in states:
-            run = _run_state(chip, name, options, show, unfinished=folder / f"unfinished_{name}.csv")
+            run = _run_state(chip, name, asked, show, unfinished=unfinished.get(name))
             write_csv(run.spectrum, folder / f"spectrum_{name}.csv")
-            (folder / f"unfinished_{name}.csv").unlink(missing_ok=True)
-            show(name, "pictures", 0.5)
+            show(name, "pictures", _SIMULATED)
             pictures[name] = draw_state(run, folder)
             if options.vtu:
                 _write_vtu(run, folder)
@@ -75,11 +94,16 @@ def simulate(options: argparse.Namespace, console: Any) -> int:
     })
     solid_view = [draw_chip(chip, solids, folder / "cad.png")] if solids else []
     _simulation_report(chip, runs, pictures, solid_view, folder)
+    # Not sooner: a run interrupted in its second state must not solve the first one again.
+    for path in unfinished.values():
+        path.unlink(missing_ok=True)
     _print_table(console, chip.name, _figures_table(chip, runs))
+    for note in _without_resonance(runs):
+        console.print(note.text, style="yellow", markup=False)
     return 0
 
 
-def compare(options: argparse.Namespace, console: Any) -> int:
+def compare(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
     from workbench.compare import compare as compare_spectra
     from workbench.readers import read
@@ -90,13 +114,12 @@ def compare(options: argparse.Namespace, console: Any) -> int:
         reading = reading.corrected(options.correction)
     measured = reading.spectrum
     chip = read_chip(options.chip)
-    if options.low is None and options.high is None:
-        options.low, options.high = f"{measured.frequency[0]!r} Hz", f"{measured.frequency[-1]!r} Hz"
-    options.points = max(481, 2 * len(measured.frequency) - 1)
-    folder: Path = options.output
-    folder.mkdir(parents=True, exist_ok=True)
+    asked = _asked(options, chip)
+    asked = replace(asked, band=_common_band(options, asked.band, measured.frequency),
+                    points=max(asked.points, 2 * len(measured.frequency) - 1))
+    folder = _folder(options.output)
     with _progress(console) as show:
-        run = _run_state(chip, options.state, options, show)
+        run = _run_state(chip, options.state, asked, show)
         show(run.state, "done", 1.0)
     comparison = compare_spectra(measured, run.spectrum)
     write_csv(run.spectrum, folder / "spectrum.csv")
@@ -143,19 +166,37 @@ def compare(options: argparse.Namespace, console: Any) -> int:
     _print_table(console, f"{chip.name}, {run.state}", rows)
     _print_table(console, "", summary)
     for finding in reading.findings:
-        console.print(f"[yellow]finding:[/] {finding}", markup=True)
+        console.print(f"finding: {finding.message}", style="yellow", markup=False)
     return 0
 
 
-def mesh(options: argparse.Namespace, console: Any) -> int:
-    """``workbench mesh``: the mesh of a chip, and the paper's refinement study."""
-    from geometry.mesh import elements_per_wavelength
-    from workbench.problem import build, mesh_speeds
+def _common_band(
+    options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Where the band asked for and the recording overlap (Hz): simulating more would have nothing to be compared with.
 
+    Raises:
+        InputError: fewer than two recorded points lie in the band.
+    """
+    inside = recorded[(recorded >= band[0]) & (recorded <= band[1])]
+    if inside.size < 2:
+        raise InputError(
+            str(options.recording), "frequency", f"{recorded[0]:g} to {recorded[-1]:g} Hz",
+            f"2 points or more in the band of {options.chip}, {band[0]:g} to {band[1]:g} Hz; --from and --to set "
+            "another band")
+    return max(band[0], float(recorded[0])), min(band[1], float(recorded[-1]))
+
+
+def mesh(options: argparse.Namespace, console: Console) -> int:
+    """``workbench mesh``: the mesh of a chip, and the paper's refinement study."""
     chip = read_chip(options.chip)
-    state = options.state or chip.states[-1].name
-    registry, band = Registry(tuple(options.materials)), _band(options, chip)
-    problem = build(chip, state, registry, band=band, elements_per_wavelength=options.elements_per_wavelength)
+    asked, state, band = _asked(options, chip), state_name(chip, options.state), _band(options, chip)
+    if options.converge and options.refinements < 2:
+        raise InputError("command line", "--refinements", options.refinements, "at least 2 meshes to compare")
+    if options.converge and not options.limit > 0.0:
+        raise InputError("command line", "--limit", options.limit, "a change in per cent above zero")
+    problem = build(chip, state, asked.registry, band=band, elements_per_wavelength=asked.elements_per_wavelength,
+                    cache=user_cache())
     speeds = {r: c for r, c in mesh_speeds(problem.mesh.section.regions, problem.materials).items() if math.isfinite(c)}
     counts = elements_per_wavelength(problem.mesh, speeds, band[1])
     cells = {region: len(problem.mesh.mesh.subdomains[region]) for region in problem.mesh.section.regions}
@@ -165,23 +206,24 @@ def mesh(options: argparse.Namespace, console: Any) -> int:
     _print_table(console, f"{chip.name}, {state}: {sum(cells.values())} cells at {band[1] / 1e6:.4g} MHz", table)
     if not options.converge:
         return 0
-    return _converge(options, console, chip, state)
+    return _converge(options, console, chip, state, asked)
 
 
-def _converge(options: argparse.Namespace, console: Any, chip: Chip, state: str) -> int:
+def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: str, asked: _Asked) -> int:
     """Refine by sqrt(2) until f0 and Z_min change by less than the limit (Acevedo-Espinosa et al. (RP-UEIS), 3.2)."""
     rows: list[tuple[float, int, float, float, float]] = []
     status = 1
     with _progress(console) as show:
         for step in range(options.refinements):
-            options.elements_per_wavelength = options.elements_per_wavelength * (math.sqrt(2.0) if step else 1.0)
+            finer = replace(asked, elements_per_wavelength=asked.elements_per_wavelength * math.sqrt(2.0) ** step)
             label = f"mesh {step + 1}"
-            run = _run_state(chip, state, options, partial(_renamed, show, label))
+            run = _run_state(chip, state, finer, partial(_renamed, show, label))
+            show(label, "done", 1.0)
             if run.figures is None:
-                raise InputError(str(options.chip), "band", f"{options.low} to {options.high}",
+                raise InputError(str(options.chip), "band", f"{asked.band[0]:g} to {asked.band[1]:g} Hz",
                                  f"a band with a resonance in it ({run.no_resonance})")
             merit = run.figures
-            rows.append((options.elements_per_wavelength, run.unknowns, merit.f0, merit.z_min, merit.q))
+            rows.append((finer.elements_per_wavelength, run.unknowns, merit.f0, merit.z_min, merit.q))
             if len(rows) > 1:
                 last, now = rows[-2], rows[-1]
                 change = 100.0 * max(abs(now[2] / last[2] - 1.0), abs(now[3] / last[3] - 1.0))
@@ -196,7 +238,7 @@ def _converge(options: argparse.Namespace, console: Any, chip: Chip, state: str)
     _print_table(console, f"refinement of {chip.name}, {state}", table)
     console.print(f"{'converged' if status == 0 else 'NOT converged'}: limit {options.limit:g} % in f0 and Z_min")
     if options.output is not None:
-        _write_convergence(options.output, chip, state, rows, table)
+        _write_convergence(_folder(options.output), chip, state, rows, table)
     return status
 
 
@@ -209,7 +251,6 @@ def _write_convergence(
 ) -> None:
     from workbench.render.plots import draw_convergence
 
-    folder.mkdir(parents=True, exist_ok=True)
     blocks: list[Block] = [table]
     if len(rows) > 1:
         figures_of = np.array(rows)
@@ -223,37 +264,43 @@ def _write_convergence(
     write_report(folder / "report.html", f"{chip.name}, {state}: mesh refinement", [("Refinement", blocks)])
 
 
-def export(options: argparse.Namespace, console: Any) -> int:
+def export(options: argparse.Namespace, console: Console) -> int:
     """``workbench export``: STEP of the assembly, STL of every part."""
-    chip = read_chip(options.chip)
-    options.output.mkdir(parents=True, exist_ok=True)
-    for path in _write_solids(chip, options.output).values():
-        console.print(str(path))
+    from geometry.export import export_step, export_stl
+
+    chip, folder = read_chip(options.chip), _folder(options.output)
+    for path in (export_step(chip, folder / "chip.step"), *export_stl(chip, folder).values()):
+        console.print(str(path), markup=False)
     return 0
 
 
-def render(options: argparse.Namespace, console: Any) -> int:
+def render(options: argparse.Namespace, console: Console) -> int:
     """``workbench render``: the fields at one frequency."""
     from workbench.render.gallery import FIELDS, draw_state
 
-    only = options.field or list(FIELDS)
-    for name in only:
+    for name in options.field or []:
         choose(name, FIELDS, source="command line", field="--field")
     chip = read_chip(options.chip)
-    options.output.mkdir(parents=True, exist_ok=True)
-    options.points = 5
+    asked, name, folder = _asked(options, chip), state_name(chip, options.state), _folder(options.output)
+    if asked.at is None:
+        raise InputError("command line", "--at", None, "the frequency of the fields")
     with _progress(console) as show:
-        run = _run_state(chip, options.state, options, show)
-    for picture in draw_state(run, options.output, only=only):
-        console.print(str(picture.path))
-    if options.vtu:
-        console.print(str(_write_vtu(run, options.output)))
-    if run.traps is not None:
-        console.print(str(run.traps), markup=False)
+        shot = snapshot(chip, name, asked.at, registry=asked.registry, band=asked.band, drive=asked.drive,
+                        elements_per_wavelength=asked.elements_per_wavelength, mesh_cache=user_cache(),
+                        progress=partial(_simulated, show, name))
+        show(name, "pictures", _SIMULATED)
+        paths = [picture.path for picture in draw_state(shot, folder, only=options.field)]
+        if options.vtu:
+            paths.append(_write_vtu(shot, folder))
+        show(name, "done", 1.0)
+    for path in paths:
+        console.print(str(path), markup=False)
+    if shot.traps is not None:
+        console.print(str(shot.traps), markup=False)
     return 0
 
 
-def materials(options: argparse.Namespace, console: Any) -> int:
+def materials(options: argparse.Namespace, console: Console) -> int:
     """``workbench materials list | show | check``."""
     registry = Registry(tuple(options.materials))
     temperature = None
@@ -286,7 +333,7 @@ def materials(options: argparse.Namespace, console: Any) -> int:
     return 0
 
 
-def _load_quietly(registry: Registry, name: str) -> Any:
+def _load_quietly(registry: Registry, name: str) -> Material:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", registry_package.PassivityWarning)
         return registry.load(name)
@@ -305,72 +352,99 @@ def _band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     return band
 
 
-def _run_state(
-    chip: Chip, state: str | None, options: argparse.Namespace, show: Show, *, unfinished: Path | None = None
-) -> Simulation:
-    """Simulate a state as the options say; those a command does not have take the values of `simulate_state`."""
-    from geometry.mesh import user_cache
+@dataclass(frozen=True)
+class _Asked:
+    """What the options say about a model: frequencies in Hz, the rest as :func:`workbench.simulate.simulate` has it."""
 
-    given = vars(options)
-    at = given.get("at")
+    registry: Registry
+    band: tuple[float, float]
+    points: int
+    at: float | None
+    full: bool
+    tolerance: float
+    drive: Drive
+    elements_per_wavelength: float
+
+
+def _asked(options: argparse.Namespace, chip: Chip) -> _Asked:
     band = _band(options, chip)
-    frequency = None if at is None else parse_quantity(at, "frequency", source="command line", field="--at")
-    if frequency is not None and not band[0] <= frequency <= band[1]:
-        raise InputError("command line", "--at", at, f"a frequency within the band the mesh is made for, {band[0]:g} "
-                         f"to {band[1]:g} Hz, or a wider band by --from and --to")
-    name = chip.states[-1].name if state is None else chip.state(state).name
-    full = bool(given.get("full", False))
-    points = _UnfinishedSpectrum(unfinished, options) if full and unfinished is not None else None
-    return simulate_state(
-        chip, name, registry=Registry(tuple(options.materials)), band=band, points=given.get("points", 481),
-        at=frequency, full=full, tolerance=given.get("tolerance", 1e-5), drive=parse_drive(given.get("drive", "10 Vpp")),
-        elements_per_wavelength=options.elements_per_wavelength, mesh_cache=user_cache(),
-        on_point=points.add if points else None, known=points.known if points else None,
-        progress=lambda activity, fraction: show(name, activity, fraction),
+    at = None if options.at is None else parse_quantity(options.at, "frequency", source="command line", field="--at")
+    if at is not None and not band[0] <= at <= band[1]:
+        raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
+                         f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
+    if not (math.isfinite(options.elements_per_wavelength) and options.elements_per_wavelength > 0.0):
+        raise InputError("command line", "--elements-per-wavelength", options.elements_per_wavelength,
+                         "a number above zero; 10 is usual")
+    return _Asked(
+        registry=Registry(tuple(options.materials)), band=band, points=options.points, at=at, full=options.full,
+        tolerance=options.tolerance, drive=parse_drive(options.drive),
+        elements_per_wavelength=options.elements_per_wavelength,
     )
+
+
+def _folder(path: Path) -> Path:
+    """The output folder, made if need be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError("command line", "--output", str(path), "a folder; a file is in the way") from None
+    return path
+
+
+def _run_state(
+    chip: Chip, state: str | None, asked: _Asked, show: Show, *, unfinished: Path | None = None
+) -> Simulation:
+    name = state_name(chip, state)
+    points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
+    return simulate_state(
+        chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
+        tolerance=asked.tolerance, drive=asked.drive, elements_per_wavelength=asked.elements_per_wavelength,
+        mesh_cache=user_cache(), on_point=points.add if points else None, known=points.known if points else None,
+        progress=partial(_simulated, show, name),
+    )
+
+
+def _simulated(show: Show, state: str, activity: str, fraction: float) -> None:
+    show(state, activity, _SIMULATED * fraction)
 
 
 class _UnfinishedSpectrum:
     """Points of a full spectrum, on disk as soon as each is known, so that an interrupted run goes on from there.
 
-    The first line is a digest of the chip file and of every option that changes the result; points of another chip or
-    mesh are not taken over.
+    The first line is a digest of all that decides an impedance: the chip, its materials with their values, and the
+    mesh. Points with another digest are not taken over. Numbers are hexadecimal, hence exact.
     """
 
-    def __init__(self, path: Path, options: argparse.Namespace) -> None:
-        deciding = ("state", "low", "high", "elements_per_wavelength", "materials")
-        relevant = {key: str(vars(options)[key]) for key in deciding}
-        content = Path(options.chip).read_bytes() + json.dumps(relevant).encode()
-        self.path, self.key = path, hashlib.sha256(content).hexdigest()
-        self.known: dict[float, complex] = {}
-        if path.exists():
-            with path.open(newline="") as stream:
-                first, *rows = list(csv.reader(stream)) or [[]]
-            if first == [self.key]:
-                # A line cut short by a kill has fewer than three fields, or one that is no number: it is solved again.
-                for row in rows:
-                    try:
-                        frequency, real, imaginary = (float.fromhex(x) for x in row)
-                    except ValueError:
-                        continue
-                    self.known[frequency] = complex(real, imaginary)
-        if not self.known:
-            path.write_text(self.key + "\n")
+    def __init__(self, path: Path, chip: Chip, state: str, asked: _Asked) -> None:
+        filling = chip_materials(chip, state, asked.registry)
+        deciding = repr((chip, state, sorted(filling.items()), asked.band[1], asked.elements_per_wavelength))
+        self.path, self.known = path, dict[float, complex]()
+        key = hashlib.sha256(deciding.encode()).hexdigest()
+        # What follows the last line end was cut short by a kill: a number there may lack its last digits.
+        first, *rows = path.read_text().split("\n")[:-1] if path.exists() else [""]
+        for row in rows if first == key else []:
+            frequency, real, imaginary = (float.fromhex(number) for number in row.split(","))
+            self.known[frequency] = complex(real, imaginary)
+        write_atomic(path, "".join(f"{line}\n" for line in (key, *(_hexadecimal(f, z) for f, z in self.known.items()))))
 
     def add(self, frequency: float, impedance: complex) -> None:
-        """Append one point and flush it."""
-        with self.path.open("a", newline="") as stream:
-            csv.writer(stream).writerow([x.hex() for x in (frequency, impedance.real, impedance.imag)])
+        """Append one point; it is on disk when this returns."""
+        with self.path.open("a", encoding="ascii") as stream:
+            stream.write(_hexadecimal(frequency, impedance) + "\n")
+
+
+def _hexadecimal(frequency: float, impedance: complex) -> str:
+    return ",".join(number.hex() for number in (frequency, impedance.real, impedance.imag))
 
 
 @contextmanager
-def _progress(console: Any) -> Iterator[Show]:
+def _progress(console: Console) -> Iterator[Show]:
     """Progress bars, one for each state: called with the state, what is being done, and the fraction of it."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     bars = Progress(TextColumn("{task.fields[state]:>12}"), TextColumn("{task.description:<14}"), BarColumn(),
                     TimeElapsedColumn(), console=console)
-    tasks: dict[str, Any] = {}
+    tasks: dict[str, TaskID] = {}
     with bars:
         def show(state: str, activity: str, fraction: float) -> None:
             if state not in tasks:
@@ -380,29 +454,37 @@ def _progress(console: Any) -> Iterator[Show]:
         yield show
 
 
-def _write_solids(chip: Chip, folder: Path) -> dict[str, Path]:
-    """STEP of the assembly and STL of every part; the STL paths by part."""
-    from geometry.export import export_step, export_stl
-
-    export_step(chip, folder / "chip.step")
-    return export_stl(chip, folder)
-
-
 @contextmanager
-def _solid_model(chip: Chip, folder: Path, *, wanted: bool) -> Iterator[Callable[[], Mapping[str, Path]]]:
-    """The solid model made on the second core while the first one solves; call the result to wait for its files."""
+def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Callable[[], dict[str, Path]]]:
+    """``workbench export`` run on the second core while the first one solves.
+
+    Call the result to wait for it and get the STL files by part.
+
+    Raises:
+        RuntimeError: the export failed; its last words.
+    """
     if not wanted:
         yield dict
         return
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        job = pool.submit(_write_solids, chip, folder)
+    # A process of its own rather than multiprocessing's, which would run the caller's script a second time. CadQuery's
+    # own warnings stay in it.
+    command = [sys.executable, "-P", "-W", "ignore", "-m", "workbench.cli", "export", str(chip_file), "-o", str(folder)]
+    with tempfile.TemporaryFile("w+") as words, subprocess.Popen(command, stdout=words, stderr=words) as process:
+        def wait() -> dict[str, Path]:
+            status = process.wait()
+            words.seek(0)
+            said = words.read().strip()
+            if status:
+                raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({said[-500:]})")
+            return {path.stem: path for path in map(Path, said.splitlines()) if path.suffix == ".stl"}
+
         try:
-            yield job.result
+            yield wait
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            process.kill()
 
 
-def _write_vtu(run: Simulation, folder: Path) -> Path:
+def _write_vtu(run: Snapshot, folder: Path) -> Path:
     from workbench.render.vtu import write_vtu
 
     return write_vtu(run.fields, folder / f"fields_{run.state}.vtu")
@@ -411,10 +493,14 @@ def _write_vtu(run: Simulation, folder: Path) -> Path:
 def _figures_table(chip: Chip, runs: list[Simulation]) -> Table:
     rows = []
     for run in runs:
-        rows.append(figures_row(f"{run.state}, simulated", run.figures, run.no_resonance))
+        rows.append(figures_row(f"{run.state}, simulated", run.figures))
         rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number(r.z_min), number(r.q), "", "")
                  for r in chip.state(run.state).reported]
     return Table(FIGURE_COLUMNS, tuple(rows))
+
+
+def _without_resonance(runs: list[Simulation]) -> list[Note]:
+    return [Note(f"{run.state}: {run.no_resonance}") for run in runs if run.figures is None]
 
 
 def _model_table(runs: list[Simulation]) -> Table:
@@ -424,7 +510,7 @@ def _model_table(runs: list[Simulation]) -> Table:
          f"{sum(run.seconds.values()):.1f}") for run in runs))
 
 
-def _origin_table(origin: Any) -> Table:
+def _origin_table(origin: Origin) -> Table:
     rows = [("kind", origin.kind), ("file", origin.source), ("SHA-256", origin.sha256),
             ("instrument", origin.instrument), ("date", origin.date), *origin.settings.items()]
     return Table(("recording", ""), tuple((name, value) for name, value in rows if value))
@@ -438,10 +524,10 @@ def _simulation_report(
     spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
     dimensions = Table(("dimension", "value (mm)", "tolerance (um)", ""), tuple(
         (name, f"{d.value * 1e3:.4g}", "" if d.tolerance is None else f"{d.tolerance * 1e6:.3g}",
-         ("assumed. " if d.assumed else "") + d.note) for name, d in chip.dimensions().items()))
+         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
     sections: list[tuple[str, list[Block]]] = [
-        ("Figures of merit", [chip.description, _figures_table(chip, runs), Picture(spectra, "impedance"),
-                              *([Note(f"Source: {chip.source}")] if chip.source else [])]),
+        ("Figures of merit", [chip.description, f"Source: {chip.source}" if chip.source else "",
+                              _figures_table(chip, runs), *_without_resonance(runs), Picture(spectra, "impedance")]),
     ]
     for run in runs:
         blocks: list[Block] = list(pictures[run.state])
@@ -454,7 +540,7 @@ def _simulation_report(
     write_report(folder / "report.html", chip.name, sections)
 
 
-def _print_table(console: Any, title: str, table: Table) -> None:
+def _print_table(console: Console, title: str, table: Table) -> None:
     from rich.table import Table as RichTable
 
     shown = RichTable(*table.columns, title=title)

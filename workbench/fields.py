@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from skfem import Basis, ElementQuad2
 
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
-from workbench.drive import Drive
+from workbench.drive import Drive, VoltageDrive
 from workbench.nodal import NodalMesh, gradient
 from workbench.operators import FullOperators
 from workbench.physics.piezoelectric import VACUUM_PERMITTIVITY
 from workbench.physics.term import Values
 from workbench.problem import Problem
+from workbench.solve import Solution
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -27,7 +28,8 @@ class Fields:
     ``voltage`` (V) and ``current`` (A) at the electrodes, ``power`` (W) electrical input. On the N nodes of ``mesh``:
     ``displacement`` (N, 2) m in solids, ``potential`` (N,) V in the piezoelectric, ``pressure`` (N,) Pa in fluids,
     ``velocity`` (N, 2) m/s, ``stress`` (N, 4) Pa (rr, tt, zz, rz) in solids, ``energy_density`` (N,) J/m^3 averaged
-    over time, kinetic plus elastic or compressional. NaN where a field does not exist. ``drive`` says how it is driven.
+    over time: kinetic plus elastic or compressional, and electric in the piezoelectric. NaN where a field does not
+    exist. ``drive`` says in words how it is driven, and which voltage that gives at the electrodes.
     """
 
     mesh: NodalMesh
@@ -54,18 +56,17 @@ class Fields:
         return tuple(r for r in self.mesh.regions if not np.isnan(self.displacement[self.mesh.nodes_of([r]), 0]).any())
 
 
-def fields(problem: Problem, operators: FullOperators, state: Complex, frequency: float, drive: Drive) -> Fields:
-    """The fields of the full `state` (size,), solved at unit electrode voltage at `frequency` (Hz), under `drive`.
+def fields(problem: Problem, operators: FullOperators, solution: Solution, drive: Drive) -> Fields:
+    """The fields of a full `solution` of `operators` at one frequency, under `drive`.
 
     Stress and velocity in fluids come from gradients recovered at the nodes (`nodal.gradient`).
     """
-    omega = 2.0 * np.pi * frequency
+    frequency, omega = float(solution.frequency[0]), float(solution.omega[0])
     mesh, dofs = nodal_mesh(operators)
     values = problem.values
-    charge = _charge(operators, state, omega, problem)
-    impedance = 1.0 / (-1j * omega * charge)
+    impedance = complex(solution.impedance[0])
     voltage = complex(drive.amplitude(np.array([impedance]))[0])
-    padded = np.append(state * voltage, 0.0)
+    padded = np.append(solution.states[:, 0] * voltage, 0.0)
     count = len(mesh.points)
     nodal = {c: np.full(count, np.nan + 0j) for c in ("u_r", "u_z", "phi", "p")}
     for component, region in {pair for term in problem.terms for pair in term.unknowns}:
@@ -99,8 +100,11 @@ def fields(problem: Problem, operators: FullOperators, state: Complex, frequency
         energy[nodes] = 0.25 * (kinetic + potential_energy)
     current = voltage / impedance
     power = 0.5 * float((voltage * np.conj(current)).real)
+    words = str(drive)
+    if not isinstance(drive, VoltageDrive):
+        words += f" ({2.0 * abs(voltage):.3g} Vpp at the electrodes)"
     return Fields(mesh, frequency, voltage, current, power, displacement, nodal["phi"], nodal["p"], velocity, stress,
-                  energy, str(drive))
+                  energy, words)
 
 
 def nodal_mesh(operators: FullOperators) -> tuple[NodalMesh, NDArray[np.int64]]:
@@ -121,12 +125,6 @@ def nodal_mesh(operators: FullOperators) -> tuple[NodalMesh, NDArray[np.int64]]:
         offset += own.size
     nodal = NodalMesh(np.concatenate(points), np.concatenate(cells), np.concatenate(region), tuple(names))
     return nodal, np.concatenate(dofs)
-
-
-def _charge(operators: FullOperators, state: Complex, omega: float, problem: Problem) -> complex:
-    forms = operators.quadratic(state[:, None], state[:, None])[0]
-    g = [i.coefficient(np.array([omega]), problem.values)[0] for i in operators.integrals]
-    return -complex(np.dot(g, forms))
 
 
 def _strain(mesh: NodalMesh, displacement: Complex, region: str, nodes: NDArray[np.int64]) -> Complex:

@@ -199,6 +199,33 @@ class FullOperators:
                         result[self._index[id(integral)]] += 0.5 * p.weight * grams[pair]
         return result
 
+    def images(self, state: Complex) -> Complex:
+        """A_q x of every integral for one state x (size,): (number of integrals, size)."""
+        result = np.zeros((len(self.integrals), self.size + 1), dtype=complex)  # the last entry takes what is no unknown
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            seen = self.evaluate(place, _operators_of(group), state[:, None])
+            tested = {name: self._test(name, place) for name in seen}
+            for integral in group:
+                image = result[self._index[id(integral)]]
+                for p in integral.products:
+                    for row, column in ((p.row, p.column), (p.column, p.row)):
+                        flux = 0.5 * p.weight * place.weights * seen[column][:, :, 0]
+                        for rows, shape in tested[row]:
+                            local = np.einsum("eq,eqb->be", flux, shape).ravel()
+                            for part, unit in ((local.real, 1.0), (local.imag, 1j)):
+                                image += unit * np.bincount(rows, part, minlength=self.size + 1)
+        return result[:, :-1]
+
+    def _test(self, operator: str, place: Place) -> list[tuple[NDArray[np.int64], Real]]:
+        """Unknowns (nb * ne,) and shapes (ne, nq, nb) of every part of an operator, for testing with it."""
+        parts = []
+        for component, kind, factor in OPERATORS[operator]:
+            shape = place.shapes[kind] * place.factor(factor)[:, :, None] if factor else place.shapes[kind]
+            rows = self.numbering[component][place.dofs].ravel()
+            parts.append((np.where(rows < 0, self.size, rows), shape))
+        return parts
+
     def reduced(self, basis: Real) -> ReducedOperators:
         """The same model on the columns of `basis` (size, n), the last of which alone has unit electrode voltage."""
         return ReducedOperators(self.integrals, self.project(basis))

@@ -304,7 +304,7 @@ class Excitation:
 
     def __str__(self) -> str:
         return (
-            f"{self.description}: {self.frequency / 1e6:.4f} MHz, {2.0 * self.voltage:.3g} Vpp at the transducer, "
+            f"{self.frequency / 1e6:.4f} MHz, {self.description}, "
             f"p0 = {self.pressure_amplitude / 1e3:.4g} kPa, E_ac = {self.energy_density:.3g} J/m^3 "
             f"(mean over the region {self.mean_energy_density:.3g} J/m^3)"
         )
@@ -380,13 +380,11 @@ def particle_forces(
     *,
     fluid: FluidProperties,
     region: str,
-    drive: str,
     scattering: Scattering | None = None,
 ) -> ParticleForces:
     """Potential and radiation force on `particle` at every node of the fluid `region`.
 
-    `drive` says in words how the device is driven (``fields.drive``). `scattering` is :func:`viscous_scattering` at the
-    field's frequency unless given.
+    `scattering` is :func:`viscous_scattering` at the field's frequency unless given.
 
     Raises:
         ValueError: unknown region, or a region without pressure.
@@ -413,7 +411,7 @@ def particle_forces(
     one = np.ones(len(mesh.points))
     mean = float(integrate(mesh, fields.energy_density, [region]) / integrate(mesh, one, [region]))
     excitation = Excitation(
-        description=drive, frequency=fields.frequency, voltage=abs(fields.voltage), pressure_amplitude=amplitude,
+        description=fields.drive, frequency=fields.frequency, voltage=abs(fields.voltage), pressure_amplitude=amplitude,
         energy_density=acoustic_energy_density(amplitude, fluid), mean_energy_density=mean,
     )
     return ParticleForces(

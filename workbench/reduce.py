@@ -14,15 +14,15 @@ and Nouy 2019, Adv. Comput. Math. 45, 2969: randomised linear algebra for model 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from workbench.operators import FullOperators, ReducedOperators, coefficients
+from workbench.operators import FullOperators, ReducedOperators
 from workbench.physics.term import Values
-from workbench.solve import Solution, System, one_thread, solve_reduced
+from workbench.solve import Solution, System, one_thread, solve_dense, solve_reduced
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -35,6 +35,12 @@ DEPTH = 12
 
 #: A new vector whose part outside the basis is smaller than this (relative) adds nothing but rounding.
 DEPENDENT = 1e-9
+
+#: Directions of the basis that the response at all frequencies uses less than this (relative) are dropped at the end.
+UNUSED = 1e-9
+
+#: A relative error of the charge at which rounding, not the basis, is what is seen.
+ROUNDING = 1e-12
 
 #: The estimate is this many times the largest ratio of true error to squared residual seen.
 SAFETY = 4.0
@@ -87,6 +93,7 @@ def reduce(
     values: Values,
     *,
     tolerance: float = 1e-5,
+    tangents: tuple[str, ...] = (),
     start: ReducedModel | None = None,
     first: int = 4,
     limit: int = 40,
@@ -95,56 +102,131 @@ def reduce(
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
 
     Full solves are added where the estimate is largest, until the full solve at the worst frequency confirms the
-    tolerance. With `start`, a model made for other parameter values is enriched for these.
+    tolerance. With `start`, a model made for other parameter values is enriched for these. The basis holds the
+    derivatives of the states by the parameters named in `tangents` too, so that it keeps serving when these change.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    system = System(operators, values)
+    low, high = float(frequencies.min()), float(frequencies.max())
+    nodes = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * (np.arange(first) + 0.5) / first)
+    if start is not None:
+        nodes = nodes[:0]
+    effectivity = 0.0 if start is None else start.effectivity
+    largest = 0.0 if start is None else start.residual
+    solves = 0 if start is None else start.solves
 
-    def report(solves: int) -> None:
+    def report() -> None:
         # How many solves it takes is not known beforehand; most models are done after six or seven.
         if progress is not None:
             progress(1.0 - 0.7**solves)
 
     with one_thread():
-        if start is None:
-            low, high = float(frequencies.min()), float(frequencies.max())
-            nodes = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * (np.arange(first) + 0.5) / first)
-            weights = np.sqrt(np.abs(system.matrix(float(nodes[first // 2])).diagonal()))
-            states, largest = system.krylov(float(nodes[0]), DEPTH)
-            basis = _extended(None, states, weights)
-            for k, f in enumerate(nodes[1:], start=1):
-                report(k)
-                states, residual = system.krylov(float(f), DEPTH)
-                basis, largest = _extended(basis, states, weights), max(largest, residual)
-            model = _project(operators, basis, weights, tolerance, first, largest)
-        else:
-            model = replace(start, tolerance=tolerance)
+        growing = _Growing(operators, values, frequencies, start)
+        for node in nodes:
+            report()
+            states, residual = growing.system.krylov(float(node), DEPTH, tangents=tangents)
+            growing.add(states)
+            solves, largest = solves + 1, max(largest, residual)
         while True:
-            solution = model.solve(frequencies, values)
-            spread = _squared_residual(model.sketch, solution) / np.abs(solution.charge)
+            report()
+            charge, squared = growing.respond()
+            spread = squared / np.abs(charge)
             worst = int(np.argmax(spread))
-            report(model.solves)
-            states, residual = system.krylov(float(frequencies[worst]), DEPTH)
-            exact = _charge(operators, states[:, 0], float(frequencies[worst]), values)
-            error = abs(solution.charge[worst] / exact - 1.0)
-            effectivity = max(model.effectivity, SAFETY * error / spread[worst]) if error > 1e-12 else model.effectivity
-            solves, largest = model.solves + 1, max(model.residual, residual)
+            states, residual = growing.system.krylov(float(frequencies[worst]), DEPTH, tangents=tangents)
+            exact = growing.charge(states[:, 0], worst)
+            error = abs(charge[worst] / exact - 1.0)
+            if error > ROUNDING:
+                effectivity = max(effectivity, SAFETY * error / spread[worst])
+            solves, largest = solves + 1, max(largest, residual)
+            # What the last solve tells is always taken into the basis, also when it was only a confirmation.
+            growing.add(states)
             if error <= tolerance and effectivity * spread[worst] <= SAFETY * tolerance:
-                return replace(model, effectivity=effectivity, solves=solves, residual=largest)
+                break
             if solves >= limit:
                 raise NotEnriched(error, tolerance, solves)
-            basis = _extended(model.basis, states, model.weights)
-            model = _project(operators, basis, model.weights, tolerance, solves, largest)
-            model = replace(model, effectivity=effectivity)
+        # Directions for other parameter values are there to be used later.
+        basis = growing.basis if tangents else growing.compressed()
+        sketch = operators.project(basis, growing.test)
+        reduced = operators.reduced(basis)
+    return ReducedModel(operators, reduced, basis, sketch, growing.weights, effectivity, tolerance, solves, largest)
 
 
-def _charge(operators: FullOperators, state: Complex, frequency: float, values: Values) -> complex:
-    omega = np.array([2.0 * np.pi * frequency])
-    forms = operators.quadratic(state[:, None], state[:, None])
-    return -complex(np.sum(coefficients(operators.integrals, omega, values) * forms))
+class _Growing:
+    """A basis that grows, projected on for one set of parameter values only, which is far cheaper than for all.
+
+    ``columns`` (size, r) are orthonormal in the norm of ``weights``, ``lift`` (size,) has unit electrode voltage.
+    Projections of the matrices of equal frequency dependence (see `solve.System`) are extended, never made again.
+    """
+
+    def __init__(self, operators: FullOperators, values: Values, frequencies: Real, start: ReducedModel | None) -> None:
+        self.system = System(operators, values)
+        self.factors = self.system.factors(frequencies)
+        self.matrices = self.system.group_matrices()
+        size, groups = operators.size, len(self.matrices)
+        middle = float(np.median(frequencies))
+        self.weights = np.sqrt(np.abs(self.system.matrix(middle).diagonal())) if start is None else start.weights
+        self.test = np.random.default_rng(0).standard_normal((size, PROJECTIONS)) / self.weights[:, None]
+        self.test[-1] = 0.0  # the row of the electrode is not an equation
+        self.basis = np.zeros((size, 0))
+        self.projected = np.zeros((groups, 0, 0), dtype=complex)
+        self.sketch = np.zeros((groups, PROJECTIONS, 0), dtype=complex)
+        if start is not None:
+            self.basis = start.basis
+            constants = np.stack(self.system.constants)
+            self.projected = np.tensordot(constants, start.operators.matrices, axes=1)
+            self.sketch = np.tensordot(constants, start.sketch, axes=1)
+
+    def add(self, states: Complex) -> None:
+        """Take the real and imaginary parts of `states` (size, n), the first at unit voltage, into the basis."""
+        if self.basis.shape[1] == 0:
+            self._extend(states[:, 0].real[:, None])
+        lift = self.basis[:, -1]
+        parts = [states[:, 0].real - lift, states[:, 0].imag, states[:, 1:].real, states[:, 1:].imag]
+        new = self.weights[:, None] * np.column_stack(parts)
+        length = np.linalg.norm(new, axis=0)
+        new = new[:, length > 0.0] / length[length > 0.0]
+        scaled = self.weights[:, None] * self.basis[:, :-1]
+        for _ in range(2):
+            new = new - scaled @ (scaled.T @ new)
+        new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True)
+        self._extend(new[:, np.abs(np.diag(triangle)) > DEPENDENT] / self.weights[:, None])
+
+    def _extend(self, new: Real) -> None:
+        """Add columns before the last one (the lift), or the lift itself to an empty basis."""
+        old = self.basis
+        self.basis = np.column_stack([old[:, :-1], new, old[:, -1:]]) if old.shape[1] else new
+        order = np.concatenate([np.arange(old.shape[1] - 1), old.shape[1] + np.arange(new.shape[1]),
+                                [old.shape[1] - 1]]).astype(int) if old.shape[1] else np.arange(new.shape[1])
+        projected, sketch = [], []
+        for matrix, known, seen in zip(self.matrices, self.projected, self.sketch, strict=True):
+            image = matrix @ new
+            cross = old.T @ image
+            block = np.block([[known, cross], [cross.T, new.T @ image]])
+            projected.append(block[np.ix_(order, order)])
+            sketch.append(np.column_stack([seen, self.test.T @ image])[:, order])
+        self.projected, self.sketch = np.stack(projected), np.stack(sketch)
+
+    def respond(self) -> tuple[Complex, Real]:
+        """Charge (n,) for 1 V, and mean squared projected residual (n,), at all frequencies."""
+        self.states, _ = solve_dense(self.factors, self.projected)
+        whole = np.einsum("gn,gij,jn->in", self.factors, self.projected, self.states, optimize=True)
+        residual = np.einsum("gn,gkj,jn->kn", self.factors, self.sketch, self.states, optimize=True)
+        return -np.sum(self.states * whole, axis=0), np.mean(np.abs(residual) ** 2, axis=0)
+
+    def charge(self, state: Complex, index: int) -> complex:
+        """Charge of a full state at the frequency of that index."""
+        image = sum(h * (matrix @ state) for h, matrix in zip(self.factors[:, index], self.matrices, strict=True))
+        return -complex(state @ image)
+
+    def compressed(self) -> Real:
+        """The basis without the directions the response does not use, lift last."""
+        self.respond()
+        coordinates = np.column_stack([self.states[:-1].real, self.states[:-1].imag])
+        directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
+        kept = directions[:, singular > UNUSED * singular[0]]
+        return np.column_stack([self.basis[:, :-1] @ kept, self.basis[:, -1]])
 
 
 def _squared_residual(sketch: Real, solution: Solution) -> Real:
@@ -152,31 +234,3 @@ def _squared_residual(sketch: Real, solution: Solution) -> Real:
     applied = np.tensordot(sketch, solution.states, axes=(2, 0))  # (integrals, projections, n)
     projected = np.einsum("nq,qkn->kn", solution.coefficients, applied, optimize=True)
     return np.mean(np.abs(projected) ** 2, axis=0)
-
-
-def _extended(basis: Real | None, states: Complex, weights: Real) -> Real:
-    """`basis` with the real and imaginary parts of `states` added, orthonormal in the norm of `weights`."""
-    if basis is None:
-        lift = states[:, 0].real.copy()
-        columns = np.zeros((states.shape[0], 0))
-    else:
-        lift, columns = basis[:, -1].copy(), weights[:, None] * basis[:, :-1]
-    parts = np.column_stack([states[:, 0].real - lift, states[:, 0].imag, states[:, 1:].real, states[:, 1:].imag])
-    added = weights[:, None] * parts
-    size = np.linalg.norm(added, axis=0)
-    added = added[:, size > 0.0] / size[size > 0.0]
-    for _ in range(2):
-        added = added - columns @ (columns.T @ added)
-    added, triangle, _ = scipy.linalg.qr(added, mode="economic", pivoting=True)
-    added = added[:, np.abs(np.diag(triangle)) > DEPENDENT]
-    return np.column_stack([np.column_stack([columns, added]) / weights[:, None], lift])
-
-
-def _project(
-    operators: FullOperators, basis: Real, weights: Real, tolerance: float, solves: int, residual: float
-) -> ReducedModel:
-    test = np.random.default_rng(0).standard_normal((basis.shape[0], PROJECTIONS)) / weights[:, None]
-    test[-1] = 0.0  # the row of the electrode is not an equation
-    sketch = operators.project(basis, test)
-    return ReducedModel(operators, operators.reduced(basis), basis, sketch, weights, 0.0, tolerance,
-                        solves, residual)

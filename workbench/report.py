@@ -13,14 +13,14 @@ from typing import Any
 
 from inputs import write_atomic
 from workbench.compare import Comparison
-from workbench.merit import Figures, NoResonance, ResonanceFit, figures, fit_resonance
+from workbench.merit import Estimate, Figures, NoResonance, ResonanceFit, figures, fit_resonance
 from workbench.simulate import Simulation
 from workbench.spectrum import Spectrum
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #ddd; }
-table { border-collapse: collapse; margin: .8rem 0; } 
+table { border-collapse: collapse; margin: .8rem 0; }
 th, td { padding: .25rem .7rem; text-align: right; }
 th { background: #f3f3f3; } th:first-child, td:first-child { text-align: left; }
 tr { border-bottom: 1px solid #e5e5e5; }
@@ -88,10 +88,10 @@ def number(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}" if math.isfinite(value) else str(value)
 
 
-def figures_row(label: str, merit: Figures | None, reason: str = "") -> tuple[str, ...]:
-    """f0, Z_min, Q, kt and k_eff as text."""
+def figures_row(label: str, merit: Figures | None) -> tuple[str, ...]:
+    """The cells of :data:`FIGURE_COLUMNS` as text."""
     if merit is None:
-        return (label, reason or "no resonance", "", "", "", "")
+        return (label, "none", "", "", "", "")
     anti = merit.antiresonance
     return (label, f"{merit.f0 / 1e6:.4f}", number(merit.z_min), number(merit.q),
             number(anti.kt, 3) if anti else "", f"{anti.static_capacitance * 1e12:.0f}" if anti else "")
@@ -126,7 +126,7 @@ def resonance_fits(spectrum: Spectrum) -> dict[str, ResonanceFit]:
 
 def fit_record(fit: ResonanceFit) -> dict[str, Any]:
     """A resonance fit for a JSON file: every value with its standard error."""
-    def pair(estimate: Any) -> list[float]:
+    def pair(estimate: Estimate) -> list[float]:
         return [estimate.value, estimate.standard_error]
 
     return {"frequency_hz": pair(fit.frequency), "q": pair(fit.q), "rms_residual": fit.rms_residual,
@@ -137,9 +137,10 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
     """Everything of a simulated state that merit.json holds."""
     record = figures_record(run.figures, run.no_resonance)
     record["resonance_fits"] = {name: fit_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
-    record["model"] = {"unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]),
-                       "full_solves": run.solves, "estimated_relative_error": run.error, "largest_residual": run.residual,
-                       "energy_closure": run.closure}
+    record["model"] = {
+        "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
+        "estimated_relative_error": run.error, "largest_residual": run.residual, "energy_closure": run.closure,
+    }
     record["fields"] = {"frequency_hz": run.fields.frequency, "drive": run.fields.drive,
                         "voltage_amplitude_v": abs(run.fields.voltage), "power_w": run.fields.power}
     record["losses_w"] = dict(run.losses)

@@ -1,4 +1,4 @@
-"""The main job in Python: a chip in its states becomes spectra, figures of merit, fields and traps.
+"""The main job in Python: a chip in one of its states becomes a spectrum, figures of merit, fields and traps.
 
     result = simulate(read_chip("chip.toml"), "filled")
     result.spectrum, result.figures, result.fields, result.traps
@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,7 @@ from workbench.merit import Figures, NoResonance, figures
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem, build, mesh_speeds
 from workbench.reduce import reduce
-from workbench.solve import Solution, System, one_thread, sweep
+from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
@@ -47,31 +47,39 @@ def quiet(_activity: str, _fraction: float) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
-    """One state of a chip, simulated.
+class Snapshot:
+    """One state of a chip at one frequency under one drive.
 
-    ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``fields`` are those at f0, or
-    at the frequency asked for. ``losses`` (W) dissipated there by region under the drive, ``closure`` their relative
-    difference from the electrical input power. ``error`` is the largest estimated relative error of the
-    impedance (0 for a full solve), ``solves`` the number of full solves, ``residual`` the largest scaled residual of
-    one. ``traps`` is None without a fluid-filled cavity and a particle. ``seconds`` by step.
+    ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
+    ``traps`` is None without a fluid-filled cavity and a particle. ``residual`` is the scaled residual of the solve.
     """
 
     chip: Chip
     state: str
     problem: Problem
-    operators: FullOperators
-    spectrum: Spectrum
-    figures: Figures | None
-    no_resonance: str
     fields: Fields
     losses: Mapping[str, float]
     closure: float
     traps: particles.TrapReport | None
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation(Snapshot):
+    """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
+
+    ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
+    estimated relative error of the impedance (0 for a full solve), ``solves`` the number of full solves, ``residual``
+    the largest scaled residual of one. ``seconds`` by step.
+    """
+
+    operators: FullOperators
+    spectrum: Spectrum
+    figures: Figures | None
+    no_resonance: str
     error: float
     solves: int
-    residual: float
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float]
 
     @property
     def unknowns(self) -> int:
@@ -133,19 +141,20 @@ def simulate(
         now = time.perf_counter()
         seconds[name], started = now - started, now
 
-    name = chip.states[-1].name if state is None else chip.state(state).name
+    name = state_name(chip, state)
+    registry = registry or Registry()
+    if not 0.0 < tolerance < 1.0:
+        raise InputError("simulate", "tolerance", tolerance, "a relative error between 0 and 1")
     frequencies = frequency_grid(chip.band if band is None else band, points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem = build(chip, name, registry or Registry(), band=span, elements_per_wavelength=elements_per_wavelength,
-                    cache=mesh_cache)
+    problem = build(chip, name, registry, band=span, elements_per_wavelength=elements_per_wavelength, cache=mesh_cache)
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     lap("assembly")
     if full:
         impedance, solves, residual = _full_spectrum(operators, frequencies, problem, known or {}, on_point, progress)
         error = 0.0
-        model = None
     else:
         model = reduce(operators, frequencies, problem.values, tolerance=tolerance,
                        progress=lambda fraction: progress("reduced model", fraction))
@@ -161,15 +170,59 @@ def simulate(
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
     check_mesh(problem, frequency, elements_per_wavelength)
     progress("fields", 0.0)
-    with one_thread():
-        exact, last_residual = System(operators, problem.values).solve(frequency)
-    found = fields(problem, operators, exact, frequency, drive or VoltageDrive())
-    losses, closure = loss_budget(problem, operators, exact, frequency, abs(found.voltage))
-    traps = _traps(chip, name, problem, found, registry or Registry())
+    shot = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
     lap("fields")
     progress("fields", 1.0)
-    return Simulation(chip, name, problem, operators, spectrum, merit, reason, found, losses, closure, traps, error,
-                      solves + 1, max(residual, last_residual), seconds)
+    return Simulation(
+        chip=chip, state=name, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
+        traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
+        no_resonance=reason, error=error, solves=solves + 1, seconds=seconds,
+    )
+
+
+def snapshot(
+    chip: Chip,
+    state: str | None,
+    frequency: float,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    drive: Drive | None = None,
+    elements_per_wavelength: float = 10.0,
+    mesh_cache: Path | None = None,
+    progress: Progress = quiet,
+) -> Snapshot:
+    """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
+
+    Raises:
+        InputError: something in the chip, its materials or the arguments.
+        NotConverged: the solve did not reach its tolerance.
+    """
+    name, registry = state_name(chip, state), registry or Registry()
+    progress("mesh", 0.0)
+    problem = build(chip, name, registry, band=band, elements_per_wavelength=elements_per_wavelength, cache=mesh_cache)
+    check_mesh(problem, frequency, elements_per_wavelength)
+    progress("fields", 0.5)
+    operators = assemble(problem.mesh, problem.terms)
+    found = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
+    progress("fields", 1.0)
+    return found
+
+
+def state_name(chip: Chip, state: str | None) -> str:
+    """The name of a state, checked; None is the last one, in which a device works: the filled one after the empty."""
+    return chip.states[-1].name if state is None else chip.state(state).name
+
+
+def _snapshot(
+    chip: Chip, state: str, problem: Problem, operators: FullOperators, frequency: float, drive: Drive,
+    registry: Registry,
+) -> Snapshot:
+    solution = solve_full(operators, np.array([frequency]), problem.values)
+    found = fields(problem, operators, solution, drive)
+    losses, closure = loss_budget(solution, abs(found.voltage))
+    return Snapshot(chip, state, problem, found, losses, closure, _traps(chip, state, problem, found, registry),
+                    float(solution.residual[0]))
 
 
 def _full_spectrum(
@@ -177,7 +230,7 @@ def _full_spectrum(
     on_point: Callable[[float, complex], None] | None, progress: Progress,
 ) -> tuple[Complex, int, float]:
     """Impedance (e^{-i w t}) at every frequency by full solves, their number, and the largest residual."""
-    impedance = np.array([np.conj(known.get(float(f), 0.0)) for f in frequencies])
+    impedance = np.conj(np.array([known.get(float(f), 0.0) for f in frequencies], dtype=np.complex128))
     missing = np.flatnonzero(impedance == 0.0)
     residual = 0.0
     for done, (index, solution) in enumerate(zip(missing, sweep(operators, frequencies[missing], problem.values),
@@ -202,16 +255,12 @@ def check_mesh(problem: Problem, frequency: float, wanted: float) -> None:
                       f"{wanted:g}. Make the mesh for a band that reaches this frequency", MeshTooCoarse, stacklevel=3)
 
 
-def loss_budget(
-    problem: Problem, operators: FullOperators, state: Complex, frequency: float, voltage: float
-) -> tuple[dict[str, float], float]:
-    """Power (W) lost in every place at the electrode voltage amplitude, and how far the sum is from the input power."""
-    omega = 2.0 * np.pi * frequency
-    g = np.array([[i.coefficient(np.array([omega]), problem.values)[0] for i in operators.integrals]])
-    solution = Solution(operators, np.array([frequency]), g, state[:, None], np.zeros(1))
+def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], float]:
+    """Power (W) lost in every place by a solution at one frequency under an electrode voltage amplitude (V), and the
+    relative difference of the sum from the electrical input power."""
     parts = solution.dissipation()[0] * voltage**2
     losses: dict[str, float] = {}
-    for integral, power in zip(operators.integrals, parts, strict=True):
+    for integral, power in zip(solution.operators.integrals, parts, strict=True):
         if power != 0.0:
             losses[integral.place] = losses.get(integral.place, 0.0) + float(power)
     supplied = float(solution.input_power()[0]) * voltage**2
@@ -229,7 +278,7 @@ def _traps(
     if not isinstance(material, IsotropicSolid):
         raise InputError(chip.file, f"states.{state}.particle", chosen.particle, "an isotropic solid")
     bead = particles.particle_from(material, chosen.particle_radius)
-    forces = particles.particle_forces(found, bead, fluid=fluid, region=CAVITY, drive=found.drive)
+    forces = particles.particle_forces(found, bead, fluid=fluid, region=CAVITY)
     return particles.find_traps(forces)
 
 

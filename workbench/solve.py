@@ -162,14 +162,24 @@ class System:
 
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
-        groups = frequency_groups(operators.integrals, np.ones(1), values)
-        self._entries = [operators.matrix(constants) for _, constants in groups]
+        self.constants = [c for _, c in frequency_groups(operators.integrals, np.ones(1), values)]
+        self._entries = [operators.matrix(constants) for constants in self.constants]
+
+    def factors(self, frequencies: Real) -> Complex:
+        """h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
+        groups = frequency_groups(self.operators.integrals, 2.0 * np.pi * frequencies, self.values)
+        return np.stack([h for h, _ in groups])
+
+    def group_matrices(self) -> list[sparse.csc_matrix]:
+        """B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
+        return [self._stored(entries) for entries in self._entries]
 
     def matrix(self, frequency: float) -> sparse.csc_matrix:
         """A(w) (size, size), complex symmetric, electrode included."""
-        omega = np.array([2.0 * np.pi * frequency])
-        groups = frequency_groups(self.operators.integrals, omega, self.values)
-        entries = sum(complex(h[0]) * e for (h, _), e in zip(groups, self._entries, strict=True))
+        factors = self.factors(np.array([frequency]))[:, 0]
+        return self._stored(sum(h * entries for h, entries in zip(factors, self._entries, strict=True)))
+
+    def _stored(self, entries: Complex) -> sparse.csc_matrix:
         pattern = self.operators.pattern
         return sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
 
@@ -178,20 +188,25 @@ class System:
         states, residual = self.krylov(frequency, 1)
         return states[:, 0], residual
 
-    def krylov(self, frequency: float, count: int, *, step: float = 0.01) -> tuple[Complex, float]:
-        """The state at `frequency` and `count` - 1 further vectors that make up its neighbours: (size, count).
+    def krylov(
+        self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = ()
+    ) -> tuple[Complex, float]:
+        """The state at `frequency`, `count` - 1 further vectors that make up its neighbours, and `tangents`.
 
         With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
         close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
-        neighbourhood, whatever the coefficients' dependence on frequency. The second result is the scaled residual of
-        the state itself.
+        neighbourhood, whatever the coefficients' dependence on frequency. The same factorisation gives the derivative
+        of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`.
+
+        Returns:
+            (size, count + len(tangents)) the state first, and the scaled residual of the state itself.
         """
         whole = self.matrix(frequency)
         free = whole.shape[0] - 1
         factor = factorise(whole[:free, :free], frequency)
         electrode = np.asarray(whole[:free, free].toarray()).ravel()
         x, residual = factor.solve(-electrode)
-        states = np.zeros((free + 1, count), dtype=complex)
+        states = np.zeros((free + 1, count + len(tangents)), dtype=complex)
         states[:, 0] = np.append(x, 1.0)
         if count > 1:
             change = self.matrix(frequency * (1.0 + step)) - whole
@@ -205,7 +220,19 @@ class System:
                 directions = np.column_stack([directions, found])
                 vector = np.append(factor.scale * found, 0.0)
                 states[:, k] = vector
+        if tangents:
+            states[:free, count:] = factor.scale[:, None] * factor.solve_scaled(
+                factor.scale[:, None] * self._changes(frequency, states[:, 0], tangents)[:free])
         return states, residual
+
+    def _changes(self, frequency: float, state: Complex, names: tuple[str, ...]) -> Complex:
+        """(dA / dtheta) x (size, len(names)) for complex parameters."""
+        omega = np.array([2.0 * np.pi * frequency])
+        slopes = np.array([
+            [integral.coefficient.derivative(omega, self.values, name)[0] for name in names]
+            for integral in self.operators.integrals
+        ])
+        return self.operators.images(state).T @ slopes
 
 
 def factorise(matrix: sparse.csc_matrix, frequency: float) -> Factor:
@@ -248,15 +275,18 @@ def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values
     frequencies = np.asarray(frequencies, dtype=float)
     omega = 2.0 * np.pi * frequencies
     g = coefficients(operators.integrals, omega, values)
-    with one_thread():
-        r = operators.size
-        matrices = np.zeros((frequencies.size, r, r), dtype=complex)
-        for h, constants in frequency_groups(operators.integrals, omega, values):
-            summed = np.tensordot(constants, operators.matrices, axes=1)
-            matrices += h[:, None, None] * summed
-        inner, right = matrices[:, :-1, :-1], -matrices[:, :-1, -1:]
-        x = np.linalg.solve(inner, right)[:, :, 0]
-        remainder = (inner @ x[:, :, None] - right)[:, :, 0]
-        residual = np.linalg.norm(remainder, axis=1) / np.linalg.norm(right[:, :, 0], axis=1)
-    states = np.concatenate([x, np.ones((frequencies.size, 1))], axis=1).T
+    groups = frequency_groups(operators.integrals, omega, values)
+    summed = np.stack([np.tensordot(constants, operators.matrices, axes=1) for _, constants in groups])
+    states, residual = solve_dense(np.stack([h for h, _ in groups]), summed)
     return Solution(operators, frequencies, g, states, residual)
+
+
+def solve_dense(factors: Complex, matrices: Complex) -> tuple[Complex, Real]:
+    """States (r, n), last entry 1, of sum_g factors_g(w) matrices_g (groups, r, r) for n frequencies, and residuals."""
+    with one_thread():
+        whole = np.einsum("gn,gij->nij", factors, matrices, optimize=True)
+        inner, right = whole[:, :-1, :-1], -whole[:, :-1, -1:]
+        x = np.linalg.solve(inner, right)
+        remainder = (inner @ x - right)[:, :, 0]
+    residual = np.linalg.norm(remainder, axis=1) / np.linalg.norm(right[:, :, 0], axis=1)
+    return np.concatenate([x[:, :, 0], np.ones((len(x), 1))], axis=1).T, residual

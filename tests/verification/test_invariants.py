@@ -103,8 +103,9 @@ def test_density_stiffness_and_piezoelectric_constants_have_a_gauge(small_disc: 
     # Rounding of residuals of 1e-14, grown by resonances of Q = 400.
     assert difference.max() < 1e-9
     # And it is no identity of the code: without sqrt(s) on e nothing of it is left.
-    wrong = changed | {n: factor * small_disc.values[n] for n in ("pzt.e31", "pzt.e33", "pzt.e15")}
-    assert np.abs(impedance(small_disc.with_values(wrong), frequency) / impedance(small_disc, frequency) - 1.0).max() > 0.1
+    coupling = {name: factor * small_disc.values[name] for name in ("pzt.e31", "pzt.e33", "pzt.e15")}
+    wrong = small_disc.with_values(changed | coupling)
+    assert np.abs(impedance(wrong, frequency) / impedance(small_disc, frequency) - 1.0).max() > 0.1
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -143,7 +144,7 @@ def test_the_gradient_by_every_coefficient_is_the_central_difference(
             return complex(1.0 / (-1j * 2.0 * np.pi * frequency * charge))
 
         found = richardson(changed, 1e-3) / g[q]
-        # A coefficient that Z hardly feels is measured against Z itself: 1e-12 is the rounding of a difference over 1e-3.
+        # What Z hardly feels is measured against Z itself: rounding is 1e-12 of it in a difference over 1e-3.
         error = abs(found - exact[q]) / max(abs(exact[q]), 1e-6 * abs(solution.impedance[0] / g[q]))
         worst = max(worst, error)
         assert error < 1e-6, operators.integrals[q]
@@ -208,7 +209,7 @@ def test_an_empty_cavity_is_the_limit_of_a_vanishing_density(
     # The load of the fluid is proportional to its density, at a fixed sound speed.
     assert differences[1] / differences[2] == pytest.approx(10.0, rel=1e-2)
     assert differences[2] / differences[3] == pytest.approx(10.0, rel=1e-2)
-    assert differences[3] < 1e-6
+    assert differences[3] < 1e-5
 
 
 def test_a_fluid_of_the_chip_does_change_it(filled: Problem, filled_materials: dict[str, Material]) -> None:
@@ -256,7 +257,7 @@ def test_a_stretched_chip_is_the_remeshed_one_within_the_error_of_the_mesh(
     error = float(np.abs(impedance(remeshed) / fine - 1.0).max())
     difference = float(np.abs(impedance(stretched) / impedance(remeshed) - 1.0).max())
     change = float(np.abs(impedance(stretched) / impedance(start) - 1.0).max())
-    print(f"stretched against remeshed: {difference:.1e}; error of the mesh {error:.1e}; change by the stretch {change:.1e}")
+    print(f"stretched against remeshed: {difference:.1e}; mesh error {error:.1e}; change by the stretch {change:.1e}")
     # Two meshes of like fineness differ by no more than the sum of their errors; that of the stretched one, whose
     # elements have grown by 5 % and were an eighth larger, is up to 2.5 times that of the other.
     assert difference < 3.5 * error

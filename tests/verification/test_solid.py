@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import j0, j1
+from scipy.special import j0, j1, jn_zeros
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
@@ -46,7 +46,7 @@ def solid_modes(
     rows: Callable[..., NDArray[np.int64]],
     reference_materials: Callable[..., dict[str, object]],
 ) -> Callable[..., NDArray[np.float64]]:
-    """Eigenfrequencies (Hz) of a disc that a couplant with nothing in it parts from the transducer."""
+    """Eigenfrequencies (Hz) of a disc between two layers with nothing in them, which part it from the transducer."""
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     values: dict[str, complex] = {f"pzt.{n}": v for n, v in pzt.parameters().items()}  # type: ignore[attr-defined]
 
@@ -54,7 +54,7 @@ def solid_modes(
         radius: float, thickness: float, edge: float, *, near: float, bulk: float = BULK, clamps: tuple[Clamp, ...] = ()
     ) -> NDArray[np.float64]:
         chip = stacked([("transducer", thickness, radius, None), ("couplant", thickness, radius, None),
-                        ("sample", thickness, radius, None)], band=(1e5, 1e6))
+                        ("sample", thickness, radius, None), ("superstrate", thickness, radius, None)], band=(1e5, 1e6))
         terms: tuple[Term, ...] = (
             piezoelectric.Piezoelectric("transducer", "pzt"), solid.IsotropicSolid("sample", "polymer"),
             electrodes.Electrodes("electrode_live", "electrode_ground"), *clamps,
@@ -67,7 +67,9 @@ def solid_modes(
 
 
 RADIUS = 4e-3
-PLANE_STRAIN = (Clamp("u_z", "couplant|sample"), Clamp("u_z", "sample|outside"))
+#: Both faces slide, or only the rim does.
+FACES = (Clamp("u_z", "couplant|sample"), Clamp("u_z", "sample|superstrate"))
+RIM = (Clamp("u_r", "sample|outside"),)
 
 
 def plane_strain_frequency() -> float:
@@ -83,7 +85,7 @@ def test_a_cylinder_in_plane_strain_has_the_bessel_mode_with_the_fourth_order(
     exact = plane_strain_frequency()
     errors = []
     for elements in (2, 4, 8):
-        found = solid_modes(RADIUS, 0.5e-3, RADIUS / elements, near=exact, clamps=PLANE_STRAIN)
+        found = solid_modes(RADIUS, 0.5e-3, RADIUS / elements, near=exact, clamps=FACES)
         errors.append(float(np.abs(found / exact - 1.0).min()))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     print(f"plane strain: errors {errors}, order {np.round(order, 2).tolist()}")
@@ -118,7 +120,25 @@ def test_a_plate_without_poissons_ratio_vibrates_through_its_thickness(
     # which take away the modes of bending.
     thickness = 1e-3
     exact = np.sqrt(2.0 * SHEAR / DENSITY) / (2.0 * thickness)
-    clamps = (Clamp("u_r", "couplant|sample"), Clamp("u_r", "sample|outside"))
+    clamps = (Clamp("u_r", "couplant|sample"), Clamp("u_r", "sample|superstrate"), *RIM)
     found = solid_modes(1e-3, thickness, 0.125e-3, near=exact, bulk=2.0 * SHEAR / 3.0, clamps=clamps)
     # (k h)^4 / 720 of 8 biquadratic elements on half a wave, halved for the frequency.
     assert np.abs(found / exact - 1.0).min() < 2e-5
+
+
+def test_a_disc_that_slides_on_its_walls_has_the_shear_mode_with_the_fourth_order(
+    solid_modes: Callable[..., NDArray[np.float64]],
+) -> None:
+    # u = rot(J1(a r) sin(b z)), no change of volume, with a R a zero of J1 and b h = pi: u_z = 0 and no shear stress on
+    # the faces, u_r = 0 and no shear stress on the rim; rho w^2 = G (a^2 + b^2).
+    radius, thickness = 2e-3, 1e-3
+    exact = np.sqrt(SHEAR / DENSITY) * np.hypot(jn_zeros(1, 1)[0] / radius, np.pi / thickness) / (2.0 * np.pi)
+    errors = []
+    for edge in (0.5e-3, 0.25e-3, 0.125e-3):
+        found = solid_modes(radius, thickness, edge, near=exact, clamps=FACES + RIM)
+        errors.append(float(np.abs(found / exact - 1.0).min()))
+    order = np.log2(np.array(errors[:-1]) / errors[1:])
+    print(f"shear mode: errors {errors}, order {np.round(order, 2).tolist()}")
+    # (k h)^4 / 1440 with k h = 0.46.
+    assert errors[-1] < 4e-5
+    assert abs(order[-1] - 4.0) < 0.15

@@ -1,58 +1,114 @@
-"""All pictures of one simulated state, and of a chip as a solid: what the command line draws."""
+"""All pictures of a state at one frequency, and of a chip as a solid: what the command line draws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from geometry.chip import Chip
+from geometry.names import CAVITY
+from inputs import InputError
 from workbench.report import Picture
-from workbench.simulate import Simulation
+from workbench.simulate import Snapshot
 
 #: Fields that can be asked for by name.
 FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh")
 
+#: A fluid thinner than this part of the chip's height is no more than a line in a picture.
+VISIBLE = 0.01
 
-def draw_state(run: Simulation, folder: Path, *, only: Sequence[str] = FIELDS) -> list[Picture]:
-    """The pictures of a state that exist for it, among `only`, written to `folder`."""
-    from workbench.render import plots, sections, solids
+_Pictures = list[Picture]
 
-    fields, state, pictures = run.fields, run.state, []
-    drive = fields.drive
-    place = f"{fields.frequency / 1e6:.4f} MHz, {drive}"
 
-    def add(path: Path, caption: str) -> None:
-        pictures.append(Picture(path, f"{state}: {caption}"))
+def draw_state(shot: Snapshot, folder: Path, *, only: Sequence[str] | None = None) -> list[Picture]:
+    """The pictures named by `only` (:data:`FIELDS`), written to `folder`; by default all that exist for the state.
 
-    if "displacement" in only:
-        add(sections.draw_axial_displacement(fields, folder / f"displacement_{state}.png", drive=drive),
-            f"axial displacement in the solids at {place}; fluids are white")
-    filled = "cavity" in fields.fluid_regions
-    if "pressure" in only and fields.fluid_regions:
-        add(sections.draw_pressure(fields, folder / f"pressure_{state}.png", drive=drive,
-                                   region="cavity" if filled else None), f"pressure at {place}")
-    if "gorkov" in only and run.traps is not None:
-        add(sections.draw_gorkov_potential(run.traps, folder / f"gorkov_{state}.png"),
-            f"Gor'kov potential and traps; {run.traps.excitation}")
-        if run.traps.traps:
-            add(plots.draw_potential_profiles(run.traps, folder / f"profiles_{state}.png"),
-                "Gor'kov potential along the axis and along the radius through the deepest trap")
-    if "cutaway" in only:
-        add(solids.draw_revolved(fields, folder / f"cutaway_{state}.png", drive=drive),
-            f"the chip cut open, coloured by the axial displacement at {place}")
-    if "losses" in only and run.losses:
-        add(plots.draw_loss_budget(run.losses, folder / f"losses_{state}.png", title=f"where the power goes, {state}"),
-            f"power lost by region at {place}; closes against the electrical input to {run.closure:.0e}")
-    if "mesh" in only:
-        add(sections.draw_regions(fields.mesh, folder / f"mesh_{state}.png"), "regions and cells")
+    Raises:
+        InputError: a picture asked for by name that does not exist for the state, and why.
+    """
+    makers: Mapping[str, Callable[[Snapshot, Path], tuple[_Pictures, str]]] = {
+        "displacement": _displacement, "pressure": _pressure, "gorkov": _gorkov, "cutaway": _cutaway,
+        "losses": _losses, "mesh": _mesh,
+    }
+    pictures: _Pictures = []
+    for name in FIELDS if only is None else only:
+        made, missing = makers[name](shot, folder)
+        if missing and only is not None:
+            raise InputError(f"{shot.chip.file}, state {shot.state}", "field", name, f"another one: {missing}")
+        pictures += made
     return pictures
 
 
-def draw_chip(chip: Chip, parts: Mapping[str, Path], path: Path) -> Picture:
-    """The CAD view from the STL files of a chip's parts, pulled apart along z."""
+def _place(shot: Snapshot) -> str:
+    return f"{shot.fields.frequency / 1e6:.4f} MHz, {shot.fields.drive}"
+
+
+def _displacement(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+    from workbench.render import sections
+
+    path = sections.draw_axial_displacement(shot.fields, folder / f"displacement_{shot.state}.png")
+    return [Picture(path, f"{shot.state}: axial displacement in the solids at {_place(shot)}; fluids are white")], ""
+
+
+def _pressure(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+    """Pressure close up in the cavity or, without fluid there, in the thickest fluid."""
+    from workbench.render import sections
+
+    mesh = shot.fields.mesh
+    thickness = {name: float(np.ptp(mesh.points[mesh.nodes_of([name]), 1])) for name in shot.fields.fluid_regions}
+    seen = [name for name, size in thickness.items() if size >= VISIBLE * np.ptp(mesh.points[:, 1])]
+    if not seen:
+        return [], "no fluid is thick enough to be seen"
+    region = CAVITY if CAVITY in seen else max(seen, key=lambda name: thickness[name])
+    path = sections.draw_pressure(shot.fields, folder / f"pressure_{shot.state}.png", region=region)
+    return [Picture(path, f"{shot.state}: pressure in the {region} at {_place(shot)}")], ""
+
+
+def _gorkov(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+    from workbench.render import plots, sections
+
+    if shot.traps is None:
+        return [], "the state has no particle in a fluid-filled cavity"
+    path = sections.draw_gorkov_potential(shot.traps, folder / f"gorkov_{shot.state}.png")
+    pictures = [Picture(path, f"{shot.state}: Gor'kov potential, traps marked; {shot.traps.excitation}")]
+    if shot.traps.traps:
+        path = plots.draw_potential_profiles(shot.traps, folder / f"profiles_{shot.state}.png")
+        pictures.append(Picture(path, f"{shot.state}: Gor'kov potential along the axis and along the radius, both "
+                                "through the deepest trap"))
+    return pictures, ""
+
+
+def _cutaway(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
     from workbench.render import solids
 
-    height = chip.layers[-1].z_top
-    shapes = [solids.read_stl(file, metres_per_unit=1e-3) for name, file in parts.items() if name != "cavity"]
-    solids.draw_solids(shapes, path, title=chip.name, explode=0.5 * height)
-    return Picture(path, "the solids of the chip, pulled apart")
+    path = solids.draw_revolved(shot.fields, folder / f"cutaway_{shot.state}.png")
+    return [Picture(path, f"{shot.state}: the chip cut open, coloured by the axial displacement at {_place(shot)}")], ""
+
+
+def _losses(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+    from workbench.render import plots
+
+    if not sum(shot.losses.values()) > 0.0:
+        return [], "no material of the state has a loss"
+    path = plots.draw_loss_budget(shot.losses, folder / f"losses_{shot.state}.png",
+                                  title=f"where the power goes, {shot.state}")
+    return [Picture(path, f"{shot.state}: power lost by region at {_place(shot)}; closes against the electrical input "
+                    f"to {shot.closure:.0e}")], ""
+
+
+def _mesh(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
+    from workbench.render import sections
+
+    path = sections.draw_regions(shot.fields.mesh, folder / f"mesh_{shot.state}.png")
+    return [Picture(path, f"{shot.state}: regions and cells of the mesh")], ""
+
+
+def draw_chip(chip: Chip, parts: Mapping[str, Path], path: Path) -> Picture:
+    """The CAD view from the STL files of a chip's parts, cut through the axis and pulled apart along z."""
+    from workbench.render import solids
+
+    shapes = [solids.read_stl(file, metres_per_unit=1e-3) for name, file in parts.items() if name != CAVITY]
+    solids.draw_solids(shapes, path, title=chip.name, explode=0.35 * chip.layers[-1].z_top, cut_open=True)
+    return Picture(path, "the solids of the chip, cut through the axis and pulled apart")

@@ -50,16 +50,16 @@ class _Window:
     top: float
 
 
-def draw_axial_displacement(fields: Fields, path: Path, *, drive: str) -> Path:
+def draw_axial_displacement(fields: Fields, path: Path) -> Path:
     """u_z in the solids, fluids left white, as in Fig. 8 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`."""
     values, phase = at_largest(fields.displacement[:, 1])
     return _draw_signed(
         fields.mesh, values, path, unit="m", label="axial displacement $u_z$", window=_window(fields.mesh.points),
-        title=phase_title(fields, drive, phase),
+        title=phase_title(fields, phase),
     )
 
 
-def draw_pressure(fields: Fields, path: Path, *, drive: str, region: str | None = None) -> Path:
+def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> Path:
     """Pressure in the fluids of the whole section, or close up in the one `region`. Writes `path`."""
     pressure, shown = fields.pressure, fields.mesh.points
     if region is not None:
@@ -70,7 +70,7 @@ def draw_pressure(fields: Fields, path: Path, *, drive: str, region: str | None 
     values, phase = at_largest(pressure)
     return _draw_signed(
         fields.mesh, values, path, unit="Pa", label="acoustic pressure $p$", window=_window(shown),
-        title=phase_title(fields, drive, phase),
+        title=phase_title(fields, phase),
     )
 
 
@@ -91,7 +91,8 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
                 extent=_extent(window), interpolation="antialiased")
     for trap in report.traps:
         place = [sign * trap.radius * 1e3 for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,))]
-        axes.plot(place, [trap.height * 1e3] * len(place), linestyle="", marker="x", color="white", markersize=6)
+        axes.plot(place, [trap.height * 1e3] * len(place), linestyle="", marker="x", color="white", markersize=7,
+                  markeredgewidth=1.5, clip_on=False, zorder=5)
     _outline(axes, forces.mesh)
     _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"Gor'kov potential $U$ ({unit})")
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
@@ -138,12 +139,12 @@ def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
     return shown, float(np.degrees(phase))
 
 
-def phase_title(fields: Fields, drive: str, phase: float) -> str:
-    """Two lines: the `drive` in words, and when in the cycle a field of that `phase` (degrees, e^{-i w t}) is shown."""
-    # With e^{-i w t} a larger phase comes later.
-    later = (phase - np.degrees(np.angle(fields.voltage))) % 360.0
-    return (f"{drive}: {fields.frequency / 1e6:.4f} MHz, {2.0 * abs(fields.voltage):.3g} Vpp at the transducer\n"
-            f"shown at its maximum in the cycle, {later:.0f}° after that of the voltage")
+def phase_title(fields: Fields, phase: float) -> str:
+    """Two lines: frequency and drive, and when in the cycle a field of that `phase` (degrees, e^{-i w t}) is shown."""
+    # With e^{-i w t} a larger phase comes later; 360 degrees later is the same time.
+    later = round(phase - np.degrees(np.angle(fields.voltage))) % 360
+    return (f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}\n"
+            f"shown at its maximum in the cycle, {later}° after that of the voltage")
 
 
 def _draw_signed(

@@ -40,8 +40,9 @@ def read_stl(path: Path, *, metres_per_unit: float) -> Solid:
     return Solid(path.stem, np.asarray(surface.points, dtype=float) * metres_per_unit, surface.regular_faces)
 
 
-def draw_revolved(fields: Fields, path: Path, *, drive: str, degrees: float = 250.0) -> Path:
-    """The section revolved by `degrees`, so that one looks inside: u_z in the solids, fluids in plain pale blue.
+def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path:
+    """The section revolved by `degrees`, so that one looks inside: u_z in the solids, fluids in plain pale blue, and
+    nothing where there is nothing.
 
     Drawn at the phase at which u_z is largest. Writes `path`.
     """
@@ -50,13 +51,17 @@ def draw_revolved(fields: Fields, path: Path, *, drive: str, degrees: float = 25
     largest = float(np.nanmax(np.abs(values)))
     factor, unit = prefixed(largest, "m")
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
-    fluid = [not np.isfinite(values[mesh.nodes_of([name])]).all() for name in mesh.regions]
+    solid, fluid = ([bool(np.isfinite(field[mesh.nodes_of([name])]).all()) for name in mesh.regions]
+                    for field in (values, fields.pressure))
+    there = [name for name, *any_of in zip(mesh.regions, solid, fluid, strict=True) if any(any_of)]
 
     def arrange(plotter: Any) -> None:
         # The cut faces are unlit, so that their colours are those of the colour bar.
         coloured = {"scalars": "value", "cmap": SIGNED_COLOURS, "clim": limits, "show_scalar_bar": False}
-        skin = _skin(mesh)
-        for index in range(len(mesh.regions)):
+        skin = _skin(mesh, there)
+        for index, name in enumerate(mesh.regions):
+            if name not in there:
+                continue
             inside = mesh.region == index
             look = {"color": role_colour("cavity")} if fluid[index] else coloured
             for face in _cut_faces(mesh, mesh.cells[inside], degrees=degrees, values=values * factor):
@@ -75,8 +80,9 @@ def draw_revolved(fields: Fields, path: Path, *, drive: str, degrees: float = 25
     axes.imshow(picture)
     axes.axis("off")
     axes.set_title(
-        f"{phase_title(fields, drive, phase)}; "
-        f"Ø {2e3 * mesh.points[:, 0].max():.3g} mm × {1e3 * np.ptp(mesh.points[:, 1]):.3g} mm, fluids pale blue",
+        f"{phase_title(fields, phase)}; "
+        f"Ø {2e3 * mesh.points[:, 0].max():.3g} mm × {1e3 * np.ptp(mesh.points[:, 1]):.3g} mm"
+        f"{', fluids pale blue' if any(fluid) else ''}",
         fontsize=11,
     )
     bar = figure.add_axes((0.3, 0.1, 0.4, 0.025))
@@ -88,11 +94,14 @@ def draw_revolved(fields: Fields, path: Path, *, drive: str, degrees: float = 25
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
-def draw_solids(solids: Sequence[Solid], path: Path, *, title: str, opacity: float = 1.0, explode: float = 0.0) -> Path:
+def draw_solids(
+    solids: Sequence[Solid], path: Path, *, title: str, opacity: float = 1.0, explode: float = 0.0,
+    cut_open: bool = False,
+) -> Path:
     """The solids of a CAD model with their names, in the colours of their roles, the first at the bottom of the legend.
 
-    `explode` (m) is the extra gap drawn between consecutive solids along z, so that inner faces can be seen.
-    Writes `path`.
+    `explode` (m) is the extra gap drawn between consecutive solids along z, so that inner faces can be seen; `cut_open`
+    leaves out the half in front of the plane y = 0. Writes `path`.
 
     Raises:
         ValueError: no solids.
@@ -108,12 +117,14 @@ def draw_solids(solids: Sequence[Solid], path: Path, *, title: str, opacity: flo
         for index, (solid, colour) in enumerate(zip(solids, colours, strict=True)):
             lifted = solid.vertices + np.array([0.0, 0.0, explode * index])
             surface = module.PolyData.from_regular_faces(lifted, solid.triangles)
+            if cut_open:
+                surface = surface.clean().clip_closed_surface(normal=(0.0, 1.0, 0.0), origin=(0.0, 0.0, 0.0))
             plotter.add_mesh(surface, color=colour, opacity=opacity, ambient=0.3, diffuse=0.7, specular=0.15)
             # Edges where faces meet at an angle show the shape; the triangles would hide it.
             edges = surface.clean().extract_feature_edges(feature_angle=25.0)
             if edges.n_cells:
                 plotter.add_mesh(edges, color="#303030", line_width=1.2, lighting=False)
-        _look_from(plotter, azimuth=-60.0, elevation=28.0, zoom=1.4)
+        _look_from(plotter, azimuth=-75.0 if cut_open else -60.0, elevation=28.0, zoom=1.3)
 
     width, height = round(0.8 * _WIDTH * _DOTS_PER_INCH), round(0.9 * _HEIGHT * _DOTS_PER_INCH)
     picture = photograph(arrange, width=width, height=height)
@@ -156,9 +167,9 @@ def _cut_faces(mesh: NodalMesh, cells: IntArray, *, degrees: float, values: Floa
     return faces
 
 
-def _skin(mesh: NodalMesh) -> IntArray:
-    """Edges (L, 3) as of :func:`outline_nodes` that no other region shares: nothing else is seen from outside."""
-    edges = outline_nodes(mesh, mesh.regions)
+def _skin(mesh: NodalMesh, regions: Sequence[str]) -> IntArray:
+    """Edges (L, 3) as of :func:`outline_nodes` that only one of `regions` has: nothing else is seen from outside."""
+    edges = outline_nodes(mesh, regions)
     middle = mesh.points[edges[:, 2]]
     _, same, counts = np.unique((middle / (1e-6 * np.ptp(mesh.points))).round(), axis=0, return_inverse=True,
                                 return_counts=True)

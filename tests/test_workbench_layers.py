@@ -1,0 +1,157 @@
+"""House rules that hold for every module: imports go one way, nothing heavy at import, no traces of a machine."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("geometry", "materials", "workbench")
+#: What each package may import of our own.
+ALLOWED = {"inputs": {"inputs"}, "materials": {"inputs", "materials"}, "geometry": {"inputs", "geometry"},
+           "workbench": {"inputs", "materials", "geometry", "workbench"}}
+#: Seconds to load, or a window or a port needed: only inside the function that uses them.
+HEAVY = {"cadquery", "OCP", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib", "skrf", "serial", "rich"}
+#: The only modules that draw, print or end the program.
+SURFACE = {"workbench.cli", "workbench.commands"}
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = {name_of(path): path for path in
+         [ROOT / "inputs.py", *(path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")))]}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
+
+
+def statements(body: list[ast.stmt], *, inside_functions: bool) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Import statements that run, on loading the module or (`inside_functions`) ever; not those for type checkers."""
+    for node in body:
+        match node:
+            case ast.Import() | ast.ImportFrom():
+                yield node
+            case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+                yield from statements(node.orelse, inside_functions=inside_functions)
+            case ast.FunctionDef() | ast.AsyncFunctionDef():
+                if inside_functions:
+                    yield from statements(node.body, inside_functions=True)
+            case _:
+                children = [child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt)]
+                handlers = [s for h in getattr(node, "handlers", []) for s in h.body]
+                cases = [s for c in getattr(node, "cases", []) for s in c.body]
+                yield from statements([*children, *handlers, *cases], inside_functions=inside_functions)
+
+
+def imported(module: str, *, inside_functions: bool) -> set[str]:
+    """Full names of the modules that a module imports, ours as far as they are modules."""
+    found: set[str] = set()
+    for node in statements(TREES[module].body, inside_functions=inside_functions):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        else:
+            assert node.level == 0, f"{module} uses a relative import"
+            assert node.module is not None
+            below = {f"{node.module}.{alias.name}" for alias in node.names} & set(FILES)
+            found |= below or {node.module}
+    return found
+
+
+def test_the_walk_sees_what_there_is_to_see() -> None:
+    # Or the rules below hold of nothing.
+    assert {"inputs", "geometry.mesh", "materials.registry", "workbench.physics.term"} <= set(FILES)
+    expected = {"geometry.section", "workbench.physics.fluid", "inputs"}
+    assert expected <= imported("workbench.problem", inside_functions=False)
+    assert "gmsh" in imported("geometry.mesh", inside_functions=True)
+    assert "gmsh" not in imported("geometry.mesh", inside_functions=False)
+
+
+@pytest.mark.parametrize("module", FILES)
+def test_imports_go_one_way(module: str) -> None:
+    ours = {name.split(".")[0] for name in imported(module, inside_functions=True)} & set(ALLOWED)
+    assert ours <= ALLOWED[module.split(".")[0]]
+
+
+@pytest.mark.parametrize("module", FILES)
+def test_nothing_heavy_is_imported_at_module_level(module: str) -> None:
+    assert not {name.split(".")[0] for name in imported(module, inside_functions=False)} & HEAVY
+
+
+def test_importing_every_module_loads_nothing_heavy() -> None:
+    # Also what third parties would drag in.
+    code = (f"import sys; sys.path.insert(0, {str(ROOT)!r}); import importlib; "
+            f"[importlib.import_module(name) for name in {list(FILES)!r}]; "
+            f"print(sorted({HEAVY!r} & {{name.split('.')[0] for name in sys.modules}}))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_imports_have_no_cycle() -> None:
+    # Those inside functions counted: a cycle hidden there is still a cycle. prepare() raises CycleError and names it.
+    graph = {module: imported(module, inside_functions=True) & set(FILES) - {module} for module in FILES}
+    TopologicalSorter(graph).prepare()
+
+
+@pytest.mark.parametrize("module", [name for name in FILES if name.startswith("workbench.physics.")])
+def test_one_effect_does_not_see_another(module: str) -> None:
+    ours = {name for name in imported(module, inside_functions=True) if name in FILES}
+    assert ours <= {"workbench.physics.term"}
+
+
+@pytest.mark.parametrize("module", [name for name in FILES if not name.startswith("workbench.render")])
+def test_only_the_commands_draw(module: str) -> None:
+    drawing = {name for name in imported(module, inside_functions=True) if name.startswith("workbench.render")}
+    assert not drawing or module in SURFACE
+
+
+@pytest.mark.parametrize("module", sorted(set(FILES) - SURFACE))
+def test_a_library_neither_prints_nor_exits(module: str) -> None:
+    called = {ast.unparse(node.func) for node in ast.walk(TREES[module]) if isinstance(node, ast.Call)}
+    assert not called & {"print", "exit", "quit", "sys.exit", "os._exit"}
+
+
+@pytest.mark.parametrize("module", FILES)
+def test_modules_are_called_by_nouns(module: str) -> None:
+    assert not set(module.split(".")) & {"utils", "util", "base", "helpers", "helper", "misc", "common"}
+
+
+def test_test_folders_are_not_packages() -> None:
+    # tests/geometry/__init__.py would hide the real geometry.
+    assert not list((ROOT / "tests").rglob("__init__.py"))
+
+
+#: A path of one machine, a folder beside the checkout, a note that is not part of the project, a package index.
+TRACES = (
+    r"(?<![\w.~/$])/(work|home|root|tmp|Users|mnt)/\w",
+    r"[A-Z]:\\",
+    r"\.\./\w",
+    r"\b(?!README|CHANGELOG|CONTRIBUTING|LICENSE)[A-Z]{5,}\.md\b",
+    r"py(pi|thonhosted)\.org|conda\.anaconda\.org|npmjs\.",
+)
+
+
+@pytest.mark.parametrize("pattern", TRACES)
+def test_no_file_of_the_packages_bears_the_traces_of_a_machine(pattern: str) -> None:
+    suffixes = {".py", ".toml", ".bib", ".html", ".md", ".txt"}
+    files = [ROOT / "inputs.py", *(f for p in PACKAGES for f in (ROOT / p).rglob("*") if f.suffix in suffixes)]
+    assert len(files) > 50
+    found = [f"{file.relative_to(ROOT)}: {line.strip()}" for file in files
+             for line in file.read_text(encoding="utf-8").splitlines() if re.search(pattern, line)]
+    assert not found
+
+
+@pytest.mark.parametrize(
+    ("pattern", "line"),
+    list(zip(TRACES, ("see /" + "home/someone/x", "C:" + "\\x", "open('..' '/" + "../data')", "see " + "NOTES" + ".md",
+                 "https://" + "pypi" + ".org/x"), strict=True)),
+)
+def test_the_traces_would_be_found(pattern: str, line: str) -> None:
+    assert re.search(pattern, line)

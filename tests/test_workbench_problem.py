@@ -1,0 +1,195 @@
+"""Chips become problems: materials by state, terms by contact, values by name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geometry.chip import Chip, State, read_chip
+from geometry.mesh import SectionMesh, elements_per_wavelength
+from inputs import InputError
+from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.registry import Registry
+from workbench.operators import assemble
+from workbench.physics import absorption, electrodes, fluid, piezoelectric, solid
+from workbench.problem import TRANSDUCER_FINER, Problem, build, chip_materials, mesh_speeds, model, problem
+from workbench.solve import solve_full
+
+# The chip's transducer has the losses as the paper prints them, active by less than their rounding.
+pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")
+
+CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
+
+
+@pytest.fixture(scope="module")
+def chip() -> Chip:
+    return read_chip(CHIPS / "reference_chip.toml")
+
+
+@pytest.fixture(scope="module")
+def registry() -> Registry:
+    return Registry()
+
+
+def test_a_chip_names_its_materials_by_state(chip: Chip, registry: Registry) -> None:
+    filled, empty = (chip_materials(chip, state, registry) for state in ("filled", "empty"))
+    assert set(filled) == set(chip.regions)
+    assert set(filled) - set(empty) == {"cavity"}
+    assert isinstance(filled["transducer"], Piezoelectric)
+    assert isinstance(filled["substrate"], IsotropicSolid)
+    assert filled["substrate"] == filled["sidewall"]
+    assert isinstance(filled["cavity"], Fluid)
+    assert filled["cavity"].temperature == pytest.approx(293.15)
+
+
+def test_a_density_in_the_chip_replaces_the_materials_own(chip: Chip, registry: Registry) -> None:
+    plain = registry.load("pzt4/acevedo_2026_fitted")
+    weighed = chip_materials(chip, "empty", registry)["transducer"]
+    assert weighed.density == 7500.0 != plain.density
+    assert isinstance(plain, Piezoelectric)
+    assert weighed == replace(plain, density=7500.0)
+
+
+def test_the_water_is_as_warm_as_the_state_says(chip: Chip, registry: Registry) -> None:
+    warm = tuple(replace(state, temperature=303.15) for state in chip.states)
+    found = chip_materials(replace(chip, states=warm), "filled", registry)["cavity"]
+    assert isinstance(found, Fluid)
+    # Speed of sound in water: 1482 m/s at 20 degC, 1509 m/s at 30 degC.
+    assert found.sound_speed == pytest.approx(1509.0, abs=1.0)
+
+
+def with_material(chip: Chip, region: str, material: str, density: float | None = None) -> Chip:
+    layers = tuple(replace(layer, material=material, density=density) if layer.region == region else layer
+                   for layer in chip.layers)
+    return replace(chip, layers=layers)
+
+
+@pytest.mark.parametrize(
+    ("region", "material", "density", "message"),
+    [
+        ("transducer", "pla/acevedo_2026", None, "material of transducer.*pla/acevedo_2026.*a piezoelectric material"),
+        ("bond", "pzt4/acevedo_2026_fitted", None, "material of bond.*pzt4.*a solid or a fluid"),
+        ("sidewall", "pla/acevedo_2026", 1000.0, "density of sidewall.*1000.*1131.*substrate.*pla/acevedo_2026"),
+        ("bond", "epoxi", None, "epoxi.*epoxy"),
+    ],
+)
+def test_materials_that_make_no_chip_are_refused(
+    chip: Chip, registry: Registry, region: str, material: str, density: float | None, message: str
+) -> None:
+    with pytest.raises(InputError, match="(?s)" + message):
+        chip_materials(with_material(chip, region, material, density), "empty", registry)
+
+
+def test_an_unknown_state_is_refused(chip: Chip, registry: Registry) -> None:
+    with pytest.raises(InputError, match=r"(?s)filed.*filled"):
+        chip_materials(chip, "filed", registry)
+
+
+def test_the_filled_chip_has_these_terms(filled: Problem) -> None:
+    assert len(filled.terms) == 15
+    assert set(filled.terms) == {
+        piezoelectric.Piezoelectric("transducer", "pzt"),
+        fluid.Fluid("couplant", "gel"),
+        solid.IsotropicSolid("substrate", "pla"),
+        solid.IsotropicSolid("sidewall", "pla"),
+        solid.IsotropicSolid("bond", "epoxy"),
+        solid.IsotropicSolid("superstrate", "glass"),
+        fluid.Fluid("cavity", "water"),
+        fluid.SolidFluidContact("bond|cavity", "bond", "cavity"),
+        fluid.SolidFluidContact("cavity|sidewall", "sidewall", "cavity"),
+        fluid.SolidFluidContact("cavity|substrate", "substrate", "cavity"),
+        fluid.SolidFluidContact("cavity|superstrate", "superstrate", "cavity"),
+        fluid.PressureRelease("couplant|outside"),
+        fluid.SolidFluidContact("couplant|substrate", "substrate", "couplant"),
+        fluid.SolidFluidContact("couplant|transducer", "transducer", "couplant"),
+        electrodes.Electrodes("electrode_live", "electrode_ground"),
+    }
+
+
+def test_a_fluid_beside_nothing_has_a_free_surface(filled: Problem, filled_materials: dict[str, Material]) -> None:
+    # A chip whose floor has been left out: water lies open to the empty region below.
+    without = {region: material for region, material in filled_materials.items() if region != "substrate"}
+    terms = model(filled.mesh, without)
+    assert fluid.PressureRelease("cavity|substrate") in terms
+    assert fluid.PressureRelease("couplant|substrate") in terms
+    assert not any("substrate" in repr(term) for term in terms if not isinstance(term, fluid.PressureRelease))
+
+
+def test_a_viscous_fluid_absorbs_and_one_without_viscosity_does_not(filled: Problem, registry: Registry) -> None:
+    water = registry.load("water", temperature=293.15)
+    assert isinstance(water, Fluid)
+    viscous = problem(filled.mesh, {**filled.materials, "cavity": water}, filled.band)
+    assert absorption.BulkAbsorption("cavity", water.name) in viscous.terms
+    assert viscous.values[f"{water.name}.diffusivity_of_sound"] == water.diffusivity_of_sound
+    assert not any(isinstance(term, absorption.BulkAbsorption) for term in filled.terms)
+
+
+def test_values_are_changed_by_name_and_nothing_else_moves(filled: Problem) -> None:
+    changed = filled.with_values({"pla.density": 1200.0})
+    assert changed.values["pla.density"] == 1200.0
+    assert {n: v for n, v in changed.values.items() if n != "pla.density"} == {
+        n: v for n, v in filled.values.items() if n != "pla.density"}
+    assert filled.values["pla.density"] == 1131.7
+    assert (changed.mesh, changed.terms) == (filled.mesh, filled.terms)
+    with pytest.raises(KeyError, match=r"pla\.densty.*known: .*pla\.density"):
+        filled.with_values({"pla.densty": 1200.0})
+
+
+def test_every_parameter_of_the_terms_has_a_value(filled: Problem) -> None:
+    needed = {name for term in filled.terms for i in term.integrals() for name in i.coefficient.parameters}
+    assert needed <= set(filled.values)
+
+
+def test_the_mesh_follows_the_slowest_wave_of_every_region(
+    chip: Chip, registry: Registry, filled_materials: dict[str, Material]
+) -> None:
+    speeds = mesh_speeds(tuple(filled_materials), filled_materials)
+    assert speeds["cavity"] == 1482.0
+    assert speeds["substrate"] == pytest.approx(math.sqrt(0.93e9 / 1131.7))
+    pzt = filled_materials["transducer"]
+    assert speeds["transducer"] == pytest.approx(pzt.slowest_wave_speed() / TRANSDUCER_FINER)
+    empty = {region: material for region, material in filled_materials.items() if region != "cavity"}
+    assert mesh_speeds(tuple(filled_materials), empty)["cavity"] == math.inf
+    coarse = build(chip, "empty", registry, band=(100e3, 200e3), elements_per_wavelength=6.0)
+    assert coarse.band == (100e3, 200e3)
+    counts = elements_per_wavelength(
+        coarse.mesh, {region: m.slowest_wave_speed() for region, m in coarse.materials.items()}, 200e3)
+    assert min(counts.values()) >= 6.0 * (1.0 - 1e-9)
+    assert counts["transducer"] >= 6.0 * TRANSDUCER_FINER * (1.0 - 1e-9)
+    assert coarse.name == "reference chip, empty"
+
+
+def test_a_chip_of_its_own_file_is_the_model_of_the_reference(
+    chip: Chip, registry: Registry, reference_materials: Callable[[str], dict[str, Material]],
+    reference_chip: Callable[[str], Chip]
+) -> None:
+    assert chip.volumes() == pytest.approx(reference_chip("chip_filled").volumes())
+    expected = reference_materials("chip_filled")
+    for region, material in chip_materials(chip, "filled", registry).items():
+        numbers = expected[region].parameters()
+        found = {name: value for name, value in material.parameters().items() if name in numbers}
+        # The registry's water is that of the tables, the reference's rounded to 998 kg/m^3 and 1482 m/s.
+        assert found == pytest.approx(numbers, rel=1e-3 if region == "cavity" else 1e-6), region
+
+
+def test_which_electrode_is_live_makes_no_difference_to_a_free_disc(
+    stacked: Callable[..., Chip],
+    uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
+    top = stacked([("transducer", 2e-3, 3e-3, None)], band=(1e5, 1e6))
+    bottom = replace(top, electrodes=replace(top.electrodes, live="bottom"), states=(State("default"),))
+    pzt = {"transducer": reference_materials("free_disc_fitted_rho7500")["transducer"]}
+
+    def impedance(chip: Chip) -> NDArray[np.complex128]:
+        made = problem(uniform_mesh(chip, 0.5e-3), pzt, chip.band)
+        return solve_full(assemble(made.mesh, made.terms), np.linspace(1e5, 8e5, 8), made.values).impedance
+
+    # The mesh has the symmetry of the disc; rounding only.
+    assert np.abs(impedance(bottom) / impedance(top) - 1.0).max() < 1e-9
