@@ -108,7 +108,7 @@ def filled() -> tuple[Problem, FullOperators, Solution]:
          layer("sidewall", "pla", "0.72 mm", cavity_radius="1.5 mm"), layer("superstrate", "pmma", "1 mm")],
         states={"filled": {"cavity": "water"}},
     )
-    return solved(chip, FREQUENCY, elements=10.0)
+    return solved(chip, FREQUENCY, elements=14.0)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_the_energy_density_integrates_to_the_systems_quadratic_forms(
         negative = integral.coefficient.omega_power == 0 if fluid else inertia or electric
         energy[integral.place] += 0.25 * complex(coefficient).real * form * (-1.0 if negative else 1.0)
     for region, expected in energy.items():
-        # Recovered gradients against the elements' own: within the mesh error of a gradient, (1/10 wavelength)^2.
+        # Recovered gradients against the elements' own: within the mesh error of a gradient, (1/14 wavelength)^2.
         actual = float(integrate(found.mesh, found.energy_density, [region]))
         assert actual == pytest.approx(expected, rel=0.02), region
         assert expected > 0.0
@@ -156,7 +156,7 @@ def test_the_fluid_moves_as_the_pressure_slopes(found: Fields) -> None:
                     for side in (step, -step))
     expected = (above - below) / (2 * step) / (1j * 2 * math.pi * FREQUENCY * 998.2)
     actual = sample(found.mesh, found.velocity, np.stack([0 * z + 0.5e-3, z], axis=1), ["cavity"])[:, 1]
-    # The difference crosses cells whose gradients jump by the mesh error, a per cent at ten elements a wavelength.
+    # The difference crosses cells whose gradients jump by the mesh error, a per cent or less.
     np.testing.assert_allclose(actual, expected, atol=0.02 * np.abs(expected).max())
 
 
@@ -180,7 +180,7 @@ def test_traction_and_normal_motion_are_continuous_where_solid_meets_fluid(
     found: Fields, solid: str, top: bool
 ) -> None:
     one, other = both_sides(found, solid, top=top)
-    # Recovered at the wall from one side only: the gradient's mesh error, h^2, a few per cent of the largest.
+    # Recovered at the wall from one side only: 6, 2.6, 1.0 and 0.4 % of the largest at 10, 14, 20 and 28 elements, h^2.5.
     stress, pressure = found.stress[one, 2], found.pressure[other]
     np.testing.assert_allclose(stress, -pressure, atol=0.05 * np.abs(found.stress[found.mesh.nodes_of([solid]), 2]).max())
     np.testing.assert_allclose(found.stress[one, 3], 0.0, atol=0.05 * np.nanmax(np.abs(found.stress[:, 3])))

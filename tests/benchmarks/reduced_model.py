@@ -1,0 +1,102 @@
+"""Reduced against full, and the whole command against a full-order spectrum: ratios measured in one run.
+
+    .venv/bin/python tests/benchmarks/reduced_model.py [--points 481] [--chip geometry/chips/reference_chip.toml]
+
+*Full-order spectrum*: that many frequencies one by one with tuned, symmetrically scaled SuperLU on one thread. With
+fewer --points its time is scaled up to 481 and the table says so. Prints a Markdown table for the README.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from geometry.chip import read_chip  # noqa: E402
+from materials.registry import Registry  # noqa: E402
+from workbench.operators import assemble  # noqa: E402
+from workbench.problem import build  # noqa: E402
+from workbench.reduce import reduce  # noqa: E402
+from workbench.solve import solve_full, sweep  # noqa: E402
+
+#: The change of the PLA's moduli for the run with the basis kept.
+CHANGE = 1.02
+
+
+def memory() -> float:
+    """Largest resident memory so far, MiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--points", type=int, default=481)
+    parser.add_argument("--chip", type=Path, default=ROOT / "geometry/chips/reference_chip.toml")
+    parser.add_argument("--state", default="filled")
+    parser.add_argument("--elements-per-wavelength", type=float, default=10.0)
+    parser.add_argument("--no-command", action="store_true", help="leave out the whole `workbench simulate`")
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    chip = read_chip(arguments.chip)
+    frequencies = np.linspace(*chip.band, 481)
+
+    started = time.perf_counter()
+    problem = build(chip, arguments.state, Registry(), elements_per_wavelength=arguments.elements_per_wavelength)
+    operators = assemble(problem.mesh, problem.terms)
+    model = reduce(operators, frequencies, problem.values, tolerance=1e-4)
+    reduced = model.solve(frequencies, problem.values)
+    everything = time.perf_counter() - started
+    reduced_memory = memory()
+
+    pla = tuple(name for name in problem.values if name.startswith("pla/") and name.endswith("modulus"))
+    started = time.perf_counter()
+    kept = reduce(operators, frequencies, problem.values, tolerance=1e-4, tangents=pla)
+    with_tangents = time.perf_counter() - started
+    changed = {**problem.values, **{name: problem.values[name] * CHANGE for name in pla}}
+    started = time.perf_counter()
+    changed_solution = kept.solve(frequencies, changed)
+    changed_error = float(kept.error(changed_solution).max())
+    online = time.perf_counter() - started
+    some = frequencies[::60]
+    exact = solve_full(operators, some, changed).impedance
+    true_changed = float(np.abs(changed_solution.impedance[::60] / exact - 1.0).max())
+
+    chosen = np.unique(np.linspace(0, 480, arguments.points).round().astype(int))
+    started = time.perf_counter()
+    full = np.array([s.impedance[0] for s in sweep(operators, frequencies[chosen], problem.values)])
+    full_order = (time.perf_counter() - started) * 481 / len(chosen)
+    error = float(np.abs(reduced.impedance[chosen] / full - 1.0).max())
+
+    rows = [
+        ("full-order spectrum" + ("" if len(chosen) == 481 else f" (scaled from {len(chosen)} points)"), full_order, ""),
+        (f"reduced, all counted ({model.solves} solves, rank {model.basis.shape[1]})", everything, f"{error:.1e}"),
+        (f"reduced with tangents of the PLA moduli ({kept.solves} solves, rank {kept.basis.shape[1]})", with_tangents, ""),
+        (f"PLA moduli changed by {100 * (CHANGE - 1):.0f} %, basis kept", online,
+         f"{true_changed:.1e} (estimate {changed_error:.1e})"),
+    ]
+    if not arguments.no_command:
+        with tempfile.TemporaryDirectory() as folder:
+            started = time.perf_counter()
+            subprocess.run([sys.executable, "-m", "workbench", "simulate", str(arguments.chip), "-o", folder], check=True,
+                           cwd=ROOT, capture_output=True)
+            rows.append(("`workbench simulate`, all states, CAD, mesh, fields, pictures, report",
+                         time.perf_counter() - started, ""))
+    print(f"{operators.size} unknowns, {problem.mesh.mesh.t.shape[1]} cells, {chip.name}, {arguments.state}; "
+          f"largest memory {reduced_memory:.0f} MiB reduced, {memory():.0f} MiB in all\n")
+    print("| | wall time (s) | ratio | largest relative error of Z |\n| --- | ---: | ---: | ---: |")
+    for name, seconds, accuracy in rows:
+        print(f"| {name} | {seconds:.3g} | {full_order / seconds:.3g} | {accuracy} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,340 @@
+"""The commands end to end on small devices: files, tables, interruption and resumption."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geometry.chip import read_chip
+from workbench import commands
+from workbench.cli import main
+from workbench.readers import read
+from workbench.simulate import simulate as simulate_state
+from workbench.spectrum import Spectrum, write_csv
+
+DISC = """
+[chip]
+name = "small disc"
+band = ["300 kHz", "450 kHz"]
+
+[[layers]]
+role = "transducer"
+material = "pzt4/acevedo_2026_initial"
+thickness = "2 mm"
+radius = "3 mm"
+"""
+CELL = DISC.replace("small disc", "small cell") + """
+[[layers]]
+role = "substrate"
+material = "pla"
+thickness = "0.85 mm"
+radius = "3 mm"
+
+[[layers]]
+role = "sidewall"
+material = "pla"
+thickness = "0.72 mm"
+radius = "3 mm"
+cavity_radius = "1.5 mm"
+
+[[layers]]
+role = "superstrate"
+material = "pmma"
+thickness = "1 mm"
+radius = "3 mm"
+
+[states.empty]
+cavity = "vacuum"
+
+[states.filled]
+cavity = "water"
+temperature = "20 degC"
+particle = "polystyrene"
+particle_radius = "5 um"
+"""
+SMALL = ["--elements-per-wavelength", "3"]
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Path:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL)
+    return path
+
+
+@pytest.fixture
+def disc(tmp_path: Path) -> Path:
+    path = tmp_path / "disc.toml"
+    path.write_text(DISC)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the pictures of fields, for tests of something else."""
+    monkeypatch.setattr("workbench.render.gallery.draw_state", lambda *_, **__: [])
+
+
+def standard_json(path: Path) -> Any:
+    def refuse(text: str) -> None:
+        raise AssertionError(f"{text} is not JSON")
+
+    return json.loads(path.read_text(), parse_constant=refuse)
+
+
+def check_report(path: Path) -> str:
+    """The text of a report that needs nothing but itself."""
+    text = path.read_text()
+    assert not re.search(r"(?:https?:)?//", re.sub(r"base64,[^\"]*", "", text))
+    assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="?([^" >]+)', text))
+    assert "<script" not in text
+    assert "<link" not in text
+    return text
+
+
+def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    assert main(["simulate", str(cell), "-o", str(out), "--points", "41", "--vtu", *SMALL]) == 0
+    lines = (out / "spectrum.csv").read_text().splitlines()
+    table = [line for line in lines if not line.startswith("#")]
+    assert table[0] == "frequency_hz,z_real_ohm,z_imag_ohm"
+    assert len(table) == 1 + 41
+    assert lines.index(table[0]) == len(lines) - 42
+    assert (out / "spectrum.csv").read_bytes() == (out / "spectrum_filled.csv").read_bytes()
+    empty, filled = (read(out / f"spectrum_{state}.csv").spectrum for state in ("empty", "filled"))
+    assert not np.array_equal(empty.impedance, filled.impedance)
+    record = standard_json(out / "merit.json")
+    assert record["spectrum_csv"] == "filled"
+    assert set(record["states"]) == {"empty", "filled"}
+    state = record["states"]["filled"]
+    lowest = filled.frequency[np.argmin(filled.magnitude)]
+    assert abs(state["f0_hz"] - lowest) < 150e3 / 40
+    assert state["particles"]["traps"]
+    assert state["particles"]["pressure_amplitude_pa"] > 0.0
+    assert sum(state["losses_w"].values()) == pytest.approx(state["fields"]["power_w"], rel=1e-9)
+    pictures = {path.stem for path in out.glob("*.png")}
+    assert pictures == {"cad", "impedance", "pressure_filled", "gorkov_filled", "profiles_filled",
+                        *(f"{kind}_{s}" for kind in ("displacement", "cutaway", "losses", "mesh")
+                          for s in ("empty", "filled"))}
+    text = check_report(out / "report.html")
+    assert text.count("<img") == len(pictures)
+    assert "water/iapws_2011" in text
+    assert "depth" in text
+    assert {path.suffix for path in out.glob("chip.*")} == {".step"}
+    assert (out / "transducer.stl").stat().st_size > 1000
+    assert (out / "fields_filled.vtu").is_file()
+    assert not list(out.glob("unfinished*"))
+
+
+def test_only_the_states_asked_for_are_simulated(cell: Path, tmp_path: Path, undrawn: None) -> None:
+    out = tmp_path / "out"
+    command = ["simulate", str(cell), "-o", str(out), "--points", "21", "--no-cad", *SMALL]
+    assert main([*command, "--state", "empty", "--state", "empty"]) == 0
+    assert set(standard_json(out / "merit.json")["states"]) == {"empty"}
+    assert not (out / "spectrum_filled.csv").exists()
+    assert not (out / "chip.step").exists()
+
+
+def test_no_resonance_is_an_answer(
+    disc: Path, tmp_path: Path, undrawn: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    band = ["--from", "20 kHz", "--to", "40 kHz", "--points", "11"]
+    assert main(["simulate", str(disc), "-o", str(out), "--no-cad", *band, *SMALL]) == 0
+    state = standard_json(out / "merit.json")["states"]["default"]
+    assert state["f0_hz"] is None
+    assert "edge of the band" in state["no_resonance"]
+    assert state["fields"]["frequency_hz"] == 30e3
+    assert "edge of the band" in capsys.readouterr().err
+    assert "edge of the band" in (out / "report.html").read_text()
+
+
+class Stop:
+    """Simulates like the command does, and is interrupted after so many points."""
+
+    def __init__(self, points: int) -> None:
+        self.left, self.solved = points, 0
+
+    def __call__(self, *arguments: Any, on_point: Callable[[float, complex], None], **settings: Any) -> Any:
+        def counted(frequency: float, impedance: complex) -> None:
+            on_point(frequency, impedance)
+            self.solved, self.left = self.solved + 1, self.left - 1
+            if self.left == 0:
+                raise KeyboardInterrupt
+
+        return simulate_state(*arguments, on_point=counted, **settings)
+
+
+def test_an_interrupted_full_spectrum_goes_on_where_it_stopped(
+    cell: Path, tmp_path: Path, undrawn: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["simulate", str(cell), "--full", "--points", "13", "--no-cad", *SMALL, "-o"]
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    assert main([*command, str(whole)]) == 0
+    # In the second state: the first one is done, and must not be solved again either.
+    first = Stop(13 + 5)
+    monkeypatch.setattr(commands, "simulate_state", first)
+    assert main([*command, str(stopped)]) == 130
+    assert "what was finished is on disk" in capsys.readouterr().err
+    unfinished = stopped / "unfinished_filled.csv"
+    assert len(unfinished.read_text().splitlines()) == 1 + 5
+    # A kill may leave a line that reads as a number but lacks its last digits.
+    text = unfinished.read_text()
+    unfinished.write_text(text[:-4])
+    second = Stop(10**6)
+    monkeypatch.setattr(commands, "simulate_state", second)
+    assert main([*command, str(stopped)]) == 0
+    assert (first.solved, second.solved) == (18, 13 - 4)
+    for state in ("empty", "filled"):
+        name = f"spectrum_{state}.csv"
+        assert (stopped / name).read_bytes() == (whole / name).read_bytes()
+    assert not list(stopped.glob("unfinished*"))
+
+
+@pytest.mark.parametrize("change", ["mesh", "chip", "material"])
+def test_points_of_another_model_are_not_taken_over(
+    change: str, disc: Path, tmp_path: Path, undrawn: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "own" / "ceramic"
+    folder.mkdir(parents=True)
+    package = Path(commands.registry_package.__file__).parent / "data" / "pzt4" / "acevedo_2026_initial.toml"
+    entry = folder / "mine.toml"
+    entry.write_text(package.read_text())
+    disc.write_text(DISC.replace("pzt4/acevedo_2026_initial", "ceramic/mine"))
+    command = ["simulate", str(disc), "-o", str(tmp_path / "out"), "--full", "--points", "13", "--no-cad",
+               "--materials", str(tmp_path / "own")]
+    monkeypatch.setattr(commands, "simulate_state", Stop(4))
+    assert main([*command, *SMALL]) == 130
+    if change == "chip":
+        disc.write_text(disc.read_text().replace('radius = "3 mm"', 'radius = "3.001 mm"'))
+    if change == "material":
+        entry.write_text(entry.read_text().replace("value = 115.41", "value = 115.42"))
+    again = Stop(10**6)
+    monkeypatch.setattr(commands, "simulate_state", again)
+    assert main([*command, "--elements-per-wavelength", "4" if change == "mesh" else "3"]) == 0
+    assert again.solved == 13
+
+
+def recorded(path: Path, chip: Path, *, scale: complex = 1.0) -> Spectrum:
+    """A recording made of the simulation itself: every 750 Hz, times `scale`."""
+    run = simulate_state(read_chip(chip), points=201, elements_per_wavelength=3.0)
+    spectrum = Spectrum(run.spectrum.frequency, scale * run.spectrum.impedance)
+    write_csv(spectrum, path)
+    return spectrum
+
+
+def test_compare_finds_what_was_put_in(disc: Path, tmp_path: Path) -> None:
+    recorded(tmp_path / "disc.csv", disc, scale=1.0 / 1.1)
+    out = tmp_path / "out"
+    assert main(["compare", str(tmp_path / "disc.csv"), str(disc), "-o", str(out), *SMALL]) == 0
+    record = standard_json(out / "merit.json")
+    # The simulation is ten per cent too high everywhere; the spline between points adds 1e-4 at most.
+    assert record["comparison"]["mape_percent"] == pytest.approx(10.0, abs=0.01)
+    assert record["comparison"]["rms_log_residual"] == pytest.approx(math.log(1.1), abs=1e-4)
+    assert record["comparison"]["phase_max_deg"] < 0.01
+    assert record["comparison"]["fraction_used"] == 1.0
+    assert record["comparison"]["figures"]["Z_min (ohm)"]["difference_percent"] == pytest.approx(10.0, abs=0.05)
+    assert record["findings"] == []
+    assert {path.name for path in out.iterdir()} == {"spectrum.csv", "merit.json", "report.html", "impedance.png",
+                                                     "residual.png"}
+    assert "Nothing was fitted" in check_report(out / "report.html")
+
+
+def test_compare_uses_the_common_band(disc: Path, tmp_path: Path) -> None:
+    spectrum = recorded(tmp_path / "disc.csv", disc)
+    out = tmp_path / "out"
+    band = ["--from", "320 kHz", "--to", "400 kHz"]
+    assert main(["compare", str(tmp_path / "disc.csv"), str(disc), "-o", str(out), *band, *SMALL]) == 0
+    inside = (spectrum.frequency >= 320e3) & (spectrum.frequency <= 400e3)
+    fraction = standard_json(out / "merit.json")["comparison"]["fraction_used"]
+    assert fraction == pytest.approx(inside.sum() / 201)
+
+
+def test_compare_reports_findings_and_corrects_on_request(
+    disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded(tmp_path / "disc.csv", disc, scale=-1.0)
+    command = ["compare", str(tmp_path / "disc.csv"), str(disc), "-o", str(tmp_path / "out"), *SMALL]
+    assert main(command) == 0
+    assert "finding: Re Z < 0 at 201 of 201 points" in " ".join(capsys.readouterr().err.split())
+    assert len(standard_json(tmp_path / "out" / "merit.json")["findings"]) == 1
+    assert main([*command, "--correction", "negate"]) == 0
+    record = standard_json(tmp_path / "out" / "merit.json")
+    assert record["findings"] == []
+    assert record["comparison"]["mape_percent"] < 0.01
+
+
+def test_mesh_lists_regions_and_converges(disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["mesh", str(disc), *SMALL]) == 0
+    assert "transducer" in capsys.readouterr().err
+    out = tmp_path / "out"
+    study = ["mesh", str(disc), "--converge", "--elements-per-wavelength", "4", "-o", str(out)]
+    assert main(study) == 0
+    record = standard_json(out / "convergence.json")
+    ratio = [row[0] for row in record["rows"]]
+    np.testing.assert_allclose(ratio, 4.0 * math.sqrt(2.0) ** np.arange(len(ratio)))
+    assert "converged: limit 3 %" in capsys.readouterr().err
+    check_report(out / "report.html")
+    # A limit nobody reaches in two meshes: the study says so by its status.
+    assert main([*study, "--refinements", "2", "--limit", "1e-9"]) == 1
+    assert "NOT converged" in capsys.readouterr().err
+
+
+def test_export_writes_parts_of_the_chips_own_volume(
+    cell: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("cadquery")
+    import pyvista
+
+    assert main(["export", str(cell), "-o", str(tmp_path / "cad")]) == 0
+    listed = [Path(line) for line in capsys.readouterr().err.splitlines() if line.endswith((".stl", ".step"))]
+    assert all(path.is_file() for path in listed)
+    volumes = read_chip(cell).volumes()
+    for part in ("transducer", "cavity", "superstrate"):
+        # Facets inside a circle of n sides lose (2/3)(pi/n)^2 of its area, 0.6 % at 32 sides.
+        measured = pyvista.read(tmp_path / "cad" / f"{part}.stl").volume * 1e-9
+        assert measured == pytest.approx(volumes[part], rel=0.01)
+
+
+def test_render_draws_the_fields_asked_for(cell: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    command = ["render", str(cell), "-o", str(out), "--at", "359 kHz", "--drive", "0.1 W", *SMALL]
+    assert main([*command, "--field", "gorkov", "--field", "losses"]) == 0
+    assert {path.name for path in out.iterdir()} == {"gorkov_filled.png", "profiles_filled.png", "losses_filled.png"}
+    said = capsys.readouterr().err
+    assert "polystyrene" in said
+    assert "0.1 W of electrical input power" in said
+    assert main([*command, "--state", "empty", "--field", "pressure"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "state empty: field: received 'pressure'; expected another one: no fluid is thick enough" in said
+
+
+def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["materials", "list"]) == 0
+    assert "water/iapws_2011" in capsys.readouterr().err
+    assert main(["materials", "show", "water", "--temperature", "25 degC"]) == 0
+    shown = capsys.readouterr().err
+    assert "997" in shown
+    assert "298.15" in shown
+    assert main(["materials", "check"]) == 0
+    checked = capsys.readouterr().err
+    assert "water/iapws_2011: ok" in checked
+    assert "pzt4/acevedo_2026_fitted: ok" in checked
+    assert "the losses create energy" in checked
+    folder = tmp_path / "own" / "jelly"
+    folder.mkdir(parents=True)
+    (folder / "mine.toml").write_text('kind = "gelatine"\n')
+    assert main(["materials", "check", "--materials", str(tmp_path / "own")]) == 1
+    assert "jelly/mine" in capsys.readouterr().err
