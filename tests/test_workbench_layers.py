@@ -20,7 +20,7 @@ ALLOWED = {"inputs": {"inputs"}, "materials": {"inputs", "materials"}, "geometry
 #: Seconds to load, or a window or a port needed: only inside the function that uses them.
 HEAVY = {"cadquery", "OCP", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib", "skrf", "serial", "rich"}
 #: The only modules that draw, print or end the program.
-SURFACE = {"workbench.cli", "workbench.commands"}
+SURFACE = {"workbench.cli", "workbench.commands", "workbench.__main__"}
 
 
 def name_of(path: Path) -> str:

@@ -350,18 +350,23 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     integrals = tuple(integral for term in terms for integral in term.integrals())
     unknowns = {pair for term in terms for pair in term.unknowns}
     conditions = tuple(dict.fromkeys(condition for term in terms for condition in term.conditions()))
-    for place in [i.place for i in integrals] + [region for _, region in unknowns]:
+    for place in [i.place for i in integrals] + [r for _, r in unknowns] + [c.boundary for c in conditions]:
         if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
             known = sorted([*mesh.mesh.subdomains, *mesh.mesh.boundaries])
             raise ModelError(f"no region or boundary {place!r} in the mesh; known: {', '.join(known)}")
     if sum(condition.live for condition in conditions) != 1:
         raise ModelError("a model needs exactly one live electrode; add one `Electrodes` term")
     for integral in integrals:
-        if not integral.on_boundary:
-            for product in integral.products:
-                for component in {part[0] for name in (product.row, product.column) for part in OPERATORS[name]}:
-                    if (component, integral.place) not in unknowns:
-                        raise ModelError(f"{integral.place!r} has no unknown {component!r} that {product} needs")
+        for product in integral.products:
+            for component in {part[0] for name in (product.row, product.column) for part in OPERATORS[name]}:
+                owner = integral.place
+                if integral.on_boundary:
+                    owner = integral.fluid if component == "p" else integral.solid
+                if (component, owner) not in unknowns:
+                    raise ModelError(f"{owner!r} has no unknown {component!r}, which {product} needs on {integral.place!r}")
+    sides = {(i.place, i.solid, i.fluid) for i in integrals if i.on_boundary}
+    if len({place for place, _, _ in sides}) != len(sides):
+        raise ModelError(f"a boundary is used with two different sides: {sorted(sides)}")
     places: dict[str, Place] = {}
     for integral in integrals:
         if integral.place not in places:
@@ -394,6 +399,8 @@ def _number(
         rows[present] = count + np.arange(int(present.sum()))
         count += int(present.sum())
         numbering[component] = rows
+    if not any(ties.any() for ties in live.values()):
+        raise ModelError("there is no electric potential on the live electrode; is the transducer piezoelectric?")
     for component in COMPONENTS:
         numbering[component][live[component]] = count
     return numbering, count + 1

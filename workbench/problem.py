@@ -21,8 +21,8 @@ from workbench.physics.term import Term
 #: free disc at 10 quadratic elements per shear wavelength is off by 0.9 to 1.7 % rms in Z, at 15 by 0.1 to 0.3 %.
 TRANSDUCER_FINER = 1.5
 
-#: A gas is meshed this much finer, that is coarser. Behind solid walls all of it changes Z by 0.3 % at most, and the short
-#: waves in it would rule the size of every element above and below: five elements per wavelength are enough there.
+#: A gas is meshed this much finer, that is coarser. Behind solid walls all of it changes Z by 0.3 % at most, and the
+#: short waves in it would rule the size of every element above and below: five elements per wavelength are enough.
 GAS_FINER = 0.5
 
 #: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.

@@ -13,8 +13,10 @@ and Nouy 2019, Adv. Comput. Math. 45, 2969: randomised linear algebra for model 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -39,8 +41,8 @@ DEPENDENT = 1e-9
 #: Directions of the basis that the response at all frequencies uses less than this (relative) are dropped at the end.
 UNUSED = 1e-9
 
-#: A relative error of the charge at which rounding, not the basis, is what is seen.
-ROUNDING = 1e-12
+#: A relative error of the charge, or a residual against the load, at which rounding and not the basis is what is seen.
+ROUNDING = 1e-10
 
 #: The estimate is this many times the largest ratio of true error to squared residual seen.
 SAFETY = 4.0
@@ -53,6 +55,9 @@ class NotEnriched(RuntimeError):
         super().__init__(f"the reduced model is at an estimated relative error of {estimate:.1e} after {solves} full "
                          f"solves, above the tolerance of {tolerance:.0e}; solve the full model, or narrow the band")
         self.estimate, self.tolerance, self.solves = estimate, tolerance, solves
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (NotEnriched, (self.estimate, self.tolerance, self.solves))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +114,9 @@ def reduce(
         NotEnriched: `limit` full solves were not enough.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    low, high = float(frequencies.min()), float(frequencies.max())
-    nodes = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * (np.arange(first) + 0.5) / first)
+    # The given frequencies next to Chebyshev's nodes.
+    angles = np.pi * (np.arange(min(first, limit - 1)) + 0.5) / first
+    nodes = np.unique(np.round(0.5 * (frequencies.size - 1) * (1.0 - np.cos(angles))).astype(int))
     if start is not None:
         nodes = nodes[:0]
     effectivity = 0.0 if start is None else start.effectivity
@@ -124,28 +130,30 @@ def reduce(
 
     with one_thread():
         growing = _Growing(operators, values, frequencies, start)
-        for node in nodes:
+        for step in itertools.count():
             report()
-            states, residual = growing.system.krylov(float(node), DEPTH, tangents=tangents)
-            growing.add(states)
-            solves, largest = solves + 1, max(largest, residual)
-        while True:
-            report()
-            charge, squared = growing.respond()
-            spread = squared / np.abs(charge)
-            worst = int(np.argmax(spread))
-            states, residual = growing.system.krylov(float(frequencies[worst]), DEPTH, tangents=tangents)
-            exact = growing.charge(states[:, 0], worst)
-            error = abs(charge[worst] / exact - 1.0)
-            if error > ROUNDING:
-                effectivity = max(effectivity, SAFETY * error / spread[worst])
+            index = int(nodes[step]) if step < nodes.size else -1
+            error = np.inf
+            if growing.basis.shape[1]:
+                charge, squared, floor = growing.respond()
+                spread = squared / np.abs(charge)
+                index = index if index >= 0 else int(np.argmax(spread))
+            states, residual = growing.system.krylov(float(frequencies[index]), DEPTH, tangents=tangents)
+            if growing.basis.shape[1]:
+                error = abs(charge[index] / growing.charge(states[:, 0], index) - 1.0)
+                # The first nodes say what to expect of a basis that is still poor; later ones are the better judges.
+                if error > ROUNDING and squared[index] > floor[index]:
+                    learned = SAFETY * error / spread[index]
+                    effectivity = learned if step < nodes.size else max(effectivity, learned)
             solves, largest = solves + 1, max(largest, residual)
             # What the last solve tells is always taken into the basis, also when it was only a confirmation.
             growing.add(states)
-            if error <= tolerance and effectivity * spread[worst] <= SAFETY * tolerance:
+            if step >= nodes.size and error <= tolerance and effectivity * spread[index] <= SAFETY * tolerance:
                 break
-            if solves >= limit:
+            if solves - (0 if start is None else start.solves) >= limit:
                 raise NotEnriched(error, tolerance, solves)
+        if effectivity == 0.0:
+            effectivity = growing.effectivity_of_less(states[:, 0], index)
         # Directions for other parameter values are there to be used later.
         basis = growing.basis if tangents else growing.compressed()
         sketch = operators.project(basis, growing.test)
@@ -161,7 +169,7 @@ class _Growing:
     """
 
     def __init__(self, operators: FullOperators, values: Values, frequencies: Real, start: ReducedModel | None) -> None:
-        self.system = System(operators, values)
+        self.system, self.frequencies = System(operators, values), frequencies
         self.factors = self.system.factors(frequencies)
         self.matrices = self.system.group_matrices()
         size, groups = operators.size, len(self.matrices)
@@ -208,12 +216,30 @@ class _Growing:
             sketch.append(np.column_stack([seen, self.test.T @ image])[:, order])
         self.projected, self.sketch = np.stack(projected), np.stack(sketch)
 
-    def respond(self) -> tuple[Complex, Real]:
-        """Charge (n,) for 1 V, and mean squared projected residual (n,), at all frequencies."""
-        self.states, _ = solve_dense(self.factors, self.projected)
-        whole = np.einsum("gn,gij,jn->in", self.factors, self.projected, self.states, optimize=True)
-        residual = np.einsum("gn,gkj,jn->kn", self.factors, self.sketch, self.states, optimize=True)
-        return -np.sum(self.states * whole, axis=0), np.mean(np.abs(residual) ** 2, axis=0)
+    def respond(self, *, columns: int = -1) -> tuple[Complex, Real, Real]:
+        """Charge (n,) for 1 V, mean squared projected residual (n,) and what of it rounding may be, everywhere.
+
+        With `columns`, of a poorer basis: the lift and so many of the first columns only.
+        """
+        rank = self.basis.shape[1]
+        kept = np.append(np.arange(rank - 1 if columns < 0 else columns), rank - 1)
+        projected, sketch = self.projected[:, kept[:, None], kept], self.sketch[:, :, kept]
+        states, _ = solve_dense(self.factors, projected)
+        whole = np.einsum("gn,gij,jn->in", self.factors, projected, states, optimize=True)
+        residual = np.einsum("gn,gkj,jn->kn", self.factors, sketch, states, optimize=True)
+        load = np.einsum("gn,gk->kn", self.factors, sketch[:, :, -1])
+        floor = np.mean(np.abs(ROUNDING * load) ** 2, axis=0)
+        return -np.sum(states * whole, axis=0), np.mean(np.abs(residual) ** 2, axis=0), floor
+
+    def effectivity_of_less(self, state: Complex, index: int) -> float:
+        """SAFETY times charge error per squared residual of the richest poorer basis that is not exact to rounding."""
+        exact = self.charge(state, index)
+        for columns in range(self.basis.shape[1] - 2, 0, -1):
+            charge, squared, floor = self.respond(columns=columns)
+            error = abs(charge[index] - exact)
+            if error > ROUNDING * abs(exact) and squared[index] > floor[index]:
+                return SAFETY * error / float(squared[index])
+        raise RuntimeError("even a basis of one column is exact: nothing can be said of the error of this model")
 
     def charge(self, state: Complex, index: int) -> complex:
         """Charge of a full state at the frequency of that index."""
@@ -221,9 +247,10 @@ class _Growing:
         return -complex(state @ image)
 
     def compressed(self) -> Real:
-        """The basis without the directions the response does not use, lift last."""
-        self.respond()
-        coordinates = np.column_stack([self.states[:-1].real, self.states[:-1].imag])
+        """The basis without the directions the response does not use anywhere in the band, lift last."""
+        band = np.linspace(self.frequencies.min(), self.frequencies.max(), max(241, self.frequencies.size))
+        states, _ = solve_dense(self.system.factors(band), self.projected)
+        coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
         directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
         kept = directions[:, singular > UNUSED * singular[0]]
         return np.column_stack([self.basis[:, :-1] @ kept, self.basis[:, -1]])

@@ -221,8 +221,8 @@ class System:
                 vector = np.append(factor.scale * found, 0.0)
                 states[:, k] = vector
         if tangents:
-            states[:free, count:] = factor.scale[:, None] * factor.solve_scaled(
-                factor.scale[:, None] * self._changes(frequency, states[:, 0], tangents)[:free])
+            changes = self._changes(frequency, states[:, 0], tangents)[:free]
+            states[:free, count:] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * changes)
         return states, residual
 
     def _changes(self, frequency: float, state: Complex, names: tuple[str, ...]) -> Complex:
@@ -247,8 +247,13 @@ def factorise(matrix: sparse.csc_matrix, frequency: float) -> Factor:
     columns = np.repeat(scale, np.diff(matrix.indptr))
     scaled = sparse.csc_matrix((matrix.data * scale[matrix.indices] * columns, matrix.indices, matrix.indptr),
                                shape=matrix.shape)
-    with one_thread():
-        factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+    try:
+        with one_thread():
+            factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        if "singular" not in str(error):
+            raise
+        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex)) from error
     return Factor(frequency, scaled, scale, factor.solve)
 
 
