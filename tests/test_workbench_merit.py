@@ -270,3 +270,15 @@ def test_stutts_close_modes(shared):
     assert pole.frequency.value == pytest.approx(112.72e3, abs=50.0)
     with pytest.raises(NoResonance):
         figures(reading.spectrum.restricted(114.3e3, 130e3))
+
+
+def test_a_resonance_without_loss_has_a_frequency_and_a_quality_factor_without_meaning() -> None:
+    """Half-power points closer to f0 than any grid point: found, and said to depend on the step."""
+    frequency = np.linspace(0.95e6, 1.13e6, 181)
+    impedance = bvd_impedance(
+        frequency, motional_resistance=1e-7, motional_inductance=152e-6, motional_capacitance=168e-12,
+        static_capacitance=800e-12,
+    )
+    found = figures(Spectrum(frequency, impedance))
+    assert found.f0 == pytest.approx(1.0 / (2.0 * np.pi * np.sqrt(152e-6 * 168e-12)), rel=1e-6)
+    assert found.q > 1e6

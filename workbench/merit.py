@@ -144,10 +144,11 @@ def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, fl
         return float(np.abs(at(frequency))) - math.sqrt(2.0) * z_min
 
     half = math.sqrt(2.0) * z_min
-    below = int(np.flatnonzero(magnitude[:index] >= half)[-1])
-    above = index + int(np.flatnonzero(magnitude[index:] >= half)[0])
-    f1 = float(brentq(excess, grid[below], grid[below + 1], xtol=1e-12 * f0))
-    f2 = float(brentq(excess, grid[above - 1], grid[above], xtol=1e-12 * f0))
+    # A resonance narrower than the grid has both points next to f0, which then closes the bracket.
+    below = int(np.flatnonzero((magnitude >= half) & (grid < f0))[-1])
+    above = int(np.flatnonzero((magnitude >= half) & (grid > f0))[0])
+    f1 = float(brentq(excess, grid[below], min(grid[below + 1], f0), xtol=1e-12 * f0))
+    f2 = float(brentq(excess, max(grid[above - 1], f0), grid[above], xtol=1e-12 * f0))
     return f0, z_min, f1, f2
 
 

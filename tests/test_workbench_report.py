@@ -1,0 +1,136 @@
+"""The report is one file that opens offline, and the records are JSON any reader takes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from workbench.compare import compare
+from workbench.merit import figures, fit_resonance
+from workbench.report import (
+    FIGURE_COLUMNS,
+    Note,
+    Picture,
+    Table,
+    comparison_record,
+    figures_record,
+    figures_row,
+    fit_record,
+    measured_figures,
+    number,
+    resonance_fits,
+    write_json,
+    write_report,
+)
+from workbench.spectrum import Spectrum
+
+#: A Butterworth-Van Dyke resonator: series resonance at 1 MHz, 10 ohm, Q = 100, beside 1 nF.
+F0, RESISTANCE, Q, STATIC = 1e6, 10.0, 100.0, 1e-9
+
+
+def resonator(low: float = 0.95e6, high: float = 1.3e6) -> Spectrum:
+    f = np.linspace(low, high, 1401)
+    inductance = Q * RESISTANCE / (2 * math.pi * F0)
+    motional = RESISTANCE + 2j * math.pi * f * inductance * (1.0 - (F0 / f) ** 2)
+    return Spectrum(f, 1.0 / (1.0 / motional + 2j * math.pi * f * STATIC))
+
+
+class Outline(HTMLParser):
+    """Tags that are open, and the text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_a_report_holds_its_pictures_and_escapes_what_it_is_given(tmp_path: Path) -> None:
+    picture = tmp_path / "a.png"
+    picture.write_bytes(b"\x89PNG not really")
+    path = write_report(tmp_path / "new" / "report.html", "A <b> & C", [
+        ("First", ["one line\nand another", Table(("", "x (%)"), (("a<b", "1"),)), Note("mind \"this\"")]),
+        ("Second", [Picture(picture, "a 'caption' <i>")]),
+    ])
+    text = path.read_text(encoding="utf-8")
+    outline = Outline()
+    outline.feed(text)
+    assert "A <b> & C" in outline.text
+    assert "a<b" in outline.text
+    assert "a 'caption' <i>" in outline.text
+    assert outline.tags.count("h2") == 2
+    assert outline.tags.count("p") == 3
+    assert not {"b", "i", "script", "link"} & set(outline.tags)
+    found = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    assert [base64.b64decode(image) for image in found] == [picture.read_bytes()]
+    assert "//" not in text.replace(found[0], "")
+
+
+def test_json_has_no_numbers_that_json_does_not_have(tmp_path: Path) -> None:
+    path = write_json(tmp_path / "a.json", {"x": [1.5, None], "y": {"z": "text"}})
+    assert json.loads(path.read_text()) == {"x": [1.5, None], "y": {"z": "text"}}
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(path, {"x": math.nan})
+    assert path.read_bytes() == before
+
+
+def test_figures_are_recorded_in_si_and_shown_in_their_columns() -> None:
+    merit = figures(resonator())
+    record = figures_record(merit, "")
+    # Near the series resonance the static branch, 159 ohm in parallel with 10, moves |Z| by under half a per cent.
+    assert record["f0_hz"] == pytest.approx(F0, rel=1e-3)
+    assert record["z_min_ohm"] == pytest.approx(RESISTANCE, rel=5e-3)
+    assert record["q"] == pytest.approx(Q, rel=0.02)
+    assert record["antiresonance_hz"] > record["f0_hz"]
+    row = figures_row("disc", merit)
+    assert len(row) == len(FIGURE_COLUMNS)
+    assert row[:2] == ("disc", f"{merit.f0 / 1e6:.4f}")
+
+
+def test_without_a_resonance_there_are_no_figures_and_a_reason() -> None:
+    merit, reason = measured_figures(resonator(0.95e6, 0.99e6))
+    assert merit is None
+    assert "edge of the band" in reason
+    assert figures_record(merit, reason) == {"f0_hz": None, "z_min_ohm": None, "q": None, "no_resonance": reason}
+    assert figures_row("disc", None) == ("disc", "none", "", "", "", "")
+
+
+def test_fits_are_recorded_with_their_errors() -> None:
+    spectrum = resonator()
+    fits = resonance_fits(spectrum)
+    assert set(fits) == {"pole", "bvd"}
+    record = fit_record(fit_resonance(spectrum, "bvd"))
+    # The circuit itself, without noise: the fit returns what was put in.
+    assert record["frequency_hz"][0] == pytest.approx(F0, rel=1e-6)
+    assert record["q"][0] == pytest.approx(Q, rel=1e-5)
+    assert record["C0"][0] == pytest.approx(STATIC, rel=1e-5)
+    assert all(len(value) == 2 for key, value in record.items() if key != "rms_residual")
+
+
+def test_a_comparison_is_recorded_with_all_it_found() -> None:
+    spectrum = resonator()
+    other = Spectrum(spectrum.frequency, 1.1 * spectrum.impedance)
+    record = comparison_record(compare(spectrum, other))
+    assert record["mape_percent"] == pytest.approx(10.0)
+    assert record["worst_percent"] == pytest.approx(10.0)
+    assert record["figures"]["Z_min (ohm)"]["difference_percent"] == pytest.approx(10.0)
+    assert record["reduced_chi_square"] is None
+    json.dumps(record, allow_nan=False)
+
+
+@pytest.mark.parametrize(("value", "text"), [(1234.5678, "1235"), (0.00012345, "0.0001234"), (math.inf, "inf")])
+def test_numbers_are_short(value: float, text: str) -> None:
+    assert number(value) == text
