@@ -310,7 +310,8 @@ def test_a_mistake_in_the_command(mistake: str, folder: Path, capsys: pytest.Cap
 @pytest.mark.parametrize(("command", "part"), [
     (["simulat"], "invalid choice: 'simulat'"), (["simulate", "chip.toml"], "-o/--output"),
     (["simulate", "chip.toml", "-o", "out", "--points", "many"], "invalid int value: 'many'"),
-    (["compare", "disc.csv", "chip.toml", "-o", "out", "--correction", "flip"], "'negate', 'conjugate'"), ([], "COMMAND"),
+    (["compare", "disc.csv", "chip.toml", "-o", "out", "--correction", "flip"], "'negate', 'conjugate'"),
+    ([], "COMMAND"),
 ])
 def test_what_argparse_refuses(
     command: list[str], part: str, folder: Path, capsys: pytest.CaptureFixture[str]

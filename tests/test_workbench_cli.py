@@ -135,7 +135,7 @@ def test_the_command_in_a_process_of_its_own(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "workbench.cli"]
     shown = subprocess.run([*command, "materials", "show", "water"], capture_output=True, text=True, check=False)
     assert shown.returncode == 0
-    assert "water/iapws_2011" in shown.stderr
+    assert "water/iapws_2011" in shown.stdout
     wrong = subprocess.run([*command, "mesh", str(tmp_path / "none.toml")], capture_output=True, text=True, check=False)
     assert wrong.returncode == 2
     assert "an existing file" in wrong.stderr
@@ -154,7 +154,8 @@ def test_a_script_without_a_guard_may_call_the_command(tmp_path: Path) -> None:
                       f"status = main(['simulate', {str(chip)!r}, '-o', {str(tmp_path / 'out')!r}, '--points', '11',"
                       " '--elements-per-wavelength', '3'])\nraise SystemExit(status)\n")
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "once\n"), done.stderr
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("once") == 1
     # Nothing that another library has to say to programmers.
     assert "Warning" not in done.stderr
     assert (tmp_path / "out" / "cad.png").is_file()

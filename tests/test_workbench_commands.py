@@ -278,18 +278,18 @@ def test_compare_reports_findings_and_corrects_on_request(
 
 def test_mesh_lists_regions_and_converges(disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["mesh", str(disc), *SMALL]) == 0
-    assert "transducer" in capsys.readouterr().err
+    assert "transducer" in capsys.readouterr().out
     out = tmp_path / "out"
     study = ["mesh", str(disc), "--converge", "--elements-per-wavelength", "4", "-o", str(out)]
     assert main(study) == 0
     record = standard_json(out / "convergence.json")
     ratio = [row[0] for row in record["rows"]]
     np.testing.assert_allclose(ratio, 4.0 * math.sqrt(2.0) ** np.arange(len(ratio)))
-    assert "converged: limit 3 %" in capsys.readouterr().err
+    assert "converged: limit 3 %" in capsys.readouterr().out
     check_report(out / "report.html")
     # A limit nobody reaches in two meshes: the study says so by its status.
     assert main([*study, "--refinements", "2", "--limit", "1e-9"]) == 1
-    assert "NOT converged" in capsys.readouterr().err
+    assert "NOT converged" in capsys.readouterr().out
 
 
 def test_export_writes_parts_of_the_chips_own_volume(
@@ -299,7 +299,7 @@ def test_export_writes_parts_of_the_chips_own_volume(
     import pyvista
 
     assert main(["export", str(cell), "-o", str(tmp_path / "cad")]) == 0
-    listed = [Path(line) for line in capsys.readouterr().err.splitlines() if line.endswith((".stl", ".step"))]
+    listed = [Path(line) for line in capsys.readouterr().out.splitlines() if line.endswith((".stl", ".step"))]
     assert all(path.is_file() for path in listed)
     volumes = read_chip(cell).volumes()
     for part in ("transducer", "cavity", "superstrate"):
@@ -313,7 +313,7 @@ def test_render_draws_the_fields_asked_for(cell: Path, tmp_path: Path, capsys: p
     command = ["render", str(cell), "-o", str(out), "--at", "359 kHz", "--drive", "0.1 W", *SMALL]
     assert main([*command, "--field", "gorkov", "--field", "losses"]) == 0
     assert {path.name for path in out.iterdir()} == {"gorkov_filled.png", "profiles_filled.png", "losses_filled.png"}
-    said = capsys.readouterr().err
+    said = capsys.readouterr().out
     assert "polystyrene" in said
     assert "0.1 W of electrical input power" in said
     assert main([*command, "--state", "empty", "--field", "pressure"]) == 2
@@ -323,13 +323,13 @@ def test_render_draws_the_fields_asked_for(cell: Path, tmp_path: Path, capsys: p
 
 def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["materials", "list"]) == 0
-    assert "water/iapws_2011" in capsys.readouterr().err
+    assert "water/iapws_2011" in capsys.readouterr().out
     assert main(["materials", "show", "water", "--temperature", "25 degC"]) == 0
-    shown = capsys.readouterr().err
+    shown = capsys.readouterr().out
     assert "997" in shown
     assert "298.15" in shown
     assert main(["materials", "check"]) == 0
-    checked = capsys.readouterr().err
+    checked = capsys.readouterr().out
     assert "water/iapws_2011: ok" in checked
     assert "pzt4/acevedo_2026_fitted: ok" in checked
     assert "the losses create energy" in checked
@@ -337,4 +337,4 @@ def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.C
     folder.mkdir(parents=True)
     (folder / "mine.toml").write_text('kind = "gelatine"\n')
     assert main(["materials", "check", "--materials", str(tmp_path / "own")]) == 1
-    assert "jelly/mine" in capsys.readouterr().err
+    assert "jelly/mine" in capsys.readouterr().out

@@ -97,7 +97,7 @@ def simulate(options: argparse.Namespace, console: Console) -> int:
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
         path.unlink(missing_ok=True)
-    _print_table(console, chip.name, _figures_table(chip, runs))
+    _print_table(chip.name, _figures_table(chip, runs))
     for note in _without_resonance(runs):
         console.print(note.text, style="yellow", markup=False)
     return 0
@@ -163,8 +163,8 @@ def compare(options: argparse.Namespace, console: Console) -> int:
         ("The recording", [_origin_table(measured.origin)]),
         ("The model", [_model_table([run])]),
     ])
-    _print_table(console, f"{chip.name}, {run.state}", rows)
-    _print_table(console, "", summary)
+    _print_table(f"{chip.name}, {run.state}", rows)
+    _print_table("", summary)
     for finding in reading.findings:
         console.print(f"finding: {finding.message}", style="yellow", markup=False)
     return 0
@@ -203,7 +203,7 @@ def mesh(options: argparse.Namespace, console: Console) -> int:
     table = Table(("region", "cells", "elements per wavelength"), tuple(
         (region, str(count), f"{counts[region]:.1f}" if region in counts else "empty")
         for region, count in cells.items()))
-    _print_table(console, f"{chip.name}, {state}: {sum(cells.values())} cells at {band[1] / 1e6:.4g} MHz", table)
+    _print_table(f"{chip.name}, {state}: {sum(cells.values())} cells at {band[1] / 1e6:.4g} MHz", table)
     if not options.converge:
         return 0
     return _converge(options, console, chip, state, asked)
@@ -235,8 +235,8 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
         (f"{n:.1f}", str(size), f"{f0 / 1e6:.5f}", f"{100 * (f0 / rows[k - 1][2] - 1):+.4f}" if k else "",
          number(z), f"{100 * (z / rows[k - 1][3] - 1):+.3f}" if k else "", number(q))
         for k, (n, size, f0, z, q) in enumerate(rows)))
-    _print_table(console, f"refinement of {chip.name}, {state}", table)
-    console.print(f"{'converged' if status == 0 else 'NOT converged'}: limit {options.limit:g} % in f0 and Z_min")
+    _print_table(f"refinement of {chip.name}, {state}", table)
+    _print(f"{'converged' if status == 0 else 'NOT converged'}: limit {options.limit:g} % in f0 and Z_min")
     if options.output is not None:
         _write_convergence(_folder(options.output), chip, state, rows, table)
     return status
@@ -264,13 +264,13 @@ def _write_convergence(
     write_report(folder / "report.html", f"{chip.name}, {state}: mesh refinement", [("Refinement", blocks)])
 
 
-def export(options: argparse.Namespace, console: Console) -> int:
+def export(options: argparse.Namespace, _console: Console) -> int:
     """``workbench export``: STEP of the assembly, STL of every part."""
     from geometry.export import export_step, export_stl
 
     chip, folder = read_chip(options.chip), _folder(options.output)
     for path in (export_step(chip, folder / "chip.step"), *export_stl(chip, folder).values()):
-        console.print(str(path), markup=False)
+        _print(str(path))
     return 0
 
 
@@ -294,13 +294,13 @@ def render(options: argparse.Namespace, console: Console) -> int:
             paths.append(_write_vtu(shot, folder))
         show(name, "done", 1.0)
     for path in paths:
-        console.print(str(path), markup=False)
+        _print(str(path))
     if shot.traps is not None:
-        console.print(str(shot.traps), markup=False)
+        _print(str(shot.traps))
     return 0
 
 
-def materials(options: argparse.Namespace, console: Console) -> int:
+def materials(options: argparse.Namespace, _console: Console) -> int:
     """``workbench materials list | show | check``."""
     registry = Registry(tuple(options.materials))
     temperature = None
@@ -312,11 +312,11 @@ def materials(options: argparse.Namespace, console: Console) -> int:
             for name in registry.names():
                 material = _load_quietly(registry, name)
                 rows.append((name, type(material).__name__, f"{material.density:.6g}"))
-            _print_table(console, "materials", Table(("name", "kind", "density (kg/m^3)"), tuple(rows)))
+            _print_table("materials", Table(("name", "kind", "density (kg/m^3)"), tuple(rows)))
         case "show":
             if options.name is None:
                 raise InputError("command line", "NAME", None, "the name of a material; see `workbench materials list`")
-            console.print(registry_package.describe(registry.load(options.name, temperature=temperature)), markup=False)
+            _print(registry_package.describe(registry.load(options.name, temperature=temperature)))
         case "check":
             names = registry.names() if options.name is None else [options.name]
             failed = 0
@@ -325,10 +325,10 @@ def materials(options: argparse.Namespace, console: Console) -> int:
                     with warnings.catch_warnings(record=True) as caught:
                         warnings.simplefilter("always")
                         registry.load(name, temperature=temperature)
-                    console.print(f"{name}: ok" + "".join(f"\n  {w.message}" for w in caught), markup=False)
+                    _print(f"{name}: ok" + "".join(f"\n  {w.message}" for w in caught))
                 except InputError as error:
                     failed += 1
-                    console.print(f"{name}: {error}", markup=False)
+                    _print(f"{name}: {error}")
             return 1 if failed else 0
     return 0
 
@@ -540,10 +540,17 @@ def _simulation_report(
     write_report(folder / "report.html", chip.name, sections)
 
 
-def _print_table(console: Console, title: str, table: Table) -> None:
+def _print(text: str) -> None:
+    """A result, to standard output so that it can be piped; all that is said on the way goes to the error console."""
+    sys.stdout.write(text + "\n")
+
+
+def _print_table(title: str, table: Table) -> None:
+    from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table as RichTable
 
-    shown = RichTable(*table.columns, title=title)
+    shown = RichTable(*map(escape, table.columns), title=escape(title))
     for row in table.rows:
-        shown.add_row(*row)
-    console.print(shown)
+        shown.add_row(*map(escape, row))
+    Console(highlight=False).print(shown)

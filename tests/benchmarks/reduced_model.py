@@ -60,7 +60,7 @@ def main() -> None:
 
     pla = tuple(name for name in problem.values if name.startswith("pla/") and name.endswith("modulus"))
     started = time.perf_counter()
-    kept = reduce(operators, frequencies, problem.values, tolerance=1e-4, tangents=pla)
+    kept = reduce(operators, frequencies, problem.values, tolerance=1e-5, tangents=pla)
     with_tangents = time.perf_counter() - started
     changed = {**problem.values, **{name: problem.values[name] * CHANGE for name in pla}}
     started = time.perf_counter()
