@@ -40,7 +40,7 @@ def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str
         for name, shape in solids(chip).items():
             draft = Path(drafts) / f"{name}.stl"
             # The facets are bounded by the deviation alone: the angle, in radians, is left wide.
-            shape.exportStl(str(draft), tolerance=1e3 * deviation, angularTolerance=0.5)
+            shape.exportStl(str(draft), tolerance=1e3 * deviation, angularTolerance=0.5, relative=False)
             written[name] = folder / draft.name
             write_atomic(written[name], draft.read_bytes())
     return written

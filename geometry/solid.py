@@ -111,7 +111,7 @@ def _cadquery() -> ModuleType:
     try:
         import cadquery
     except (ImportError, OSError) as error:
-        raise SolidError(f"solids need CadQuery, the extra 'cad', and its system libraries: {error}") from error
+        raise SolidError(f"solids need CadQuery and its system libraries (./setup installs both): {error}") from error
     module: ModuleType = cadquery
     return module
 

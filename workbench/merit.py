@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares, minimize_scalar
-from scipy.signal import find_peaks
 
 from workbench.spectrum import Spectrum
 
@@ -113,6 +112,8 @@ def _fine_grid(spectrum: Spectrum) -> NDArray[np.float64]:
 
 def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, float, float]:
     """f0, Z_min, f1, f2 of the deepest resonance or of the one nearest to `near`."""
+    from scipy.signal import find_peaks  # a second to import, for one function
+
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     magnitude = np.abs(at(grid))

@@ -201,7 +201,8 @@ class FullOperators:
 
     def images(self, state: Complex) -> Complex:
         """A_q x of every integral for one state x (size,): (number of integrals, size)."""
-        result = np.zeros((len(self.integrals), self.size + 1), dtype=complex)  # the last entry takes what is no unknown
+        # The entry after the last takes what is no unknown.
+        result = np.zeros((len(self.integrals), self.size + 1), dtype=complex)
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
             seen = self.evaluate(place, _operators_of(group), state[:, None])
@@ -363,7 +364,8 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
                 if integral.on_boundary:
                     owner = integral.fluid if component == "p" else integral.solid
                 if (component, owner) not in unknowns:
-                    raise ModelError(f"{owner!r} has no unknown {component!r}, which {product} needs on {integral.place!r}")
+                    raise ModelError(
+                        f"{owner!r} has no unknown {component!r}, which {product} needs on {integral.place!r}")
     sides = {(i.place, i.solid, i.fluid) for i in integrals if i.on_boundary}
     if len({place for place, _, _ in sides}) != len(sides):
         raise ModelError(f"a boundary is used with two different sides: {sorted(sides)}")

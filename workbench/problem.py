@@ -67,12 +67,11 @@ def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Mate
         InputError: unknown state or material, a transducer that is not piezoelectric, or one material given two
             densities.
     """
-    chosen = chip.state(state)
     found: dict[str, Material] = {}
     for region, name in chip.materials(state).items():
         if name == VACUUM:
             continue
-        material = registry.load(name, temperature=chosen.temperature if region == CAVITY else None)
+        material = _load(chip, state, region, name, registry)
         density = None if region == CAVITY else chip.layer(region).density
         if density is not None:
             material = replace(material, density=density)
@@ -85,6 +84,20 @@ def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Mate
                                  f"the {known.density:g} kg/m^3 that {other} gives the same material {known.name!r}")
         found[region] = material
     return found
+
+
+def _load(chip: Chip, state: str, region: str, name: str, registry: Registry) -> Material:
+    """The material, with a mistake in its name or temperature reported where it was made: in the chip file."""
+    temperature = chip.state(state).temperature if region == CAVITY else None
+    try:
+        return registry.load(name, temperature=temperature)
+    except InputError as error:
+        if error.source == "materials" and error.field == "name":
+            raise InputError(chip.file, f"material of {region}", name, error.expected, error.nearest) from error
+        if temperature is not None and "temperature" in error.field:
+            field = f"states.{state}.temperature"
+            raise InputError(chip.file, field, error.value, f"{error.expected}, by {name}") from error
+        raise
 
 
 def model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Term, ...]:

@@ -78,17 +78,18 @@ def main() -> None:
     error = float(np.abs(reduced.impedance[chosen] / full - 1.0).max())
 
     rows = [
-        ("full-order spectrum" + ("" if len(chosen) == 481 else f" (scaled from {len(chosen)} points)"), full_order, ""),
+        (f"full-order spectrum{'' if len(chosen) == 481 else f' (scaled from {len(chosen)} points)'}", full_order, ""),
         (f"reduced, all counted ({model.solves} solves, rank {model.basis.shape[1]})", everything, f"{error:.1e}"),
-        (f"reduced with tangents of the PLA moduli ({kept.solves} solves, rank {kept.basis.shape[1]})", with_tangents, ""),
+        (f"reduced with tangents of the PLA moduli ({kept.solves} solves, rank {kept.basis.shape[1]})", with_tangents,
+         ""),
         (f"PLA moduli changed by {100 * (CHANGE - 1):.0f} %, basis kept", online,
          f"{true_changed:.1e} (estimate {changed_error:.1e})"),
     ]
     if not arguments.no_command:
         with tempfile.TemporaryDirectory() as folder:
             started = time.perf_counter()
-            subprocess.run([sys.executable, "-m", "workbench", "simulate", str(arguments.chip), "-o", folder], check=True,
-                           cwd=ROOT, capture_output=True)
+            command = [sys.executable, "-m", "workbench", "simulate", str(arguments.chip), "-o", folder]
+            subprocess.run(command, check=True, cwd=ROOT, capture_output=True)
             rows.append(("`workbench simulate`, all states, CAD, mesh, fields, pictures, report",
                          time.perf_counter() - started, ""))
     print(f"{operators.size} unknowns, {problem.mesh.mesh.t.shape[1]} cells, {chip.name}, {arguments.state}; "

@@ -52,7 +52,7 @@ def pyvista() -> Any:
     try:
         import pyvista as module
     except ImportError as error:
-        raise RuntimeError("pictures of fields and shapes need pyvista: install the extra 'view'") from error
+        raise RuntimeError("pictures of fields and shapes need pyvista (./setup installs it)") from error
     return module
 
 
