@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,6 +24,7 @@ from workbench.particles import (
     crossover_radius,
     dipole,
     find_traps,
+    focus_time,
     force_at,
     gorkov_potential,
     inviscid_scattering,
@@ -326,6 +328,20 @@ def test_axial_focus_time_is_that_of_the_plane_wave() -> None:
     )
     # The nodal force is good to a few 1e-4 of its peak, near the start it is a third of that.
     assert found == pytest.approx(closed, rel=3e-3)
+
+
+def test_focus_time_is_counted_to_the_deepest_trap() -> None:
+    fields = cylinder_mode(12, radial=1e-3)
+    particle = Particle(name="neutral", radius=5e-6, density=WATER.density, compressibility=KAPPA)
+    report = find_traps(forces_in(fields, particle))
+    quarter = 0.25 * WATER.sound_speed / fields.frequency
+    closed = standing_wave_focus_time(
+        particle, WATER, scattering=report.forces.scattering, frequency=fields.frequency,
+        energy_density=report.excitation.energy_density, start=0.1 * quarter, stop=0.9 * quarter,
+    )
+    # As above, and the trap is placed within a few nanometres: near it the time is logarithmic in the distance.
+    assert focus_time(report) == pytest.approx(closed, rel=5e-3)
+    assert focus_time(replace(report, traps=())) is None
 
 
 def test_a_particle_that_does_not_arrive_is_said_so() -> None:

@@ -18,7 +18,7 @@ from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.operators import assemble
 from workbench.physics import absorption, electrodes, fluid, piezoelectric, solid
-from workbench.problem import TRANSDUCER_FINER, Problem, build, chip_materials, mesh_speeds, model, problem
+from workbench.problem import GAS_FINER, TRANSDUCER_FINER, Problem, build, chip_materials, mesh_speeds, model, problem
 from workbench.solve import solve_full
 
 # The chip's transducer has the losses as the paper prints them, active by less than their rounding.
@@ -193,3 +193,29 @@ def test_which_electrode_is_live_makes_no_difference_to_a_free_disc(
 
     # The mesh has the symmetry of the disc; rounding only.
     assert np.abs(impedance(bottom) / impedance(top) - 1.0).max() < 1e-9
+
+
+def test_a_gas_is_meshed_coarser_and_a_liquid_is_not(registry: Registry) -> None:
+    air, water, ceramic = (registry.load(name) for name in ("air", "water", "pzt5a"))
+    speeds = mesh_speeds(("transducer", "cavity"), {"transducer": ceramic, "cavity": air})
+    assert speeds["cavity"] == pytest.approx(air.slowest_wave_speed() / GAS_FINER)
+    speeds = mesh_speeds(("transducer", "cavity"), {"transducer": ceramic, "cavity": water})
+    assert speeds["cavity"] == water.slowest_wave_speed()
+
+
+def test_air_changes_an_empty_chip_by_less_than_its_dimensions_are_known(
+    small_chip: Chip, filled_materials: dict[str, Material], meshed: Callable[..., Problem], registry: Registry
+) -> None:
+    """A cavity of air against one of nothing: some tenths of a per cent in Z, and the coarser mesh in it is no more.
+
+    Measured on the reference chip at its default mesh: 0.3 % at most for the air, 0.16 % for its mesh.
+    """
+    empty = {region: material for region, material in filled_materials.items() if region != "cavity"}
+    frequencies = np.linspace(*small_chip.band, 9)
+
+    def impedance(materials: dict[str, Material]) -> NDArray[np.complex128]:
+        found = meshed(small_chip, materials, elements_per_wavelength=5.0)
+        return solve_full(assemble(found.mesh, found.terms), frequencies, found.values).impedance
+
+    change = np.abs(impedance({**empty, "cavity": registry.load("air")}) / impedance(empty) - 1.0)
+    assert 0.0 < change.max() < 1e-2

@@ -27,6 +27,7 @@ from materials.kinds import Material
 from materials.registry import Registry
 from workbench.drive import Drive, parse_drive
 from workbench.operators import ModelError
+from workbench.particles import TrapReport, focus_time
 from workbench.problem import build, chip_materials, mesh_speeds
 from workbench.report import (
     FIGURE_COLUMNS,
@@ -532,7 +533,7 @@ def _simulation_report(
     for run in runs:
         blocks: list[Block] = list(pictures[run.state])
         if run.traps is not None:
-            blocks.insert(0, str(run.traps))
+            blocks.insert(0, _particles_text(run.traps))
         sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}", blocks))
     used = Table(("state", "region", "material", "source"), tuple(
         (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
@@ -543,6 +544,14 @@ def _simulation_report(
 def _print(text: str) -> None:
     """A result, to standard output so that it can be piped; all that is said on the way goes to the error console."""
     sys.stdout.write(text + "\n")
+
+
+def _particles_text(traps: TrapReport) -> str:
+    """The traps, the forces with the field they belong to, and how long focusing takes."""
+    seconds = focus_time(traps)
+    if seconds is None:
+        return f"{traps}\nA particle a quarter wavelength above the deepest trap does not get there."
+    return f"{traps}\nFocusing time from 90 to 10 % of a quarter wavelength above the deepest trap: {seconds:.3g} s"
 
 
 def _print_table(title: str, table: Table) -> None:

@@ -474,6 +474,23 @@ def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, sto
     return float(simpson(drag_coefficient(forces.particle, forces.fluid) / net, x=height))
 
 
+def focus_time(report: TrapReport) -> float | None:
+    """Time (s) to the deepest trap along the axial line through it, from 90 % to 10 % of a quarter wavelength above it.
+
+    None where there is no trap, or where a particle starting there is not drawn all the way down: a wall is in between,
+    or the field is too weak against the particle's weight.
+    """
+    if not report.traps:
+        return None
+    trap, forces = report.traps[0], report.forces
+    quarter = 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
+    try:
+        return axial_focus_time(forces, radius=trap.radius, start=trap.height + 0.9 * quarter,
+                                stop=trap.height + 0.1 * quarter)
+    except ValueError:
+        return None
+
+
 def _neighbours(cells: IntArray, count: int) -> csr_array:
     """Which nodes share a cell: a (count, count) pattern."""
     incidence = coo_array(

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from inputs import write_atomic
+from workbench import particles
 from workbench.compare import Comparison
 from workbench.merit import Estimate, Figures, NoResonance, ResonanceFit, figures, fit_resonance
 from workbench.simulate import Simulation
@@ -150,7 +151,7 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "particle": run.traps.forces.particle.name, "radius_m": run.traps.forces.particle.radius,
             "contrast_factor": run.traps.forces.scattering.contrast_factor,
             "pressure_amplitude_pa": excitation.pressure_amplitude, "energy_density_j_m3": excitation.energy_density,
-            "drive": excitation.description,
+            "drive": excitation.description, "focus_time_s": particles.focus_time(run.traps),
             "traps": [{"r_m": t.radius, "z_m": t.height, "depth_j": t.depth, "radial_stiffness_n_m": t.radial_stiffness,
                        "axial_stiffness_n_m": t.axial_stiffness, "on_wall": t.on_wall} for t in run.traps.traps],
         }

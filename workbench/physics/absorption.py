@@ -13,8 +13,9 @@ class BulkAbsorption:
 
         - i w delta / (rho c^4) p q
 
-    so that the wavenumber is w / c + i w^2 delta / (2 c^3) to first order (Pierce, Acoustics, 1989, section 10-2). In
-    water it is a loss factor of 1e-5 at 1 MHz. In a gas-filled cavity it keeps the resonances finite. Parameters ``<material>.density``, ``.sound_speed`` and ``.diffusivity_of_sound`` (m^2/s).
+    so that the wavenumber is w / c + i w^2 delta / (2 c^3) to first order (Pierce, Acoustics, 1989, section 10-2).
+    In water it is a loss factor of 1e-5 at 1 MHz. In a gas-filled cavity it keeps the resonances finite. Parameters:
+    ``<material>.density``, ``.sound_speed`` and ``.diffusivity_of_sound`` (m^2/s).
     """
 
     region: str
