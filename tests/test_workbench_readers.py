@@ -8,7 +8,7 @@ import pytest
 
 from inputs import InputError
 from workbench.merit import bvd_impedance
-from workbench.readers import FORMATS, ColumnMap, Quantity, detect, read
+from workbench.readers import FORMATS, ColumnMap, Quantity, detect, read, read_column_map
 from workbench.readers.findings import examine
 from workbench.spectrum import Origin, Spectrum, write_csv
 
@@ -450,3 +450,22 @@ def test_reference_spectra_are_the_workbench_format():
 def test_every_format_has_a_small_file():
     assert {detect(path) for path in DATA.iterdir() if path.name not in (
         "shunt_gain.csv", "semicolons.csv", "waveform.csv")} == set(FORMATS)
+
+
+def test_a_column_map_from_a_file_is_that_of_the_code(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    good = 'frequency = "Freq"\nfirst = 2\nsecond = "angle"\nfrequency_unit = "kHz"\n'
+    path.write_text(good + 'quantity = { kind = "gain", form = "polar", unit = "dB", reference_resistance = 100.0 }\n')
+    quantity = Quantity("gain", "polar", "dB", reference_resistance=100.0)
+    assert read_column_map(path) == ColumnMap("Freq", 2, "angle", quantity, frequency_unit="kHz")
+    for text, words in {
+        good: ("quantity", "a table with kind, form and unit"),
+        good + 'quantity = { kind = "gain", form = "polar" }': ("quantity.unit", "to be given"),
+        good + 'quantity = { kind = "gain", form = "polar", units = "dB" }': ("quantity.units", "did you mean 'unit'"),
+        good + 'quantity = { kind = "impedance", form = "polar", unit = "V" }': ("'V'", "ohm"),
+    }.items():
+        path.write_text(text)
+        with pytest.raises(InputError) as caught:
+            read_column_map(path)
+        for word in (str(path), *words):
+            assert word in str(caught.value)

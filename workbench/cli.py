@@ -141,6 +141,8 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("recording", type=Path, metavar="RECORDING")
     compare.add_argument("chip", type=Path, metavar="CHIP.toml")
     with_state(compare)
+    compare.add_argument("--columns", type=Path, metavar="MAP.toml",
+                         help="which columns of the recording are what, for a table of another instrument")
     compare.add_argument("--format", metavar="NAME",
                          help="format of the recording: workbench, e4990a, 4294a or touchstone (default: found out)")
     compare.add_argument("--correction", choices=("negate", "conjugate"),

@@ -107,10 +107,11 @@ def simulate(options: argparse.Namespace, console: Console) -> int:
 def compare(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
     from workbench.compare import compare as compare_spectra
-    from workbench.readers import read
+    from workbench.readers import read, read_column_map
     from workbench.render import plots
 
-    reading = read(options.recording, format=options.format)
+    columns = None if options.columns is None else read_column_map(options.columns)
+    reading = read(options.recording, columns=columns, format=options.format)
     if options.correction:
         reading = reading.corrected(options.correction)
     measured = reading.spectrum

@@ -16,13 +16,13 @@ from pathlib import Path
 from inputs import InputError, choose
 from workbench.readers import columns as _columns
 from workbench.readers import e4990a, hp4294a, touchstone, workbench_csv
-from workbench.readers.columns import ColumnMap
+from workbench.readers.columns import ColumnMap, read_column_map
 from workbench.readers.findings import Finding, examine
 from workbench.readers.quantities import Quantity
 from workbench.readers.text import RecordingText, load, refuse_waveform
 from workbench.spectrum import Spectrum, corrected
 
-__all__ = ["FORMATS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read"]
+__all__ = ["FORMATS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read", "read_column_map"]
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ ratio is, are said by the person who knows the set-up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
 
-from inputs import UNITS, InputError, nearest_names
+from inputs import UNITS, InputError, nearest_names, read_toml, refuse_unknown_keys
 from workbench.readers.quantities import Quantity
 from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
 from workbench.spectrum import Origin, Spectrum
@@ -44,6 +45,36 @@ class ColumnMap:
             raise ValueError(f"frequency, first and second must be three columns, received {named}")
         if any(isinstance(name, int) and name < 1 for name in named):
             raise ValueError(f"columns are counted from 1, received {named}")
+
+
+def read_column_map(path: Path) -> ColumnMap:
+    """A column map from a TOML file: the fields of :class:`ColumnMap`, with ``quantity`` a table of those of Quantity.
+
+    ::
+
+        frequency = "Freq"          # a heading, or the number of the column from 1
+        first = "|Z|"
+        second = "angle"
+        frequency_unit = "kHz"
+        quantity = { kind = "impedance", form = "polar", unit = "ohm", phase_unit = "deg" }
+
+    Raises:
+        InputError: a missing or unknown key, or a value that ColumnMap or Quantity refuse.
+    """
+    table = read_toml(path)
+    quantity = table.get("quantity")
+    if not isinstance(quantity, dict):
+        raise InputError(str(path), "quantity", quantity, "a table with kind, form and unit")
+    for content, kind, place in ((table, ColumnMap, ""), (quantity, Quantity, "quantity")):
+        refuse_unknown_keys(content, [f.name for f in fields(kind)], source=str(path), field=place)
+        for required in (f.name for f in fields(kind) if f.default is MISSING):
+            if required not in content:
+                raise InputError(str(path), f"{place}.{required}".lstrip("."), None, "to be given")
+    try:
+        return ColumnMap(**{**table, "quantity": Quantity(**quantity)})
+    except (TypeError, ValueError) as error:
+        expected = "a map that fits; see workbench.readers.ColumnMap"
+        raise InputError(str(path), "column map", str(error), expected) from error
 
 
 def parse(text: RecordingText, columns: ColumnMap) -> Spectrum:
