@@ -22,20 +22,15 @@ from typing import Any
 UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
-    "voltage": {"V": 1.0, "mV": 1e-3},
     "peak-to-peak voltage": {"Vpp": 1.0, "mVpp": 1e-3},
     "power": {"W": 1.0, "mW": 1e-3},
     "resistance": {"ohm": 1.0, "Ohm": 1.0, "mohm": 1e-3, "kohm": 1e3},
-    "inductance": {"H": 1.0, "mH": 1e-3, "uH": 1e-6, "nH": 1e-9},
-    "capacitance": {"F": 1.0, "uF": 1e-6, "nF": 1e-9, "pF": 1e-12},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
     "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
     "speed": {"m/s": 1.0, "mm/us": 1e3},
     "viscosity": {"Pa s": 1.0, "mPa s": 1e-3, "uPa s": 1e-6},
-    "attenuation": {"Np/m": 1.0, "dB/m": math.log(10.0) / 20.0, "dB/cm": 5.0 * math.log(10.0)},
     "piezoelectric": {"C/m^2": 1.0},
     "temperature": {"K": 1.0, "degC": 1.0},
-    "mass": {"kg": 1.0, "g": 1e-3},
     "dimensionless": {"1": 1.0, "%": 1e-2},
 }
 

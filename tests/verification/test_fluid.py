@@ -18,7 +18,7 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Material
 from workbench.operators import FullOperators, assemble
 from workbench.physics import electrodes, fluid, piezoelectric, solid
-from workbench.physics.term import Condition, Integral, Term
+from workbench.physics.term import Condition, Term
 
 SPEED, DENSITY = 1482.0, 998.0
 RADIUS, HEIGHT = 4e-3, 1e-3
@@ -26,17 +26,10 @@ WATER: dict[str, complex] = {"water.density": DENSITY, "water.sound_speed": SPEE
 
 
 @dataclass(frozen=True)
-class PlaneStrain:
+class PlaneStrain(Term):
     """u_z = 0 on a boundary; for these tests only."""
 
     boundary: str
-
-    @property
-    def unknowns(self) -> tuple[tuple[str, str], ...]:
-        return ()
-
-    def integrals(self) -> tuple[Integral, ...]:
-        return ()
 
     def conditions(self) -> tuple[Condition, ...]:
         return (Condition("u_z", self.boundary),)

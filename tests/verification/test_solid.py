@@ -15,24 +15,17 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from workbench.operators import FullOperators, assemble
 from workbench.physics import electrodes, piezoelectric, solid
-from workbench.physics.term import Condition, Integral, Term
+from workbench.physics.term import Condition, Term
 
 BULK, SHEAR, DENSITY = 3.6e9, 1.1e9, 1150.0
 
 
 @dataclass(frozen=True)
-class Clamp:
+class Clamp(Term):
     """A displacement component held at zero on a boundary; for these tests only."""
 
     component: str
     boundary: str
-
-    @property
-    def unknowns(self) -> tuple[tuple[str, str], ...]:
-        return ()
-
-    def integrals(self) -> tuple[Integral, ...]:
-        return ()
 
     def conditions(self) -> tuple[Condition, ...]:
         return (Condition(self.component, self.boundary),)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.physics.term import Condition, Integral, Monomial, Product
+from workbench.physics.term import Integral, Monomial, Product, Term
 
 
 @dataclass(frozen=True)
-class BulkAbsorption:
+class BulkAbsorption(Term):
     """Classical absorption: the compressibility becomes (1 + i w delta / c^2) / (rho c^2), e^{-i w t}.
 
         - i w delta / (rho c^4) p q
@@ -21,14 +21,7 @@ class BulkAbsorption:
     region: str
     material: str
 
-    @property
-    def unknowns(self) -> tuple[tuple[str, str], ...]:
-        return ()
-
     def integrals(self) -> tuple[Integral, ...]:
         factors = ((f"{self.material}.diffusivity_of_sound", 1), (f"{self.material}.density", -1),
                    (f"{self.material}.sound_speed", -4))
         return (Integral(Monomial(-1j, 1, factors), self.region, (Product("p", "p"),)),)
-
-    def conditions(self) -> tuple[Condition, ...]:
-        return ()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.physics.term import Condition, Integral
+from workbench.physics.term import Condition, Term
 
 
 @dataclass(frozen=True)
-class Electrodes:
+class Electrodes(Term):
     """phi = 0 on the grounded electrode; phi = V, one unknown, on the live one.
 
     The charge of the live electrode is the work conjugate of V, that is the flux of the whole
@@ -17,13 +17,6 @@ class Electrodes:
 
     live: str
     ground: str
-
-    @property
-    def unknowns(self) -> tuple[tuple[str, str], ...]:
-        return ()
-
-    def integrals(self) -> tuple[Integral, ...]:
-        return ()
 
     def conditions(self) -> tuple[Condition, ...]:
         return (Condition("phi", self.ground), Condition("phi", self.live, live=True))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.physics.term import Condition, Integral, Monomial, Product
+from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 
 @dataclass(frozen=True)
-class Fluid:
+class Fluid(Term):
     """Compressible fluid at rest in a region: Helmholtz equation divided by rho w^2.
 
         (1 / (rho w^2)) grad(p) . grad(q) - (1 / (rho c^2)) p q
@@ -33,12 +33,9 @@ class Fluid:
             Integral(compressibility, self.region, (Product("p", "p"),)),
         )
 
-    def conditions(self) -> tuple[Condition, ...]:
-        return ()
-
 
 @dataclass(frozen=True)
-class SolidFluidContact:
+class SolidFluidContact(Term):
     """Continuity of normal displacement and traction between a solid and a fluid region.
 
         p (v . n_s) + q (u . n_s)        n_s out of the solid
@@ -50,30 +47,16 @@ class SolidFluidContact:
     solid: str
     fluid: str
 
-    @property
-    def unknowns(self) -> tuple[tuple[str, str], ...]:
-        return ()
-
     def integrals(self) -> tuple[Integral, ...]:
         form = (Product("p", "u_n", 2.0),)
         return (Integral(Monomial(1.0, 0), self.boundary, form, self.solid, self.fluid),)
 
-    def conditions(self) -> tuple[Condition, ...]:
-        return ()
-
 
 @dataclass(frozen=True)
-class PressureRelease:
+class PressureRelease(Term):
     """p = 0 on a free rim of a fluid layer (Acevedo-Espinosa et al. (RP-UEIS), eq. 24)."""
 
     boundary: str
-
-    @property
-    def unknowns(self) -> tuple[tuple[str, str], ...]:
-        return ()
-
-    def integrals(self) -> tuple[Integral, ...]:
-        return ()
 
     def conditions(self) -> tuple[Condition, ...]:
         return (Condition("p", self.boundary),)

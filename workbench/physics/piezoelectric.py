@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.physics.term import Condition, Integral, Monomial, Product
+from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 #: Vacuum permittivity, F/m (CODATA 2018).
 VACUUM_PERMITTIVITY = 8.8541878128e-12
 
 
 @dataclass(frozen=True)
-class Piezoelectric:
+class Piezoelectric(Term):
     """Transversely isotropic piezoelectric solid in a region.
 
         eps(v) : C : eps(u) - rho w^2 u.v + eps(v) e^T grad(phi) + grad(psi) e eps(u) - grad(psi) . epsilon grad(phi)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.physics.term import Condition, Integral, Monomial, Product
+from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 
 @dataclass(frozen=True)
-class IsotropicSolid:
+class IsotropicSolid(Term):
     """Isotropic solid in a region, complex bulk and shear modulus constant over the band.
 
         K tr(eps(v)) tr(eps(u)) + 2 G dev(eps(v)) : dev(eps(u)) - rho w^2 u.v

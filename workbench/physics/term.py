@@ -133,15 +133,21 @@ class Condition:
     live: bool = False
 
 
-class Term(Protocol):
-    """A frozen value that states one effect: where it lives, its parameters by name, its integrals and conditions."""
+class Term:
+    """One effect, as a frozen value: where it lives, its parameters by name, its integrals and conditions.
+
+    A term overrides what it has; by default it brings in nothing.
+    """
 
     @property
     def unknowns(self) -> tuple[tuple[str, str], ...]:
         """(component, region) pairs that this term brings into the model."""
+        return ()
 
     def integrals(self) -> tuple[Integral, ...]:
         """The g_q A_q of this term."""
+        return ()
 
     def conditions(self) -> tuple[Condition, ...]:
         """Its essential conditions."""
+        return ()
