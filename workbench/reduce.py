@@ -164,8 +164,9 @@ def reduce(
 class _Growing:
     """A basis that grows, projected on for one set of parameter values only, which is far cheaper than for all.
 
-    ``columns`` (size, r) are orthonormal in the norm of ``weights``, ``lift`` (size,) has unit electrode voltage.
-    Projections of the matrices of equal frequency dependence (see `solve.System`) are extended, never made again.
+    ``basis`` (size, r): columns orthonormal in the norm of ``weights``, then the lift, which has unit electrode voltage.
+    ``projected`` (groups, r, r) and ``sketch`` (groups, PROJECTIONS, r) belong to the matrices of equal frequency
+    dependence (see `solve.System`); they are extended, never made again.
     """
 
     def __init__(self, operators: FullOperators, values: Values, frequencies: Real, start: ReducedModel | None) -> None:
