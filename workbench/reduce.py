@@ -164,7 +164,7 @@ def reduce(
 class _Growing:
     """A basis that grows, projected on for one set of parameter values only, which is far cheaper than for all.
 
-    ``basis`` (size, r): columns orthonormal in the norm of ``weights``, then the lift, which has unit electrode voltage.
+    ``basis`` (size, r): columns orthonormal in the norm of ``weights``, then the lift, with unit electrode voltage.
     ``projected`` (groups, r, r) and ``sketch`` (groups, PROJECTIONS, r) belong to the matrices of equal frequency
     dependence (see `solve.System`); they are extended, never made again.
     """
