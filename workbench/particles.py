@@ -444,8 +444,10 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
         place, value, curvature = _refine(mesh, potential, neighbours, node)
         if not np.isfinite(sample(mesh, potential, place[None, :], [forces.region])[0]):
             place, value = mesh.points[node], float(potential[node])
+        # A trap on the axis is on it, not a rounding error beside it.
+        radius = 0.0 if place[0] < 1e-9 * mesh.points[:, 0].max() else float(place[0])
         traps.append(Trap(
-            radius=float(place[0]), height=float(place[1]), potential=value, depth=depth,
+            radius=radius, height=float(place[1]), potential=value, depth=depth,
             radial_stiffness=float(curvature[0]), axial_stiffness=float(curvature[1]), on_wall=bool(walls[node]),
         ))
     return TrapReport(forces=forces, traps=tuple(sorted(traps, key=lambda trap: -trap.depth)))
