@@ -33,12 +33,60 @@ How to add a material
    ``temperature``; then all its numbers need one, with the range its source vouches for.
 4. Load it once. A wrong sign or a material that creates energy is refused; one that does so only within its declared
    rounding loads with a :class:`PassivityWarning`. The tests pick up every file by themselves.
+
+What a fit found
+----------------
+A fit is saved by the program: ``fitted`` joins its numbers to the material that it set out from, and ``save`` writes
+them as the next version of an entry in a folder of the user's (``user_folder()``)::
+
+    found = fitted(start, {"c33": Value(121.7e9 - 0.3e9j, "Pa", "", uncertainty=2e8, low=..., high=...)}, fit=Fit(...))
+    save(found, "pzt4/disc_7", folder=user_folder())        # "pzt4/disc_7@1", next time "pzt4/disc_7@2"
+
+The file has the same form as every other. Its ``source`` is ``"recording"``, the one key that is not in
+``references.bib``: the ``[fit]`` table says which recording, with which chip, band, algorithm and software (see
+:mod:`materials.fit`), and ``material.fit`` holds it. A version is never changed; ``withdraw`` takes it back without
+removing it. ``check_use`` warns where a fitted material is used outside its band or with another density.
 """
 
 from materials.describe import describe
+from materials.difference import Difference, differences
+from materials.exchange import Imported, export_entries, import_entries
+from materials.fit import Correlation, Fit, Recording
+from materials.history import Version, history, withdraw
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.passivity import PassivityWarning
-from materials.registry import Registry
+from materials.registry import Registry, user_folder, user_registry
+from materials.saving import fitted, save
+from materials.use import UseWarning, check_use
 from materials.value import Value
+from materials.versions import Withdrawal, WithdrawnWarning
 
-__all__ = ["Fluid", "IsotropicSolid", "Material", "PassivityWarning", "Piezoelectric", "Registry", "Value", "describe"]
+__all__ = [
+    "Correlation",
+    "Difference",
+    "Fit",
+    "Fluid",
+    "Imported",
+    "IsotropicSolid",
+    "Material",
+    "PassivityWarning",
+    "Piezoelectric",
+    "Recording",
+    "Registry",
+    "UseWarning",
+    "Value",
+    "Version",
+    "Withdrawal",
+    "WithdrawnWarning",
+    "check_use",
+    "describe",
+    "differences",
+    "export_entries",
+    "fitted",
+    "history",
+    "import_entries",
+    "save",
+    "user_folder",
+    "user_registry",
+    "withdraw",
+]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from materials.fit import Correlation, Fit
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.value import Value
 
 
 def describe(material: Material) -> str:
-    """Several lines: name, kind, source, then one line for each number in SI units and what is known about it."""
+    """Several lines: name, kind, source, then one line for each number in SI units and what is known about it.
+
+    A fitted material ends in what is known of its fit.
+    """
     lines = [f"{material.name}: {type(material).__name__}, source {material.source}"]
     for name, number in material.parameters().items():
         known = material.values.get(name)
@@ -21,6 +25,8 @@ def describe(material: Material) -> str:
         case Piezoelectric():
             lines.append(f"  c66                    {_number(material.c66)}")
     lines.append(f"  slowest wave           {material.slowest_wave_speed():.6g} m/s")
+    if material.fit is not None:
+        lines += _fit_lines(material.fit)
     return "\n".join(lines)
 
 
@@ -34,7 +40,52 @@ def _optional(value: float | None) -> str:
 
 
 def _remarks(value: Value) -> str:
-    parts = [f"given in {value.unit}" if value.unit else "", value.source, value.conditions, value.note]
-    if value.uncertainty is not None:
-        parts.insert(1, f"+- {value.uncertainty:.3g}")
+    parts = [
+        f"given in {value.unit}" if value.unit else "",
+        "" if value.uncertainty is None else f"+- {value.uncertainty:.3g}",
+        _interval("", value.low, value.high),
+        "" if value.loss_uncertainty is None else f"loss +- {value.loss_uncertainty:.3g}",
+        _interval("loss ", value.loss_low, value.loss_high),
+        value.status,
+        f"loss {value.loss_status}" if value.loss_status else "",
+        value.source, value.conditions, value.note,
+    ]
     return "; ".join(part for part in parts if part)
+
+
+def _interval(label: str, low: float | None, high: float | None) -> str:
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f"{label}above {low:.6g}"
+    return f"{label}below {high:.6g}" if low is None else f"{label}{low:.6g} to {high:.6g}"
+
+
+def _fit_lines(fit: Fit) -> list[str]:
+    """What the fit rests on, and how good it is."""
+    rows = [("fitted on", f"{fit.date}{', NOT ACCEPTED, saved by force' if fit.forced else ''}")]
+    for recording in fit.recordings:
+        rows += [("recording", f"{recording.path}, SHA-256 {recording.sha256}"),
+                 ("chip", f"{recording.chip}{', SHA-256 ' if recording.chip_sha256 else ''}{recording.chip_sha256}")]
+    rows += [
+        ("algorithm", f"{fit.algorithm}, {fit.software}"),
+        ("set out from", fit.start),
+        ("band", f"{fit.band[0] / 1e6:.6g} to {fit.band[1] / 1e6:.6g} MHz"),
+        ("at", "" if fit.temperature is None else f"{fit.temperature:.6g} K"),
+        ("sample", ", ".join(f"{key} {text}" for key, text in fit.sample.items())),
+        ("error of |Z|", f"{fit.mape_percent:.4g} % (mean), rms of ln(Z_fit / Z_measured) {fit.rms_log_residual:.4g}"),
+        ("intervals", f"{100.0 * fit.confidence:g} %"),
+        ("free", ", ".join(fit.free)),
+        ("fixed", ", ".join(fit.fixed)),
+        ("correlations", "" if fit.correlation is None else _strongest(fit.correlation)),
+        *(("note", note) for note in fit.notes),
+    ]
+    return [f"  {label:<22} {text}" for label, text in rows if text]
+
+
+def _strongest(correlation: Correlation) -> str:
+    """The pairs that the data tell apart worst; the entry has the whole matrix."""
+    names, rows = correlation.names, correlation.rows
+    pairs = [(rows[i][j], names[i], names[j]) for i in range(len(names)) for j in range(i)]
+    worst = sorted(pairs, key=lambda pair: -abs(pair[0]))[:3]
+    return "strongest: " + ", ".join(f"{a}, {b} {r:+.2f}" for r, a, b in worst) if worst else "one parameter"

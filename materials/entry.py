@@ -16,9 +16,11 @@ from typing import Any
 import inputs
 from inputs import InputError
 from materials import conversions, passivity
+from materials.fit import parse_fit
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.lines import located
 from materials.temperature import parse_law
-from materials.value import Value, check_source, parse_value, text, unit_factor
+from materials.value import RECORDING, Value, check_source, parse_value, text, unit_factor
 
 _Numbers = Mapping[str, complex]
 
@@ -120,7 +122,7 @@ KINDS: Mapping[str, Kind] = {
 
 #: Numbers of a form that have no imaginary part: the loss of a wave is its attenuation.
 _LOSSLESS = ("longitudinal_speed", "shear_speed")
-_HEAD = ("kind", "title", "source", "conditions", "note", "default", "temperature")
+_HEAD = ("kind", "title", "source", "conditions", "note", "default", "temperature", "fit")
 
 
 def _choose_form(kind_name: str, kind: Kind, given: Collection[str], *, source: str) -> Form | None:
@@ -198,12 +200,19 @@ def read_entry(
         temperature: in K, for a file whose numbers depend on it; None for its own reference temperature.
 
     Raises:
-        InputError: anything the file states wrongly, or a temperature it cannot serve.
+        InputError: anything the file states wrongly, with the line; or a temperature it cannot serve.
 
     Warns:
         passivity.PassivityWarning: active by no more than its own rounding.
     """
-    table, file = inputs.read_toml(path), str(path)
+    with located(path):
+        return parse_entry(inputs.read_toml(path), name, file=str(path), references=references, temperature=temperature)
+
+
+def parse_entry(
+    table: Mapping[str, Any], name: str, *, file: str, references: Collection[str], temperature: float | None = None
+) -> Material:
+    """The material in the content of an entry file; see :func:`read_entry`."""
     kind_name = inputs.choose(table.get("kind"), KINDS, source=file, field="kind")
     kind = KINDS[kind_name]
     head = {key: item for key, item in table.items() if key in _HEAD}
@@ -218,12 +227,14 @@ def read_entry(
     for required in kind.required:
         if required not in entries:
             raise InputError(file, required, "nothing", f"this number of the {kind_name}")
+    if "fit" in table:
+        references = {RECORDING, *references}
     form = _choose_form(kind_name, kind, [key for key in entries if key in in_forms], source=file)
 
     reader = _Reader(
         file=file,
         conditions=text(head, "conditions", source=file, field=""),
-        source=check_source(text(head, "source", source=file, field=""), references, source=file, field="file"),
+        source=check_source(text(head, "source", source=file, field=""), references, source=file, field=""),
         references=references,
         temperature=_temperature(table, entries, temperature, source=file),
     )
@@ -237,7 +248,9 @@ def read_entry(
     if form is not None:
         fields.update(form.convert(numbers))
         tolerances = _loss_tolerances(form, numbers, values)
-    material = kind.build(name=name, source=reader.source, temperature=reader.temperature, values=values, **fields)
+    fit = parse_fit(table["fit"], density=fields["density"], source=file) if "fit" in table else None
+    material = kind.build(name=name, source=reader.source, temperature=reader.temperature, values=values, fit=fit,
+                          **fields)
     passivity.check(material, loss_tolerances=tolerances, source=file)
     return material
 

@@ -3,6 +3,7 @@
 Numbers are SI; losses follow the time factor e^{-i w t}: negative imaginary stiffness, positive imaginary permittivity.
 ``parameters()`` gives a solver what it needs by field name; ``values`` keeps every number as its source states it.
 ``temperature`` (K) is set where the numbers were asked for at a temperature, None where the source gives no law for it.
+``fit`` says how the numbers were fitted, None where they come from the literature.
 
 A caller changes a number with :func:`dataclasses.replace`. The changed field then has no entry in ``values`` any more:
 it is the caller's number, and no source may be quoted for it.
@@ -15,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from materials.fit import Fit
 from materials.value import VACUUM_PERMITTIVITY, Value
 
 
@@ -50,6 +52,7 @@ class Piezoelectric:
     temperature: float | None = None
     source: str = ""
     values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+    fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _still_true(self.values, self.parameters()))
@@ -94,6 +97,7 @@ class IsotropicSolid:
     temperature: float | None = None
     source: str = ""
     values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+    fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _still_true(self.values, self.parameters()))
@@ -136,6 +140,7 @@ class Fluid:
     temperature: float | None = None
     source: str = ""
     values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+    fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         # A field set to None is not in parameters(), so its Value has to be dropped by name.

@@ -141,7 +141,7 @@ def check(material: Material, *, loss_tolerances: Mapping[str, float], source: s
     warnings.warn(
         f"{material.name}: the losses create energy: the smallest eigenvalue of Im K is "
         f"{smallest / 1e9:.3g} GPa, within the {allowed / 1e9:.3g} GPa that the rounding of the losses explains",
-        PassivityWarning, stacklevel=4,
+        PassivityWarning, stacklevel=5,
     )  # the level of the caller of Registry.load
 
 

@@ -5,12 +5,18 @@
 
 The package's own folder always comes first; a user's folders have the same layout and may add materials, entries and a
 ``references.bib``. An entry is read when it is asked for.
+
+A saved fit is an entry with versions, ``pzt4/disc_7@1``, ``pzt4/disc_7@2``: ``pzt4/disc_7`` means the newest one that
+is not withdrawn. A material's name alone never means a saved fit while there is anything else that it may mean: saving
+one does not change what an existing chip file says.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +24,14 @@ import inputs
 from inputs import InputError
 from materials.entry import read_entry
 from materials.kinds import Material
+from materials.versions import (
+    WithdrawnWarning,
+    entry_name,
+    read_withdrawal,
+    split_version,
+    versions_of,
+    withdrawal_file,
+)
 
 PACKAGE_DATA = Path(__file__).parent / "data"
 _BIBLIOGRAPHY_KEY = re.compile(r"^\s*@\w+\s*\{\s*([^,\s]+)\s*,", re.MULTILINE)
@@ -38,6 +52,12 @@ def bibliography_keys(path: Path) -> frozenset[str]:
     return frozenset(keys)
 
 
+def user_folder() -> Path:
+    """The folder of the user's own materials: below ``$XDG_DATA_HOME``, or ``~/.local/share``. It may not exist yet."""
+    root = os.environ.get("XDG_DATA_HOME")
+    return (Path(root) if root else Path.home() / ".local" / "share") / "acoustofluidic-chip-workbench" / "materials"
+
+
 @dataclass(frozen=True)
 class Registry:
     """The materials of the package and of any further `folders`."""
@@ -45,14 +65,15 @@ class Registry:
     folders: tuple[Path, ...] = ()
 
     def names(self) -> tuple[str, ...]:
-        """Every ``material/source`` name, sorted."""
-        return tuple(sorted(self._files()))
+        """Every ``material/source`` name, sorted; of a saved fit every version, the withdrawn ones too."""
+        return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
 
     def load(self, name: str, *, temperature: float | None = None) -> Material:
         """The material called `name`, read and checked.
 
         Args:
-            name: ``material/source``, or ``material`` alone if it has one entry or one that is declared the default.
+            name: ``material/source``, or ``material`` alone if it has one entry or one that is declared the default; of
+                a saved fit, ``material/name`` or ``material/name@version``.
             temperature: in K, for a material whose numbers depend on it. None: the reference temperature its entry
                 states, which the result carries in its ``temperature``.
 
@@ -62,15 +83,27 @@ class Registry:
 
         Warns:
             materials.PassivityWarning: the entry is active by no more than its own rounding.
+            materials.WithdrawnWarning: a withdrawn version was asked for by its full name.
+        """
+        chosen, path = self.find(name)
+        withdrawal = read_withdrawal(path)
+        if withdrawal is not None:
+            warnings.warn(f"{chosen} was withdrawn on {withdrawal.date}: {withdrawal.reason}", WithdrawnWarning,
+                          stacklevel=2)
+        references = frozenset().union(*(bibliography_keys(folder / "references.bib") for folder in self._folders()))
+        return read_entry(path, chosen, references=references, temperature=temperature)
+
+    def find(self, name: str) -> tuple[str, Path]:
+        """The full name and the file of what `name` means; see :meth:`load`.
+
+        Raises:
+            InputError: no such name, or one that may mean several entries or none that is not withdrawn.
         """
         files = self._files()
         chosen = name if "/" in name else self._default(name, files)
         if chosen not in files:
-            siblings = [known for known in files if known.split("/")[0] == name.split("/")[0]]
-            near = tuple(siblings) or inputs.nearest_names(name, files)
-            raise InputError("materials", "name", name, "one of " + ", ".join(sorted(files)), near)
-        references = frozenset().union(*(bibliography_keys(folder / "references.bib") for folder in self._folders()))
-        return read_entry(files[chosen], chosen, references=references, temperature=temperature)
+            chosen = self._newest(chosen, files)
+        return chosen, files[chosen]
 
     def _folders(self) -> tuple[Path, ...]:
         return (PACKAGE_DATA, *self.folders)
@@ -81,24 +114,54 @@ class Registry:
             if not folder.is_dir():
                 raise InputError("materials", "folder", str(folder), "an existing folder of materials")
             for path in sorted(folder.glob("*/*.toml")):
-                name = f"{path.parent.name}/{path.stem}"
+                name = entry_name(path)
                 if name in files:
                     raise InputError(str(path), "name", name, f"a name of its own: {files[name]} has this one")
                 files[name] = path
         return files
 
+    def _newest(self, name: str, files: Mapping[str, Path]) -> str:
+        """The newest version of a saved fit that is not withdrawn."""
+        versions = versions_of(name, files)
+        valid = [version for version in versions if not withdrawal_file(files[version]).exists()]
+        if valid:
+            return valid[-1]
+        if versions:
+            raise InputError("materials", "name", name, f"a version by its full name, such as {versions[-1]}: all "
+                             f"{len(versions)} are withdrawn", (versions[-1],))
+        # Versions by one name: there may be hundreds.
+        label = name.split("@")[0]
+        known = versions_of(label, files) or sorted(set(_unversioned(files)))
+        siblings = [other for other in known if other.split("/")[0] == name.split("/")[0]]
+        near = tuple(siblings) if len(siblings) <= 10 else inputs.nearest_names(name, siblings)
+        raise InputError("materials", "name", name, "one of " + ", ".join(known),
+                         near or inputs.nearest_names(name, known))
+
     def _default(self, material: str, files: Mapping[str, Path]) -> str:
         """The full name meant by a material's name alone."""
-        entries = [name for name in files if name.split("/")[0] == material]
+        entries = [name for name in files if name.split("/")[0] == material and split_version(name) is None]
+        entries = entries or sorted(set(_unversioned(name for name in files if name.split("/")[0] == material)))
         if not entries:
             known = {name.split("/")[0] for name in files}
             raise InputError("materials", "name", material, "one of " + ", ".join(sorted(known)),
                              inputs.nearest_names(material, known))
         if len(entries) == 1:
             return entries[0]
-        declared = [name for name in entries if inputs.read_toml(files[name]).get("default") is True]
+        declared = [name for name in entries if name in files and inputs.read_toml(files[name]).get("default") is True]
         if len(declared) != 1:
             count = "none is" if not declared else f"{len(declared)} are"
             raise InputError("materials", "name", material,
                              f"one of {', '.join(sorted(entries))} ({count} declared the default)")
         return declared[0]
+
+
+def user_registry(further: Iterable[Path] = ()) -> Registry:
+    """The materials of the package, of the user's own folder if there is one, and of any `further` folders."""
+    own = user_folder()
+    rest = [folder for folder in further if folder.resolve() != own.resolve()]
+    return Registry((*([own] if own.is_dir() else []), *rest))
+
+
+def _unversioned(names: Iterable[str]) -> list[str]:
+    """`names` with those of saved fits without their versions."""
+    return [name if (split := split_version(name)) is None else split[0] for name in names]

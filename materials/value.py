@@ -6,11 +6,14 @@ In a file a number is a table on one line::
 
 ``loss`` is the imaginary part for the time factor e^{-i w t}: negative for a stiffness or a modulus, positive for a
 permittivity. ``uncertainty`` (of the value) and ``loss_uncertainty`` are standard uncertainties; ``rounding`` is half a
-unit of the last digit printed in the source. All are in the unit of the entry and are SI once read.
+unit of the last digit printed in the source. A fit adds the ends of its intervals, ``low`` ``high`` ``loss_low``
+``loss_high`` (an end left out: the data do not bound it), and what became of the two parts, ``status`` and
+``loss_status``. All numbers are in the unit of the entry and are SI once read.
 """
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -20,6 +23,9 @@ from inputs import InputError
 
 #: Permittivity of free space in F/m (CODATA 2018).
 VACUUM_PERMITTIVITY = 8.8541878128e-12
+
+#: The source of a number that was fitted: its entry says in [fit] to which recording.
+RECORDING = "recording"
 
 #: Units of a data file: those of every file, and the kinds of number that only materials have. A permittivity is stored
 #: relative to that of free space, whichever way it is printed.
@@ -32,7 +38,13 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "heat capacity": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
 }
 
-_KEYS = ("value", "loss", "unit", "uncertainty", "loss_uncertainty", "rounding", "source", "conditions", "note")
+#: What a fit may say of a number or of its loss.
+STATUSES = ("fitted", "fixed", "at bound", "not determined")
+
+#: Uncertainties and ends of intervals, not below zero and of either sign.
+_SPREADS = ("uncertainty", "loss_uncertainty", "rounding")
+_ENDS = ("low", "high", "loss_low", "loss_high")
+_KEYS = ("value", "loss", "unit", *_SPREADS, *_ENDS, "status", "loss_status", "source", "conditions", "note")
 
 
 @dataclass(frozen=True)
@@ -42,6 +54,8 @@ class Value:
     ``unit`` is the text of the file. ``rounding`` is half a unit of the last printed digit (0: not declared).
     ``loss_tolerance`` bounds the error that rounding and the stated uncertainty leave in the imaginary part; it is 0
     where the source states no loss, because the imaginary part is then an assumption and not a rounded figure.
+    ``low`` to ``high`` and ``loss_low`` to ``loss_high`` are the intervals of a fit, at its level of confidence (None:
+    no bound on that side); ``status`` and ``loss_status`` are of :data:`STATUSES`, or empty where nothing was fitted.
     """
 
     value: complex
@@ -53,6 +67,12 @@ class Value:
     loss_uncertainty: float | None = None
     rounding: float = 0.0
     loss_tolerance: float = 0.0
+    low: float | None = None
+    high: float | None = None
+    loss_low: float | None = None
+    loss_high: float | None = None
+    status: str = ""
+    loss_status: str = ""
 
 
 def text(table: Mapping[str, object], key: str, *, source: str, field: str, default: str | None = None) -> str:
@@ -73,6 +93,17 @@ def number(table: Mapping[str, object], key: str, *, source: str, field: str) ->
     return float(found)
 
 
+def date_text(table: Mapping[str, object], key: str, *, source: str, field: str) -> str:
+    """The date in ISO 8601 under `key`."""
+    found = text(table, key, source=source, field=field)
+    try:
+        datetime.datetime.fromisoformat(found)
+    except ValueError:
+        raise InputError(source, f"{field}.{key}" if field else key, found,
+                         'a date, for example "2026-11-21T14:40:00+00:00"') from None
+    return found
+
+
 def unit_factor(table: Mapping[str, object], dimension: str, *, source: str, field: str) -> tuple[str, float]:
     """The unit of an entry and its factor to SI.
 
@@ -91,7 +122,8 @@ def check_source(key: str, references: Collection[str], *, source: str, field: s
     """`key` if it is the key of a reference; a number whose origin cannot be looked up is refused."""
     if key not in references:
         near = inputs.nearest_names(key, references)
-        raise InputError(source, f"{field}.source", key, "a key of references.bib", near)
+        expected = "a key of references.bib" + (" (this one needs a [fit] table)" if key == RECORDING else "")
+        raise InputError(source, f"{field}.source" if field else "source", key, expected, near)
     return key
 
 
@@ -119,7 +151,8 @@ def parse_value(
         lossy: whether this number may have an imaginary part.
 
     Raises:
-        InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source.
+        InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source or
+            status, an interval that does not hold its value.
     """
     if not isinstance(entry, Mapping):
         raise InputError(source, field, entry, 'a table such as { value = 1.0, unit = "GPa" }')
@@ -130,13 +163,18 @@ def parse_value(
     if real is None:
         raise InputError(source, f"{field}.value", "nothing", "a finite number")
     spreads = {}
-    for key in ("uncertainty", "loss_uncertainty", "rounding"):
+    for key in _SPREADS:
         spread = number(entry, key, source=source, field=field)
         if spread is not None and spread < 0:
             raise InputError(source, f"{field}.{key}", spread, "a number not below zero")
         spreads[key] = None if spread is None else spread * factor
     loss = number(entry, "loss", source=source, field=field)
     rounding = spreads["rounding"] or 0.0
+    low, high, loss_low, loss_high = (_end(entry, key, loss or 0.0 if key.startswith("loss") else real, factor,
+                                           source=source, field=field) for key in _ENDS)
+    status, loss_status = (
+        inputs.choose(entry[key], STATUSES, source=source, field=f"{field}.{key}") if key in entry else ""
+        for key in ("status", "loss_status"))
     return Value(
         value=complex(real, loss or 0.0) * factor,
         unit=unit,
@@ -150,4 +188,20 @@ def parse_value(
         loss_uncertainty=spreads["loss_uncertainty"],
         rounding=rounding,
         loss_tolerance=0.0 if loss is None else rounding + (spreads["loss_uncertainty"] or 0.0),
+        low=low,
+        high=high,
+        loss_low=loss_low,
+        loss_high=loss_high,
+        status=status,
+        loss_status=loss_status,
     )
+
+
+def _end(
+    entry: Mapping[str, object], key: str, inside: float, factor: float, *, source: str, field: str
+) -> float | None:
+    """One end of an interval (SI), which has to hold the number `inside` (in the unit of the entry)."""
+    end = number(entry, key, source=source, field=field)
+    if end is not None and (end > inside if key.endswith("low") else end < inside):
+        raise InputError(source, f"{field}.{key}", end, f"an interval that holds the value, {inside:g}")
+    return None if end is None else end * factor

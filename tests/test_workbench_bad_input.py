@@ -72,6 +72,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with a good chip file and a good recording in it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     (tmp_path / "chip.toml").write_text(CHIP)
     frequency = np.linspace(300e3, 450e3, 31)
     write_csv(Spectrum(frequency, 5.0 - 1j / (2 * np.pi * frequency * 1e-9)), tmp_path / "disc.csv")
@@ -290,6 +291,15 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "no folder of materials": (["mesh", "chip.toml", "--materials", "nowhere"], ["'nowhere'", "an existing folder"]),
     "unknown material": (["materials", "show", "watr"], ["'watr'", "did you mean 'water'"]),
     "no material": (["materials", "show"], ["NAME", "workbench materials list"]),
+    "difference of two kinds": (["materials", "diff", "pla", "water"],
+                                ["IsotropicSolid pla/acevedo_2026, Fluid water/", "two materials of one kind"]),
+    "history of no fit": (["materials", "history", "pla/acevedo_2026"], ["'pla/acevedo_2026'", "no versions"]),
+    "withdrawal of no fit": (["materials", "withdraw", "water", "--reason", "x"],
+                             ["'water'", "a version of a saved fit"]),
+    "export of the package's": (["materials", "export", "pla", "-o", "x.json"], ["'pla/acevedo_2026'", "one's own"]),
+    "export of nothing known": (["materials", "export", "plo/mine", "-o", "x.json"], ["'plo/mine'", "one of"]),
+    "import of nothing": (["materials", "import", "x.json"], ["x.json", "an existing file"]),
+    "import of something else": (["materials", "import", "disc.csv"], ["disc.csv", "JSON syntax", "line 1 column 1"]),
     "temperature without unit": (["materials", "show", "water", "--temperature", "25"], ["--temperature", "degC"]),
     "chip is a folder": (["mesh", "."], ["a readable text file"]),
 }
@@ -306,6 +316,8 @@ def test_a_mistake_in_the_command(mistake: str, folder: Path, capsys: pytest.Cap
     (["simulate", "chip.toml", "-o", "out", "--points", "many"], "invalid int value: 'many'"),
     (["compare", "disc.csv", "chip.toml", "-o", "out", "--correction", "flip"], "'negate', 'conjugate'"),
     ([], "COMMAND"),
+    (["materials"], "ACTION"), (["materials", "remove", "pla"], "invalid choice: 'remove'"),
+    (["materials", "withdraw", "pzt4/disc_7@1"], "--reason"), (["materials", "export", "-o", "x.json"], "NAME"),
 ])
 def test_what_argparse_refuses(
     command: list[str], part: str, folder: Path, capsys: pytest.CaptureFixture[str]

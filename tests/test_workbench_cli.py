@@ -6,19 +6,25 @@ import argparse
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from inputs import InputError
-from workbench import cli, commands
 from workbench.cli import main
+from workbench.commands import export as export_command
 from workbench.operators import ModelError
+from workbench.options import parser
 from workbench.solve import NotConverged
 
 COMMANDS = ("simulate", "compare", "mesh", "export", "render", "materials")
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
 
 
 def text_of_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -34,14 +40,23 @@ def test_help_lists_the_commands_and_the_status(capsys: pytest.CaptureFixture[st
     assert "130 interrupted" in text
 
 
+def every_action(command: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Those of the parsers within a parser too."""
+    for action in command._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for within in action.choices.values():
+                yield from every_action(within)
+        yield action
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_option_says_what_it_is_for_and_its_default(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "400")
     assert command in text_of_help([command], capsys)
-    (subparsers,) = (a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction))
-    for action in subparsers.choices[command]._actions:
+    (subparsers,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    for action in every_action(subparsers.choices[command]):
         if action.option_strings and "--help" not in action.option_strings:
             assert action.help, action.option_strings
             # What a flag turns on is off by default.
@@ -61,7 +76,7 @@ def outcome(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException | int], 
                 raise result
             return result
 
-        monkeypatch.setattr(commands, "export", export)
+        monkeypatch.setattr(export_command, "run", export)
         return main(["export", "chip.toml", "-o", "out"])
 
     return end
@@ -96,13 +111,13 @@ def test_our_warnings_are_shown_once_and_others_are_not(
 ) -> None:
     def export(_options: argparse.Namespace, _console: object) -> int:
         for _ in range(2):
-            warnings.warn_explicit("mesh [too] coarse", UserWarning, commands.__file__, 1)
-        warnings.warn_explicit("overflow met", RuntimeWarning, commands.__file__, 1)
-        warnings.warn_explicit("use something newer", DeprecationWarning, commands.__file__, 1)
+            warnings.warn_explicit("mesh [too] coarse", UserWarning, export_command.__file__, 1)
+        warnings.warn_explicit("overflow met", RuntimeWarning, export_command.__file__, 1)
+        warnings.warn_explicit("use something newer", DeprecationWarning, export_command.__file__, 1)
         warnings.warn_explicit("somebody else's", UserWarning, np.__file__, 1)
         return 0
 
-    monkeypatch.setattr(commands, "export", export)
+    monkeypatch.setattr(export_command, "run", export)
     assert main(["export", "chip.toml", "-o", "out"]) == 0
     said = capsys.readouterr().err
     assert said.count("warning: mesh [too] coarse") == 1
@@ -117,7 +132,7 @@ def test_a_lost_imaginary_part_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> N
         np.zeros(1)[:] = np.array([1.0 + 1j])
         return 0
 
-    monkeypatch.setattr(commands, "export", export)
+    monkeypatch.setattr(export_command, "run", export)
     with pytest.raises(np.exceptions.ComplexWarning):
         main(["export", "chip.toml", "-o", "out"])
 

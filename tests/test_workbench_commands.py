@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from geometry.chip import read_chip
-from workbench import commands
+from materials import Fit, Material, Recording, Registry, Value, fitted, save, user_folder
+from materials.registry import PACKAGE_DATA
 from workbench.cli import main
+from workbench.commands import states
 from workbench.readers import read
 from workbench.simulate import simulate as simulate_state
 from workbench.spectrum import Spectrum, write_csv
@@ -77,8 +79,10 @@ def disc(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.setenv("COLUMNS", "400")  # or tables fold the names
 
 
 @pytest.fixture
@@ -185,7 +189,7 @@ def test_an_interrupted_full_spectrum_goes_on_where_it_stopped(
     assert main([*command, str(whole)]) == 0
     # In the second state: the first one is done, and must not be solved again either.
     first = Stop(13 + 5)
-    monkeypatch.setattr(commands, "simulate_state", first)
+    monkeypatch.setattr(states, "simulate_state", first)
     assert main([*command, str(stopped)]) == 130
     assert "what was finished is on disk" in capsys.readouterr().err
     unfinished = stopped / "unfinished_filled.csv"
@@ -194,7 +198,7 @@ def test_an_interrupted_full_spectrum_goes_on_where_it_stopped(
     text = unfinished.read_text()
     unfinished.write_text(text[:-4])
     second = Stop(10**6)
-    monkeypatch.setattr(commands, "simulate_state", second)
+    monkeypatch.setattr(states, "simulate_state", second)
     assert main([*command, str(stopped)]) == 0
     assert (first.solved, second.solved) == (18, 13 - 4)
     for state in ("empty", "filled"):
@@ -209,20 +213,20 @@ def test_points_of_another_model_are_not_taken_over(
 ) -> None:
     folder = tmp_path / "own" / "ceramic"
     folder.mkdir(parents=True)
-    package = Path(commands.registry_package.__file__).parent / "data" / "pzt4" / "acevedo_2026_initial.toml"
+    package = PACKAGE_DATA / "pzt4" / "acevedo_2026_initial.toml"
     entry = folder / "mine.toml"
     entry.write_text(package.read_text())
     disc.write_text(DISC.replace("pzt4/acevedo_2026_initial", "ceramic/mine"))
     command = ["simulate", str(disc), "-o", str(tmp_path / "out"), "--full", "--points", "13", "--no-cad",
                "--materials", str(tmp_path / "own")]
-    monkeypatch.setattr(commands, "simulate_state", Stop(4))
+    monkeypatch.setattr(states, "simulate_state", Stop(4))
     assert main([*command, *SMALL]) == 130
     if change == "chip":
         disc.write_text(disc.read_text().replace('radius = "3 mm"', 'radius = "3.001 mm"'))
     if change == "material":
         entry.write_text(entry.read_text().replace("value = 115.41", "value = 115.42"))
     again = Stop(10**6)
-    monkeypatch.setattr(commands, "simulate_state", again)
+    monkeypatch.setattr(states, "simulate_state", again)
     assert main([*command, "--elements-per-wavelength", "4" if change == "mesh" else "3"]) == 0
     assert again.solved == 13
 
@@ -338,3 +342,63 @@ def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.C
     (folder / "mine.toml").write_text('kind = "gelatine"\n')
     assert main(["materials", "check", "--materials", str(tmp_path / "own")]) == 1
     assert "jelly/mine" in capsys.readouterr().out
+
+
+def saved_fit(c33: float) -> Material:
+    """The ceramic of the disc above, as a fit would have left it."""
+    fit = Fit(recordings=(Recording("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",
+              date="2026-11-21", band=(300e3, 450e3), mape_percent=0.41, rms_log_residual=0.005, confidence=0.95,
+              free=("c33",))
+    estimate = Value(c33 - 1.2e8j, "", "", uncertainty=3e8, low=c33 - 6e8, high=c33 + 6e8, status="fitted")
+    return fitted(Registry().load("pzt4/acevedo_2026_initial"), {"c33": estimate}, fit=fit)
+
+
+def test_saved_fits_are_kept_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def said(*command: str, status: int = 0) -> str:
+        assert main(["materials", *command]) == status
+        out, err = capsys.readouterr()
+        return " ".join((out + err).split())
+
+    for c33 in (115e9, 118e9):
+        save(saved_fit(c33), "pzt4/disc_7", folder=user_folder())
+    listed = said("list")
+    assert "pzt4/disc_7@2 │ Piezoelectric │ 7500 │ fitted, 0.3 to 0.45 MHz" in listed
+    shown = said("show", "pzt4/disc_7")
+    assert "pzt4/disc_7@2" in shown
+    assert "+- 3e+08; 1.174e+11 to 1.186e+11; fitted" in shown
+    assert f"disc.csv, SHA-256 {'0' * 64}" in shown
+    compared = said("diff", "pzt4/disc_7@1", "pzt4/disc_7")
+    # 3 GPa of 115, against sqrt(2) x 0.3 GPa.
+    assert "c33 │ 1.15e+11 │ 1.18e+11 │ +2.609 │ +7.07" in compared
+    assert "withdrawn" in said("withdraw", "pzt4/disc_7@2", "--reason", "glued on")
+    versions = said("history", "pzt4/disc_7")
+    assert re.search(r"disc_7@2 │ 2026-11-21 │ 0.41 │ joint │ withdrawn on 20\S+: glued on", versions)
+    assert "pzt4/disc_7@2 │ Piezoelectric │ 7500 │ fitted, 0.3 to 0.45 MHz; withdrawn" in said("list")
+    assert "pzt4/disc_7@1:" in said("show", "pzt4/disc_7")
+    assert "warning: pzt4/disc_7@2 was withdrawn" in said("show", "pzt4/disc_7@2")
+    assert "pzt4/disc_7@2: ok pzt4/disc_7@2 was withdrawn" in said("check", "pzt4/disc_7@2")
+    exported = tmp_path / "new" / "discs.json"
+    assert "pzt4/disc_7@1" in said("export", "pzt4/disc_7@1", "pzt4/disc_7@2", "-o", str(exported))
+    # Into another folder, which need not exist; the user's own has them already.
+    other = ["--materials", str(tmp_path / "other")]
+    assert "pzt4/disc_7@1: imported pzt4/disc_7@2: imported" in said("import", str(exported), *other)
+    assert "pzt4/disc_7@1: was there already" in said("import", str(exported))
+    assert len(list((tmp_path / "other" / "pzt4").iterdir())) == 3
+    spoiled = user_folder() / "pzt4" / "disc_7@1.toml"
+    spoiled.write_text(spoiled.read_text().replace("mape_percent = 0.41", "mape_percent = -1"))
+    (line,) = [k for k, row in enumerate(spoiled.read_text().splitlines(), start=1) if row.startswith("mape")]
+    assert "pzt4/disc_7@1 │ faulty" in said("list")
+    assert f"disc_7@1.toml, line {line}: fit.mape_percent" in said("history", "pzt4/disc_7")
+    assert f"disc_7@1.toml, line {line}: fit.mape_percent" in said("check", status=1)
+
+
+def test_a_chip_may_be_made_of_a_saved_fit(disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # Everything that reads a chip finds the user's own folder, without being told.
+    disc.write_text(DISC.replace("pzt4/acevedo_2026_initial", "pzt4/disc_7"))
+    assert main(["mesh", str(disc), *SMALL]) == 2
+    assert "'pzt4/disc_7'" in capsys.readouterr().err
+    save(saved_fit(115e9), "pzt4/disc_7", folder=user_folder())
+    assert main(["mesh", str(disc), *SMALL]) == 0
+    save(saved_fit(115e9), "pzt4/disc_8", folder=tmp_path / "other")
+    disc.write_text(DISC.replace("pzt4/acevedo_2026_initial", "pzt4/disc_8"))
+    assert main(["mesh", str(disc), "--materials", str(tmp_path / "other"), *SMALL]) == 0

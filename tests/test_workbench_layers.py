@@ -19,8 +19,6 @@ ALLOWED = {"inputs": {"inputs"}, "materials": {"inputs", "materials"}, "geometry
            "workbench": {"inputs", "materials", "geometry", "workbench"}}
 #: Seconds to load, or a window or a port needed: only inside the function that uses them.
 HEAVY = {"cadquery", "OCP", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib", "skrf", "serial", "rich"}
-#: The only modules that draw, print or end the program.
-SURFACE = {"workbench.cli", "workbench.commands", "workbench.__main__"}
 
 
 def name_of(path: Path) -> str:
@@ -30,6 +28,8 @@ def name_of(path: Path) -> str:
 
 FILES = {name_of(path): path for path in
          [ROOT / "inputs.py", *(path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")))]}
+#: The only modules that draw, print or end the program.
+SURFACE = {"workbench.cli", "workbench.__main__", *(name for name in FILES if name.startswith("workbench.commands"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 
 

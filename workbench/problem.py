@@ -14,6 +14,7 @@ from geometry.section import cut_section
 from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
+from materials.use import check_use
 from workbench.physics import absorption, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
 
@@ -149,6 +150,7 @@ def build(
     """
     materials = chip_materials(chip, state, registry)
     low, high = chip.band if band is None else band
+    check_use(materials.values(), band=(low, high))
     section = cut_section(chip)
     size = MeshSize(mesh_speeds(section.regions, materials), high, elements_per_wavelength=elements_per_wavelength)
     return problem(mesh_section(section, size, cache=cache), materials, (low, high), name=f"{chip.name}, {state}")

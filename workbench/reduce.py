@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -176,8 +176,7 @@ class _Growing:
         size, groups = operators.size, len(self.matrices)
         middle = float(np.median(frequencies))
         self.weights = np.sqrt(np.abs(self.system.matrix(middle).diagonal())) if start is None else start.weights
-        self.test = np.random.default_rng(0).standard_normal((size, PROJECTIONS)) / self.weights[:, None]
-        self.test[-1] = 0.0  # the row of the electrode is not an equation
+        self.test = _test_vectors(self.weights)
         self.basis = np.zeros((size, 0))
         self.projected = np.zeros((groups, 0, 0), dtype=complex)
         self.sketch = np.zeros((groups, PROJECTIONS, 0), dtype=complex)
@@ -255,6 +254,37 @@ class _Growing:
         directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
         kept = directions[:, singular > UNUSED * singular[0]]
         return np.column_stack([self.basis[:, :-1] @ kept, self.basis[:, -1]])
+
+
+def _test_vectors(weights: Real) -> Real:
+    """The random vectors (size, PROJECTIONS) that residuals are projected on: the same for equal `weights`."""
+    test = np.random.default_rng(0).standard_normal((weights.size, PROJECTIONS)) / weights[:, None]
+    test[-1] = 0.0  # the row of the electrode is not an equation
+    return np.asarray(test)
+
+
+def projected(model: ReducedModel, operators: FullOperators, basis: Real | None = None) -> ReducedModel:
+    """`model` on other full operators of the same unknowns (a stretched mesh), or on another `basis`, or both."""
+    basis = model.basis if basis is None else basis
+    sketch = operators.project(basis, _test_vectors(model.weights))
+    return replace(model, full=operators, operators=operators.reduced(basis), basis=basis, sketch=sketch)
+
+
+def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[ReducedModel, Real]:
+    """`model` on the part of its basis that reduced `states` (rank, n) need, to `tolerance` relative to the largest.
+
+    Returns:
+        the model, and its basis in the old one (old rank, rank).
+    """
+    coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
+    directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
+    rank, kept = model.basis.shape[1], int(np.count_nonzero(singular > tolerance * singular[0]))
+    within = np.zeros((rank, kept + 1))
+    within[:-1, :-1], within[-1, -1] = directions[:, :kept], 1.0
+    matrices = within.T @ model.operators.matrices @ within
+    model = replace(model, operators=replace(model.operators, matrices=matrices), basis=model.basis @ within,
+                    sketch=model.sketch @ within)
+    return model, within
 
 
 def _squared_residual(sketch: Real, solution: Solution) -> Real:

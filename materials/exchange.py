@@ -1,0 +1,166 @@
+"""Entries of a user's folder in one file, to keep or to give to somebody else.
+
+The file is JSON: every entry with its name, its text to the letter, the SHA-256 of that text, and its withdrawal if it
+has one. What is imported is the very file that was exported, provenance included.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import inputs
+from inputs import InputError
+from materials.entry import parse_entry
+from materials.history import load_quietly
+from materials.registry import PACKAGE_DATA, Registry, bibliography_keys
+from materials.value import text
+from materials.versions import (
+    Withdrawal,
+    check_name,
+    entry_file,
+    put,
+    read_withdrawal,
+    split_version,
+    withdrawal_file,
+    withdrawal_text,
+)
+
+#: First in the file, so that it is known for what it is.
+FORMAT = "acoustofluidic-chip-workbench materials 1"
+
+
+@dataclass(frozen=True)
+class Imported:
+    """The name of an imported entry, and whether it is ``new`` or was there already, the same to the letter."""
+
+    name: str
+    new: bool
+
+
+@dataclass(frozen=True)
+class _Entry:
+    name: str
+    content: str
+    withdrawal: Withdrawal | None
+
+
+def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> tuple[str, ...]:
+    """Write the entries that `names` mean to the file `path`; their full names.
+
+    Raises:
+        InputError: an unknown name, an entry of the package, or a spoiled one.
+    """
+    found = [registry.find(name) for name in names]
+    entries = []
+    for name, file in dict(found).items():
+        if PACKAGE_DATA in file.parents:
+            raise InputError("materials", "name", name, "an entry of one's own: this one is in the package everywhere")
+        split = split_version(name)
+        check_name(name if split is None else split[0])
+        load_quietly(registry, name)  # what cannot be read is not handed on
+        # As bytes, or line ends would be changed on the way.
+        content, withdrawal = file.read_bytes().decode("utf-8"), read_withdrawal(file)
+        entry: dict[str, object] = {"name": name, "sha256": _digest(content), "content": content}
+        if withdrawal is not None:
+            entry["withdrawal"] = {"date": withdrawal.date, "reason": withdrawal.reason}
+        entries.append(entry)
+    inputs.write_atomic(path, json.dumps({"format": FORMAT, "entries": entries}, indent=1, ensure_ascii=False) + "\n")
+    return tuple(dict(found))
+
+
+def import_entries(path: Path, *, folder: Path) -> tuple[Imported, ...]:
+    """Put the entries of an exported file into a folder of materials, made if need be.
+
+    All are checked before the first is put in place, and each is put in place whole. What is there already is left;
+    a withdrawal is taken over.
+
+    Raises:
+        InputError: not an exported file or a damaged one; an entry that cannot be read, or that cites a source unknown
+            here; another content under a name that exists.
+    """
+    entries = _read(path)
+    references = bibliography_keys(PACKAGE_DATA / "references.bib") | bibliography_keys(folder / "references.bib")
+    for entry in entries:
+        # With the package's own names nothing could be read any more.
+        if entry_file(PACKAGE_DATA, entry.name).exists():
+            raise InputError(str(path), entry.name, entry.name, "a name that the package does not have")
+        _refuse_other(path, entry, folder)
+        try:
+            table = tomllib.loads(entry.content)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(str(path), entry.name, str(error), "valid TOML") from None
+        parse_entry(table, entry.name, file=f"{path}, {entry.name}", references=references)
+    return tuple(Imported(entry.name, _place(path, entry, folder)) for entry in entries)
+
+
+def _place(path: Path, entry: _Entry, folder: Path) -> bool:
+    """Whether the entry is new. Another run may have put it there since it was looked for."""
+    target, new = entry_file(folder, entry.name), True
+    try:
+        put(entry.content.encode("utf-8"), [target])
+    except FileExistsError:
+        new = False
+        _refuse_other(path, entry, folder)
+    if entry.withdrawal is not None and not withdrawal_file(target).exists():
+        # Unless another run has withdrawn it meanwhile.
+        with contextlib.suppress(FileExistsError):
+            put(withdrawal_text(entry.withdrawal).encode("utf-8"), [withdrawal_file(target)])
+    return new
+
+
+def _refuse_other(path: Path, entry: _Entry, folder: Path) -> None:
+    target = entry_file(folder, entry.name)
+    if target.exists() and target.read_bytes() != entry.content.encode("utf-8"):
+        there = hashlib.sha256(target.read_bytes()).hexdigest()
+        raise InputError(str(path), entry.name, f"content {_digest(entry.content)[:12]}",
+                         f"the content {there[:12]} of {target}, which is never overwritten; --materials DIR imports "
+                         "into another folder")
+
+
+def _digest(content: str) -> str:
+    # Half a surrogate pair, which JSON can smuggle in, has no digest of its own and matches none.
+    return hashlib.sha256(content.encode("utf-8", "replace")).hexdigest()
+
+
+def _read(path: Path) -> list[_Entry]:
+    source = str(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(source, "file", path.name, "an existing file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(source, "file", path.name, f"a readable text file ({error})") from None
+    except json.JSONDecodeError as error:
+        raise InputError(source, "JSON syntax", str(error), "a file of exported materials, whole") from None
+    if not isinstance(data, Mapping) or data.get("format") != FORMAT:
+        found = data.get("format") if isinstance(data, Mapping) else type(data).__name__
+        raise InputError(source, "format", found, FORMAT)
+    entries = data.get("entries")
+    if not isinstance(entries, list):
+        raise InputError(source, "entries", entries, "a list of entries")
+    return [_read_entry(entry, f"entries[{k}]", source=source) for k, entry in enumerate(entries)]
+
+
+def _read_entry(entry: object, field: str, *, source: str) -> _Entry:
+    if not isinstance(entry, Mapping):
+        raise InputError(source, field, entry, "a name, a content and its sha256")
+    name, content, digest = (text(entry, key, source=source, field=field) for key in ("name", "content", "sha256"))
+    split = split_version(name)
+    # A name is a path below the folder: nothing but letters, digits, _ and - on both sides of one slash.
+    check_name(name if split is None else split[0], source=source)
+    if _digest(content) != digest:
+        raise InputError(source, f"{field}.sha256", digest, f"{_digest(content)}, of the content as it is: {name} was "
+                         "changed")
+    withdrawal = entry.get("withdrawal")
+    if withdrawal is None:
+        return _Entry(name, content, None)
+    if not isinstance(withdrawal, Mapping):
+        raise InputError(source, f"{field}.withdrawal", withdrawal, "a date and a reason")
+    date, reason = (text(withdrawal, key, source=source, field=f"{field}.withdrawal") for key in ("date", "reason"))
+    return _Entry(name, content, Withdrawal(date, reason))

@@ -1,0 +1,196 @@
+"""A fit becomes an entry: a new version in a folder of the user's, in the same form as every other entry."""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from inputs import InputError
+from materials import toml
+from materials.entry import KINDS, Kind, parse_entry
+from materials.fit import Fit
+from materials.kinds import Material
+from materials.registry import PACKAGE_DATA, bibliography_keys
+from materials.value import RECORDING, UNITS, Value
+from materials.versions import check_name, entry_file, entry_name, put, split_version, versions_of
+
+
+def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Material:
+    """`start` with the numbers that a fit has found, ready to be saved.
+
+    Args:
+        start: the material that the fit set out from, with the density it was fitted with.
+        estimates: by field name; of each :class:`Value` the number, the uncertainties, the ends of the intervals, the
+            status and the note are used (SI). What is not in it was held fixed and keeps its source.
+        fit: how they were found; its ``density`` is filled in here.
+
+    Raises:
+        KeyError: an estimate of something that the material has not.
+    """
+    numbers = start.parameters()
+    unknown = sorted(set(estimates) - set(numbers))
+    if unknown:
+        raise KeyError(f"estimates of {', '.join(unknown)}; {start.name} has {', '.join(numbers)}")
+    kind = _kind(start)
+    lossy = kind.forms[0].dimensions if kind.forms else {}
+    # A source that prints other constants (wave speeds, compliances) has no Value under the names of the fields.
+    converted = bool(set(start.values) - set(numbers))
+    values: dict[str, Value] = {}
+    for name, number in numbers.items():
+        known = start.values.get(name)
+        if name in estimates:
+            value = replace(estimates[name], source=RECORDING, conditions=_conditions(fit), rounding=0.0)
+        elif known is not None and known.source != RECORDING:
+            value = replace(known, conditions=known.conditions or "not stated")
+        else:
+            source, conditions = RECORDING, "stated with the chip"
+            if known is not None:
+                conditions = f"as in {start.name}"
+            elif converted:
+                source, conditions = start.source, "converted from what the source prints"
+            value = Value(number, "", source, conditions)
+        if name not in estimates:
+            value = replace(value, status="fixed", loss_status="fixed" if name in lossy else "")
+        stated = _loss_is_stated(value)
+        values[name] = replace(
+            value, unit=_unit(kind, name),
+            loss_tolerance=value.rounding + (value.loss_uncertainty or 0.0) if stated else 0.0)
+    found: dict[str, Any] = {
+        name: complex(value.value) if name in lossy else complex(value.value).real for name, value in values.items()}
+    return replace(start, **found, values=values, source=RECORDING, temperature=None,
+                   fit=replace(fit, density=found["density"]))
+
+
+def save(material: Material, name: str, *, folder: Path) -> str:
+    """Save a fitted material as the next version of `name`; the name of that version, such as ``pzt4/disc_7@2``.
+
+    Nothing that is there is changed. Any number of runs may save at once, and one that is killed leaves no part of an
+    entry (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in
+    place.
+
+    Args:
+        material: as :func:`fitted` makes it.
+        name: ``material/name``, without a version.
+        folder: of materials, such as :func:`materials.registry.user_folder`; made if need be.
+
+    Raises:
+        InputError: a name that cannot be used or is taken by an entry without versions; a material that no passive
+            matter can be, or that would not be read back as it is.
+        ValueError: the material has no fit, or a number without a :class:`Value`.
+        OSError: the folder cannot be written.
+
+    Warns:
+        materials.PassivityWarning: active by no more than its own uncertainty.
+    """
+    check_name(name)
+    for place in (PACKAGE_DATA, folder):
+        if entry_file(place, name).exists():
+            raise InputError("materials", "name", name, f"another name: {entry_file(place, name)} has no versions")
+    content = entry_text(material)
+    references = bibliography_keys(PACKAGE_DATA / "references.bib") | bibliography_keys(folder / "references.bib")
+    label = f"{name} (not saved)"
+    try:
+        encoded = content.encode("utf-8")
+        read = parse_entry(tomllib.loads(content), material.name, file=label, references=references)
+    except UnicodeEncodeError as error:
+        raise InputError(label, "text", error.object[error.start:error.end], "text that can be encoded") from None
+    for field in fields(material):
+        mine, theirs = getattr(material, field.name), getattr(read, field.name)
+        if mine != theirs:
+            raise InputError(label, field.name, mine, f"what can be read back; this becomes {theirs!r}")
+    there = versions_of(name, map(entry_name, entry_file(folder, name).parent.glob("*.toml")))
+    last = split_version(there[-1]) if there else None
+    numbers = itertools.count(1 if last is None else last[1] + 1)
+    return entry_name(put(encoded, (entry_file(folder, f"{name}@{number}") for number in numbers)))
+
+
+def entry_text(material: Material) -> str:
+    """The entry file of a fitted material: SI units, every number to the last bit.
+
+    Raises:
+        ValueError: the material has no fit, or a number without a :class:`Value`.
+    """
+    fit, kind = material.fit, _kind(material)
+    missing = sorted(set(material.parameters()) - set(material.values))
+    if fit is None or missing:
+        raise ValueError(f"{material.name}: no fit, or no value of {missing}; materials.fitted makes both")
+    head = {
+        "kind": next(name for name, known in KINDS.items() if known is kind),
+        "title": f"fitted to {', '.join(recording.path for recording in fit.recordings)}",
+        "source": material.source,
+        "conditions": _conditions(fit),
+    }
+    lines = [f"{key} = {toml.quoted(text)}" for key, text in head.items()]
+    lines += ["", *(f"{name} = {_value_text(material.values[name], head)}" for name in material.parameters()), ""]
+    return "\n".join([*lines, *_fit_lines(fit)]) + "\n"
+
+
+def _conditions(fit: Fit) -> str:
+    temperature = "" if fit.temperature is None else f", {fit.temperature:g} K"
+    return f"{fit.band[0] / 1e6:g} to {fit.band[1] / 1e6:g} MHz{temperature}"
+
+
+def _kind(material: Material) -> Kind:
+    return next(kind for kind in KINDS.values() if kind.build is type(material))
+
+
+def _unit(kind: Kind, name: str) -> str:
+    """The SI unit of a field: a number in it is read back as it was written."""
+    dimensions = {**kind.required, **kind.optional, **(kind.forms[0].dimensions if kind.forms else {})}
+    return next(unit for unit, factor in UNITS[dimensions[name]].items() if factor == 1.0)
+
+
+def _loss_is_stated(value: Value) -> bool:
+    known = (value.loss_uncertainty, value.loss_low, value.loss_high)
+    return complex(value.value).imag != 0.0 or value.loss_tolerance != 0.0 or any(end is not None for end in known)
+
+
+def _value_text(value: Value, head: Mapping[str, str]) -> str:
+    number = complex(value.value)
+    pairs = {"value": toml.number(number.real)}
+    if _loss_is_stated(value):
+        pairs["loss"] = toml.number(number.imag)
+    pairs["unit"] = toml.quoted(value.unit)
+    for key in ("uncertainty", "low", "high", "loss_uncertainty", "loss_low", "loss_high"):
+        known = getattr(value, key)
+        if known is not None:
+            pairs[key] = toml.number(known)
+    if value.rounding:
+        pairs["rounding"] = toml.number(value.rounding)
+    for key in ("status", "loss_status", "source", "conditions", "note"):
+        text = getattr(value, key)
+        if text and text != head.get(key):
+            pairs[key] = toml.quoted(text)
+    return toml.inline(pairs)
+
+
+def _fit_lines(fit: Fit) -> list[str]:
+    """``[fit]`` with its tables before it and ``date`` last, so that a file that lost its end is missed."""
+    lines: list[str] = []
+    if fit.sample:
+        sample = [f"{toml.quoted(key)} = {toml.quoted(text)}" for key, text in fit.sample.items()]
+        lines += ["[fit.sample]", *sample, ""]
+    if fit.correlation is not None:
+        rows = [toml.array([toml.number(entry) for entry in row]) for row in fit.correlation.rows]
+        lines += ["[fit.correlation]", f"names = {_texts(fit.correlation.names)}", f"rows = {toml.array(rows)}", ""]
+    recordings = toml.array([
+        toml.inline({field.name: toml.quoted(getattr(recording, field.name)) for field in fields(recording)})
+        for recording in fit.recordings])
+    lines += ["[fit]", f"recordings = {recordings}", f"algorithm = {toml.quoted(fit.algorithm)}",
+              f"software = {toml.quoted(fit.software)}"]
+    if fit.start:
+        lines.append(f"start = {toml.quoted(fit.start)}")
+    lines.append(f"band = {_texts(tuple(f'{end!r} Hz' for end in map(float, fit.band)))}")
+    if fit.temperature is not None:
+        lines.append(f"temperature = {toml.quoted(f'{float(fit.temperature)!r} K')}")
+    lines += [f"{key} = {toml.number(getattr(fit, key))}" for key in ("mape_percent", "rms_log_residual", "confidence")]
+    lines += [f"{key} = {_texts(getattr(fit, key))}" for key in ("free", "fixed", "notes")]
+    return [*lines, f"forced = {'true' if fit.forced else 'false'}", f"date = {toml.quoted(fit.date)}"]
+
+
+def _texts(texts: tuple[str, ...]) -> str:
+    return toml.array([toml.quoted(text) for text in texts])

@@ -1,0 +1,31 @@
+"""TOML text that is read back as exactly what was written."""
+
+from __future__ import annotations
+
+import json
+import math
+from decimal import Decimal
+
+
+def quoted(text: str) -> str:
+    """A TOML text. The escapes of JSON are TOML's, but for the DEL that JSON leaves as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def number(value: float) -> str:
+    """A TOML float, to the last bit; in powers of ten where that is shorter to read."""
+    value = float(value)
+    if value == 0.0 or 1e-3 <= abs(value) < 1e6 or not math.isfinite(value):
+        return repr(value)
+    # An exponent makes it a float even without a decimal point.
+    return format(Decimal(repr(value)).normalize(), "e")
+
+
+def array(items: list[str]) -> str:
+    """A TOML array of items that are TOML already."""
+    return f"[{', '.join(items)}]"
+
+
+def inline(pairs: dict[str, str]) -> str:
+    """A TOML table on one line, of values that are TOML already."""
+    return f"{{ {', '.join(f'{key} = {value}' for key, value in pairs.items())} }}"

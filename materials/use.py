@@ -1,0 +1,42 @@
+"""Whether a fitted material is used within what it was fitted on."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+
+from materials.kinds import Material
+
+#: Relative. A density written in a chip file is a decimal number, and so is the entry's: they agree or they do not.
+_SAME = 1e-6
+
+
+class UseWarning(UserWarning):
+    """A fitted material is used outside its band, or with another density than it was fitted with."""
+
+
+def check_use(materials: Iterable[Material], *, band: tuple[float, float]) -> None:
+    """Warn, once for each, of fitted materials used outside what they were fitted on.
+
+    The ten constants of a free disc are known per density only (all of them may be scaled with it), and losses change
+    with frequency: a fit says nothing outside its band.
+
+    Args:
+        materials: as they are used, that is with the density they are used with.
+        band: the ends (Hz) of the frequencies they are used at.
+
+    Warns:
+        UseWarning: with both numbers.
+    """
+    for material in {material.name: material for material in materials}.values():
+        fit = material.fit
+        if fit is None:
+            continue
+        if band[0] < fit.band[0] * (1.0 - _SAME) or band[1] > fit.band[1] * (1.0 + _SAME):
+            warnings.warn(
+                f"{material.name} was fitted from {fit.band[0] / 1e6:.6g} to {fit.band[1] / 1e6:.6g} MHz and is used "
+                f"from {band[0] / 1e6:.6g} to {band[1] / 1e6:.6g} MHz", UseWarning, stacklevel=2)
+        if fit.density is not None and abs(material.density - fit.density) > _SAME * fit.density:
+            warnings.warn(
+                f"{material.name} was fitted with a density of {fit.density:g} kg/m^3 and is used with "
+                f"{material.density:g} kg/m^3", UseWarning, stacklevel=2)

@@ -1,0 +1,136 @@
+"""Versions of a saved fit: their names, their files, and their withdrawal.
+
+    pzt4/disc_7@1.toml          ->   "pzt4/disc_7@1", never changed once it is there
+    pzt4/disc_7@1.withdrawn     ->   when and why that version was withdrawn
+
+A file is put in place whole, by a hard link to a temporary file that was written before: the system makes a link at
+once or not at all, and refuses a name that exists. So no reader ever sees a part of a file, a version is never
+overwritten, of two runs that want the same number one gets it and the other takes the next, and a run killed at any
+moment leaves at most a temporary file that nobody reads. A lock would add nothing, and could be left behind.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import inputs
+from inputs import InputError
+from materials.lines import located
+from materials.toml import quoted
+from materials.value import date_text, text
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*/[A-Za-z0-9][A-Za-z0-9_-]*")
+_VERSION = re.compile(rf"({_NAME.pattern})@([1-9][0-9]*)")
+
+
+class WithdrawnWarning(UserWarning):
+    """A withdrawn version is used, by its full name."""
+
+
+@dataclass(frozen=True)
+class Withdrawal:
+    """When (ISO 8601) and why a version was withdrawn."""
+
+    date: str
+    reason: str
+
+
+def split_version(name: str) -> tuple[str, int] | None:
+    """``("pzt4/disc_7", 2)`` for ``"pzt4/disc_7@2"``; None for the name of no version."""
+    match = _VERSION.fullmatch(name)
+    return None if match is None else (match.group(1), int(match.group(2)))
+
+
+def versions_of(name: str, names: Iterable[str]) -> list[str]:
+    """The versions of `name`, such as ``pzt4/disc_7``, among `names`; the oldest first."""
+    found = {known: split for known in names if (split := split_version(known)) is not None and split[0] == name}
+    return sorted(found, key=lambda known: found[known][1])
+
+
+def check_name(name: str, *, source: str = "materials") -> str:
+    """`name` if a fit can be saved under it; `source` is where it was written, for messages.
+
+    Raises:
+        InputError: anything but ``material/name`` in letters, digits, ``_`` and ``-``.
+    """
+    if _NAME.fullmatch(name) is None:
+        raise InputError(source, "name", name,
+                         "material/name in letters, digits, _ and -, such as pzt4/disc_7; the version is counted")
+    return name
+
+
+def entry_file(folder: Path, name: str) -> Path:
+    """The file of the entry called `name` in a folder of materials."""
+    material, _, rest = name.partition("/")
+    return folder / material / f"{rest}.toml"
+
+
+def entry_name(path: Path) -> str:
+    """The name of the entry in a file of a folder of materials."""
+    return f"{path.parent.name}/{path.stem}"
+
+
+def withdrawal_file(entry: Path) -> Path:
+    """The file beside an entry that says that it is withdrawn."""
+    return entry.with_suffix(".withdrawn")
+
+
+def withdrawal_text(withdrawal: Withdrawal) -> str:
+    """The content of that file."""
+    return f"date = {quoted(withdrawal.date)}\nreason = {quoted(withdrawal.reason)}\n"
+
+
+def read_withdrawal(entry: Path) -> Withdrawal | None:
+    """When and why the entry in the file `entry` was withdrawn; None if it was not.
+
+    Raises:
+        InputError: somebody has spoiled the record.
+    """
+    path = withdrawal_file(entry)
+    if not path.is_file():
+        return None
+    with located(path):
+        table, source = inputs.read_toml(path), str(path)
+        inputs.refuse_unknown_keys(table, ("date", "reason"), source=source, field="")
+        return Withdrawal(date_text(table, "date", source=source, field=""),
+                          text(table, "reason", source=source, field=""))
+
+
+def put(content: bytes, paths: Iterable[Path]) -> Path:
+    """Put `content` at the first of `paths` that does not exist yet, all in one folder; the path it has got.
+
+    The folder is made if need be.
+
+    Raises:
+        FileExistsError: all of them exist.
+        OSError: the disk is full, the folder is read-only, or its file system has no hard links.
+    """
+    paths = iter(paths)
+    path = next(paths)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # The suffix is of no entry: what a killed run leaves behind is read by nobody.
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            # Or a power cut might leave the name without the content.
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        while True:
+            try:
+                os.link(temporary, path)
+                break
+            except FileExistsError:
+                following = next(paths, None)
+                if following is None:
+                    raise
+                path = following
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+    return path

@@ -1,0 +1,74 @@
+"""What the options of a command ask for, read and checked."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from geometry.chip import Chip
+from inputs import InputError, parse_quantity
+from materials.registry import Registry, user_folder, user_registry
+from workbench.drive import Drive, parse_drive
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the options say about a model: frequencies in Hz, the rest as :func:`workbench.simulate.simulate` has it."""
+
+    registry: Registry
+    band: tuple[float, float]
+    points: int
+    at: float | None
+    full: bool
+    tolerance: float
+    drive: Drive
+    elements_per_wavelength: float
+
+
+def asked_model(options: argparse.Namespace, chip: Chip) -> Asked:
+    """The model that the options ask for.
+
+    Raises:
+        InputError: a band that does not rise, a frequency outside it, no elements, or a drive nobody can read.
+    """
+    band = asked_band(options, chip)
+    at = None if options.at is None else parse_quantity(options.at, "frequency", source="command line", field="--at")
+    if at is not None and not band[0] <= at <= band[1]:
+        raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
+                         f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
+    if not (math.isfinite(options.elements_per_wavelength) and options.elements_per_wavelength > 0.0):
+        raise InputError("command line", "--elements-per-wavelength", options.elements_per_wavelength,
+                         "a number above zero; 10 is usual")
+    return Asked(
+        registry=user_registry(options.materials), band=band, points=options.points, at=at, full=options.full,
+        tolerance=options.tolerance, drive=parse_drive(options.drive),
+        elements_per_wavelength=options.elements_per_wavelength,
+    )
+
+
+def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
+    """The band (Hz) that the options ask for, the chip's own at either end that they leave open."""
+    def end(text: str | None, default: float, field: str) -> float:
+        return default if text is None else parse_quantity(text, "frequency", source="command line", field=field)
+
+    band = end(options.low, chip.band[0], "--from"), end(options.high, chip.band[1], "--to")
+    if not 0.0 < band[0] < band[1]:
+        raise InputError("command line", "--from, --to", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
+    return band
+
+
+def saving_folder(options: argparse.Namespace) -> Path:
+    """Where materials are saved: the last folder that the options name, or else the user's own."""
+    folder: Path = options.materials[-1] if options.materials else user_folder()
+    return folder
+
+
+def output_folder(path: Path) -> Path:
+    """The output folder, made if need be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError("command line", "--output", str(path), "a folder; a file is in the way") from None
+    return path

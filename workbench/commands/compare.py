@@ -1,0 +1,119 @@
+"""``workbench compare``."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import read_chip
+from inputs import InputError
+from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.states import run_state
+from workbench.commands.tables import model_table, origin_table
+from workbench.commands.terminal import print_table, progress_bars
+from workbench.report import (
+    Block,
+    Note,
+    Picture,
+    Table,
+    comparison_record,
+    figures_record,
+    measured_figures,
+    number,
+    simulation_record,
+    write_json,
+    write_report,
+)
+from workbench.spectrum import write_csv
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def run(options: argparse.Namespace, console: Console) -> int:
+    """``workbench compare``: a recording beside the simulation of a chip."""
+    from workbench.compare import compare as compare_spectra
+    from workbench.readers import read, read_column_map
+    from workbench.render import plots
+
+    columns = None if options.columns is None else read_column_map(options.columns)
+    reading = read(options.recording, columns=columns, format=options.format)
+    if options.correction:
+        reading = reading.corrected(options.correction)
+    measured = reading.spectrum
+    chip = read_chip(options.chip)
+    asked = asked_model(options, chip)
+    asked = replace(asked, band=_common_band(options, asked.band, measured.frequency),
+                    points=max(asked.points, 2 * len(measured.frequency) - 1))
+    folder = output_folder(options.output)
+    with progress_bars(console) as show:
+        run = run_state(chip, options.state, asked, show)
+        show(run.state, "done", 1.0)
+    comparison = compare_spectra(measured, run.spectrum)
+    write_csv(run.spectrum, folder / "spectrum.csv")
+    spectra = {"measured": measured, "simulated": run.spectrum}
+    residual = comparison.log_residual
+    pictures = [
+        Picture(plots.draw_spectra(spectra, folder / "impedance.png", measured=["measured"], title=chip.name),
+                "impedance, measured and simulated"),
+        Picture(plots.draw_residuals(
+            comparison.measured.frequency,
+            {"magnitude (%)": 100.0 * np.expm1(residual.real), "phase (degrees)": np.degrees(residual.imag)},
+            folder / "residual.png", label="simulated against measured", title=chip.name,
+        ), "residual: relative error of |Z| in per cent and error of phase in degrees"),
+    ]
+    merit, reason = measured_figures(measured)
+    write_json(folder / "merit.json", {
+        "chip": chip.name, "recording": str(options.recording), "state": run.state,
+        "findings": [str(finding) for finding in reading.findings],
+        "measured": figures_record(merit, reason), "simulated": simulation_record(run),
+        "comparison": comparison_record(comparison),
+    })
+    rows = Table(("", "measured", "simulated", "difference (%)"), tuple(
+        (row.metric, number(row.measured, 6), number(row.simulated, 6), f"{row.difference_percent:+.2f}")
+        for row in comparison.rows))
+    summary = Table(("over the common band", "value"), (
+        ("MAPE of |Z| (%)", number(comparison.mape_percent)),
+        ("rms of ln(Z_sim / Z_meas)", number(comparison.rms_log_residual)),
+        ("mean, largest error of phase (degrees)",
+         f"{comparison.phase_mean_deg:.2f}, {comparison.phase_max_deg:.2f}"),
+        ("largest error of |Z| (%) and where", f"{comparison.worst_percent:.1f} at "
+         f"{comparison.worst_frequency / 1e6:.4f} MHz"),
+        ("measured points used", f"{100.0 * comparison.fraction_used:.1f} %"),
+    ))
+    notes: list[Block] = [Note(str(finding)) for finding in reading.findings]
+    if comparison.rows_missing:
+        notes.append(Note(comparison.rows_missing))
+    materials_used = ", ".join(f"{region}: {m.name}" for region, m in run.problem.materials.items())
+    write_report(folder / "report.html", f"{chip.name}: measured and simulated", [
+        ("How far apart", [*notes, rows, summary, f"Nothing was fitted. Materials as filed: {materials_used}."]),
+        ("Where in frequency", list(pictures)),
+        ("The recording", [origin_table(measured.origin)]),
+        ("The model", [model_table([run])]),
+    ])
+    print_table(f"{chip.name}, {run.state}", rows)
+    print_table("", summary)
+    for finding in reading.findings:
+        console.print(f"finding: {finding.message}", style="yellow", markup=False)
+    return 0
+
+
+def _common_band(
+    options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Where the band asked for and the recording overlap (Hz): simulating more would have nothing to be compared with.
+
+    Raises:
+        InputError: fewer than two recorded points lie in the band.
+    """
+    inside = recorded[(recorded >= band[0]) & (recorded <= band[1])]
+    if inside.size < 2:
+        raise InputError(
+            str(options.recording), "frequency", f"{recorded[0]:g} to {recorded[-1]:g} Hz",
+            f"2 points or more in the band of {options.chip}, {band[0]:g} to {band[1]:g} Hz; --from and --to set "
+            "another band")
+    return max(band[0], float(recorded[0])), min(band[1], float(recorded[-1]))

@@ -1,0 +1,206 @@
+"""``workbench fit``."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import os
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from inputs import InputError, parse_quantity
+from workbench.commands.asked import output_folder
+from workbench.commands.fit_job import (
+    Done,
+    batch_work,
+    derived_table,
+    gel_table,
+    known,
+    match_table,
+    parameter_table,
+    run_job,
+    shown,
+    shown_factor,
+    shown_unit,
+)
+from workbench.commands.terminal import Show, print_line, print_table, progress_bars
+from workbench.fit.batch import OUTLIER, Column, Job, Member, Settings, read_batch, run_jobs, summarise, summary_record
+from workbench.fit.prepare import DEFAULT
+from workbench.fit.record import refusals
+from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def run(options: argparse.Namespace, console: Console) -> int:
+    """``workbench fit``: material parameters from one recording, or from many."""
+    count = options.elements_per_wavelength
+    if not (math.isfinite(count) and count > 0.0):
+        raise InputError("command line", "--elements-per-wavelength", count, "a number above zero; 10 is usual")
+    if options.draws < 0:
+        raise InputError("command line", "--draws", options.draws, "a number of starts, 0 for none")
+    settings = Settings(materials=tuple(options.materials), elements_per_wavelength=count, algorithm=options.algorithm,
+                        starts=tuple(options.start), draws=options.draws, force=options.force)
+    if options.kind == "batch":
+        return _batch(options, console, settings)
+    settings = dataclasses.replace(settings, gel_thicknesses=_thicknesses(options.gel_study))
+    job = Job(options.recording.stem, (_member(options),), save=options.save)
+    folder = output_folder(options.output)
+    with progress_bars(console) as show:
+        done = run_job(job, settings, folder, progress=partial(show, job.name))
+        show(job.name, "done", 1.0)
+    return _tell(done, console, options.save)
+
+
+def _member(options: argparse.Namespace) -> Member:
+    def end(text: str | None, field: str) -> float | None:
+        return None if text is None else parse_quantity(text, "frequency", source="command line", field=field)
+
+    free = DEFAULT if options.free is None else options.free
+    names = tuple(name.strip() for name in free.split(","))
+    if not all(names):
+        raise InputError("command line", "--free", options.free, "names of parameters with commas between them")
+    return Member(
+        options.recording.stem, options.recording, options.chip, options.kind, options.state, options.material,
+        options.region, names, (end(options.low, "--from"), end(options.high, "--to")), options.columns, options.format,
+        options.correction)
+
+
+def _thicknesses(text: str | None) -> tuple[float, ...]:
+    if text is None:
+        return ()
+    found = tuple(parse_quantity(one.strip(), "length", source="command line", field="--gel-study")
+                  for one in text.split(","))
+    if not min(found) > 0.0:
+        raise InputError("command line", "--gel-study", text, 'thicknesses above zero, such as "5um,20um,50um"')
+    return found
+
+
+def _tell(done: Done, console: Console, wanted: str | None) -> int:
+    """Print what was found; the exit status."""
+    print_table(f"{done.prepared.material.name}, {done.result.algorithm}",
+                _narrow(parameter_table(done.result, done.prepared)))
+    derived = derived_table(done.result, done.prepared)
+    if derived is not None:
+        print_table("", derived)
+    print_table("", match_table(done.result))
+    if done.gel:
+        print_table("thickness of the gel", gel_table(done.gel))
+    for text in (text for recording in done.record["recordings"] for text in recording["reader_findings"]):
+        console.print(f"finding: {text}", style="yellow", markup=False)
+    for text in done.result.findings:
+        console.print(f"finding: {text}", markup=False)
+    refused = refusals(done.result)
+    for text in refused:
+        console.print(f"not accepted: {text}", style="bold red", markup=False)
+    if done.record["saved_as"]:
+        print_line(f"saved as {done.record['saved_as']}")
+    elif wanted is not None:
+        console.print(f"not saved as {wanted}; --force saves it all the same", style="bold red", markup=False)
+    console.print(f"{done.result.seconds:.1f} s, {done.result.full_solves} full solves", markup=False)
+    return 1 if refused else 0
+
+
+def _narrow(table: Table) -> Table:
+    """The table of parameters for a terminal of 80 columns: without what was known before."""
+    without = table.columns.index("known before")
+    heads, *rows = (row[:without] + row[without + 1:] for row in (table.columns, *table.rows))
+    return Table(heads, tuple(rows))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+def _batch(options: argparse.Namespace, console: Console, settings: Settings) -> int:
+    """``workbench fit batch``: what is finished is on disk at once, and a further run does only the rest."""
+    workers = os.cpu_count() or 1 if options.workers is None else options.workers
+    if workers < 1:
+        raise InputError("command line", "--workers", options.workers, "one or more")
+    batch = read_batch(options.file)
+    folder = output_folder(options.output)
+    # Every file is looked at before the first fit, so that a mistake in the last one does not cost an hour.
+    records = {job.name: None if options.again else known(job, settings, folder) for job in batch.jobs}
+    waiting = [job for job in batch.jobs if records[job.name] is None]
+    for name, record in records.items():
+        if record is not None:
+            console.print(f"{name}: finished before, --again would do it once more", markup=False)
+    with progress_bars(console) as show:
+        failed = run_jobs(waiting, batch_work(settings, folder), workers=workers, report=partial(_report, show))
+    for job in waiting:
+        if job.name not in failed:
+            records[job.name] = known(job, settings, folder)
+    finished = {name: record for name, record in records.items() if record is not None}
+    columns = summarise(finished)
+    write_json(folder / "summary.json", summary_record(batch.name, columns, finished, failed))
+    _write_summary(folder, batch.name, columns, finished, failed)
+    print_table(batch.name, _devices_table(finished))
+    if columns:
+        print_table("what they have in common", _columns_table(columns))
+    for name, words in failed.items():
+        console.print(f"{name}: {words}", style="bold red", markup=False)
+    for name, record in finished.items():
+        for text in record["refusals"]:
+            console.print(f"{name}, not accepted: {text}", style="bold red", markup=False)
+    return 1 if failed or any(not record["accepted"] for record in finished.values()) else 0
+
+
+def _report(show: Show, name: str, activity: str) -> None:
+    show(name, activity, 0.0 if activity == "fitting" else 1.0)
+
+
+def _devices_table(records: dict[str, dict[str, Any]]) -> Table:
+    return Table(("device", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "accepted", "saved as", "time (s)"), tuple(
+        (name, number(r["mape_percent"]), number(r["rms_log_residual"]), "yes" if r["accepted"] else "NO",
+         r["saved_as"] or "", f"{r['wall_seconds']:.1f}") for name, r in records.items()))
+
+
+def _columns_table(columns: tuple[Column, ...]) -> Table:
+    heads = ("quantity", "unit", "devices", "mean", "standard deviation", "range over mean (%)", "outliers")
+    return Table(heads, tuple(
+        (c.name, shown_unit(c.unit), str(len(c.devices)), shown(c.mean, c.unit), shown(c.deviation, c.unit, digits=3),
+         number(c.dispersion_percent, 3), ", ".join(c.outliers)) for c in columns))
+
+
+def _values_table(columns: tuple[Column, ...]) -> Table:
+    devices = list(dict.fromkeys(device for c in columns for device in c.devices))
+    rows = []
+    for c in columns:
+        cells = {device: shown(v, c.unit) + (" (!)" if device in c.outliers else "")
+                 for device, v in zip(c.devices, c.values, strict=True)}
+        rows.append((f"{c.name} ({shown_unit(c.unit)})".replace(" ()", ""), *(cells.get(d, "") for d in devices)))
+    return Table(("quantity", *devices), tuple(rows))
+
+
+def _write_summary(
+    folder: Path, title: str, columns: tuple[Column, ...], records: dict[str, dict[str, Any]], failed: dict[str, str]
+) -> None:
+    from workbench.render import fits
+
+    blocks: list[Block] = [Note(f"{name}: {words}") for name, words in failed.items()]
+    blocks += [Note(f"{name}: {text}") for name, r in records.items() for text in r["refusals"]]
+    blocks.append(_devices_table(records))
+    sections: list[tuple[str, list[Block]]] = [("The fits", blocks)]
+    if columns:
+        devices = tuple(dict.fromkeys(device for c in columns for device in c.devices))
+        drawn, outliers = {}, {}
+        for c in columns:
+            label = f"{c.name} ({shown_unit(c.unit)})".replace(" ()", "")
+            rows = dict(zip(c.devices, np.stack([c.values, c.low, c.high], axis=1) * shown_factor(c.unit), strict=True))
+            table = np.array([rows.get(device, np.full(3, np.nan)) for device in devices])
+            drawn[label] = (table[:, 0], table[:, 1], table[:, 2])
+            outliers[label] = c.outliers
+        picture = fits.draw_batch(devices, drawn, outliers, folder / "batch.png", title=title)
+        sections.append(("What they have in common", [
+            _columns_table(columns),
+            f"Outliers, marked (!): further than {OUTLIER:g} robust standard deviations from the median.",
+            _values_table(columns),
+            Picture(picture, "every quantity over the devices with its interval; dashed: the median"),
+        ]))
+    sections.append(("Findings", [Table(("device", "finding"), tuple(
+        (name, text) for name, r in records.items() for text in r["findings"]))]))
+    write_report(folder / "report.html", title, sections)

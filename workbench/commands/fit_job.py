@@ -1,0 +1,332 @@
+"""One fit from its files to its results: what ``workbench fit`` does, and what a batch does in every process."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.chip import read_chip
+from geometry.mesh import user_cache
+from inputs import InputError
+from materials import Registry, save, user_folder, user_registry
+from materials.kinds import Material
+from workbench.commands.tables import origin_table
+from workbench.fit import paper
+from workbench.fit.batch import Job, Member, Settings, content_key, finished
+from workbench.fit.certainty import Fitted
+from workbench.fit.gel import PUBLISHED, GelCase, gel_study
+from workbench.fit.joint import FitResult, fit
+from workbench.fit.prepare import Prepared, free_region, material_starts, prepare, together, with_material
+from workbench.fit.record import (
+    Source,
+    derived_quantities,
+    fit_record,
+    paper_result,
+    reference_frequency,
+    refusals,
+    registry_entry,
+    source,
+)
+from workbench.problem import chip_materials
+from workbench.readers import read, read_column_map
+from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.spectrum import write_csv
+
+#: Called with what is being done and the share of it that is done.
+Progress = Callable[[str, float], None]
+
+#: Units in which numbers are shown, and their factor from SI.
+SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9), "1": ("", 1.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """A finished fit: its result, the content of its ``fit.json``, and what was written for it."""
+
+    result: FitResult
+    prepared: Prepared
+    record: Mapping[str, Any]
+    gel: tuple[GelCase, ...]
+
+
+def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = lambda _text, _share: None) -> Done:
+    """Fit a job and write ``fit.json``, spectra, pictures and the report into `folder`.
+
+    Raises:
+        InputError: a mistake in a file, or a recording that cannot be of its device.
+        RuntimeError: no spectrum could be predicted, or no mesh made.
+    """
+    registry = user_registry(settings.materials)
+    progress("reading", 0.0)
+    prepared, sources = _prepared(job, settings, registry)
+    starts = material_starts(prepared, registry, settings.starts)
+    match settings.algorithm:
+        case "joint":
+            result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, starts=starts,
+                         draws=settings.draws, progress=progress)
+        case _:
+            result = _as_published(prepared, starts, progress)
+    progress("writing", 0.95)
+    date = datetime.now(UTC)
+    refused = bool(refusals(result))
+    saved_as = None
+    if job.save is not None and (settings.force or not refused):
+        # The entry's `start` names the registry's material, which a chip's density may have changed.
+        entry = registry_entry(result, prepared, sources, date=date, forced=refused,
+                               temperature=prepared.chip.state(prepared.state).temperature)
+        saved_as = save(entry, job.save, folder=_saving_folder(settings))
+    gel: tuple[GelCase, ...] = ()
+    if settings.gel_thicknesses:
+        gel = gel_study(prepared, registry, numbers={e.parameter.name: e.value for e in result.estimates},
+                        thicknesses=settings.gel_thicknesses,
+                        elements_per_wavelength=settings.elements_per_wavelength, cache=user_cache())
+    record = {"key": job_key(job, settings), "name": job.name,
+              **fit_record(result, prepared, sources, date=date, saved_as=saved_as)}
+    if gel:
+        record["gel_study"] = [
+            {"thickness_m": c.thickness, "mape_percent": c.comparison.mape_percent,
+             "rms_log_residual": c.comparison.rms_log_residual,
+             "published_mape_percent": _published(c.thickness)} for c in gel]
+    for match in result.recordings:
+        write_csv(match.fitted, folder / f"{match.name}_fitted.csv")
+        write_csv(match.start, folder / f"{match.name}_start.csv")
+    write_fit_report(folder, job.name, result, prepared, sources, gel=gel, saved_as=saved_as)
+    # Last: where it is, everything is.
+    write_json(folder / "fit.json", record)
+    return Done(result, prepared, record, gel)
+
+
+def run_in_batch(job: Job, settings: Settings, folder: Path) -> None:
+    """The job of a batch, in a process of its own: what its modules warn of is in the report of the whole."""
+    with warnings.catch_warnings():
+        # Every process would print the same; `fit pzt` and `fit polymer` show them.
+        warnings.simplefilter("ignore", UserWarning)
+        run_job(job, settings, folder / job.name)
+
+
+def job_key(job: Job, settings: Settings) -> str:
+    """A digest of all that decides the result of a job (see `batch.content_key`)."""
+    return content_key(job, settings, [_filling(member, user_registry(settings.materials)) for member in job.members])
+
+
+def known(job: Job, settings: Settings, folder: Path) -> dict[str, Any] | None:
+    """The record of the job if it has been done before, None otherwise.
+
+    Raises:
+        InputError: a mistake in one of its files.
+    """
+    return finished(folder / job.name, job_key(job, settings))
+
+
+def _filling(member: Member, registry: Registry) -> dict[str, Material]:
+    chip = read_chip(member.chip)
+    state = chip.states[-1].name if member.state is None else member.state
+    if member.material is not None:
+        chip = with_material(chip, state, free_region(chip, state, member.kind, member.region), member.material)
+    return chip_materials(chip, state, registry)
+
+
+def _saving_folder(settings: Settings) -> Path:
+    return settings.materials[-1] if settings.materials else user_folder()
+
+
+def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepared, tuple[Source, ...]]:
+    parts, sources = [], []
+    for member in job.members:
+        columns = None if member.columns is None else read_column_map(member.columns)
+        reading = read(member.recording, columns=columns, format=member.format, correction=member.correction)
+        chip = read_chip(member.chip)
+        band = tuple(own if asked is None else asked for asked, own in zip(member.band, chip.band, strict=True))
+        if not 0.0 < band[0] < band[1]:
+            raise InputError(member.name, "band", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
+        parts.append(prepare(
+            chip, registry, kind=member.kind, name=member.name, measured=reading.spectrum, state=member.state,
+            material=member.material, region=member.region, free=member.free, band=(band[0], band[1]),
+            elements_per_wavelength=settings.elements_per_wavelength, cache=user_cache(), check=not settings.force))
+        sources.append(source(member.recording, member.chip, findings=[str(f.message) for f in reading.findings]))
+    return (parts[0] if len(parts) == 1 and not job.own else together(parts, own=job.own)), tuple(sources)
+
+
+def _as_published(prepared: Prepared, starts: Mapping[str, Any], progress: Progress) -> FitResult:
+    """Algorithm 2 or the polymer fit of the paper, from the first of the starts given."""
+    if len(prepared.recordings) > 1:
+        raise InputError("fit", "algorithm", "paper", "joint: the paper's algorithms fit one recording")
+    if len(starts) > 1:
+        raise InputError("fit", "start", ", ".join(starts), "one start: the paper's algorithms take no more")
+    begin = None
+    for vector in starts.values():
+        begin = {p.name.removeprefix(f"{prepared.material.name}."): float(x)
+                 for p, x in zip(prepared.parameters, vector, strict=True)}
+
+    def show(text: str, _cost: float) -> None:
+        progress(text, 0.5)
+
+    recording = prepared.recordings[0]
+    if prepared.kind == "pzt":
+        found = paper.fit_transducer(recording, start=begin, progress=show)
+    else:
+        found = paper.fit_polymer(recording, prepared.material.name, start=begin, progress=show)
+    return paper_result(found, prepared)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Tables, pictures, report.
+
+
+def shown(value: float, unit: str, *, digits: int = 5) -> str:
+    """A number in the unit it is shown in, without the unit; nothing for NaN."""
+    return number(value * shown_factor(unit), digits) if np.isfinite(value) else ""
+
+
+def shown_unit(unit: str) -> str:
+    """The unit in which numbers of an SI unit are shown."""
+    return SHOWN.get(unit, (unit, 1.0))[0]
+
+
+def shown_factor(unit: str) -> float:
+    """What brings numbers of an SI unit into the one they are shown in."""
+    return SHOWN.get(unit, (unit, 1.0))[1]
+
+
+def short_name(estimate: Fitted, prepared: Prepared) -> str:
+    """The name of a parameter: without the freed material's, with the recording if it is its own."""
+    p = estimate.parameter
+    text = p.name.removeprefix(f"{prepared.material.name}.")
+    return f"{text} ({', '.join(p.recordings)})" if p.recordings else text
+
+
+def parameter_table(result: FitResult, prepared: Prepared) -> Table:
+    """As Table 3 of Acevedo-Espinosa et al. (RP-UEIS), with intervals."""
+    rows = []
+    for e in result.estimates:
+        p = e.parameter
+        difference = f"{100.0 * (e.value / p.start - 1.0):+.2f}" if p.start else ""
+        held = e.at_bound.removesuffix(f" of {prepared.material.name}")
+        remarks = [f"held by {held}" if held else "", "" if e.determined else "not determined",
+                   "by profile" if e.method == "profile" else ""]
+        interval = f"{shown(e.low, p.unit)} to {shown(e.high, p.unit)}" if np.isfinite(e.low) else ""
+        prior = "" if p.prior is None else f"± {shown(p.prior, p.unit, digits=2)}"
+        rows.append((short_name(e, prepared), shown(p.start, p.unit), shown(e.value, p.unit), interval,
+                     shown_unit(p.unit), difference, prior, "; ".join(filter(None, remarks))))
+    return Table(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", ""),
+                 tuple(rows))
+
+
+def derived_table(result: FitResult, prepared: Prepared) -> Table | None:
+    """As Table 4 of the paper, None for a transducer."""
+    found = derived_quantities(result, prepared)
+    if not found:
+        return None
+    return Table(("follows from it", "value", "95 % interval", "unit"), tuple(
+        (d.name, shown(d.value, d.unit), f"{shown(d.low, d.unit)} to {shown(d.high, d.unit)}" if np.isfinite(d.low)
+         else "", shown_unit(d.unit)) for d in found))
+
+
+def match_table(result: FitResult) -> Table:
+    """How far start and fit are from every recording."""
+    rows = []
+    for m in result.recordings:
+        rows += [(f"{m.name}: MAPE of |Z| (%)", number(m.before.mape_percent), number(m.after.mape_percent)),
+                 (f"{m.name}: rms of ln(Z / Z_measured)", number(m.before.rms_log_residual),
+                  number(m.after.rms_log_residual))]
+        before = {row.metric: row for row in m.before.rows}
+        for row in m.after.rows:
+            start = f"{before[row.metric].simulated:.6g}" if row.metric in before else ""
+            rows.append((f"{m.name}: {row.metric}, measured {row.measured:.6g}", start,
+                         f"{row.simulated:.6g} ({row.difference_percent:+.2f} %)"))
+    return Table(("", "start", "fitted"), tuple(rows))
+
+
+def gel_table(cases: Sequence[GelCase]) -> Table:
+    """As section 4.3 of the paper."""
+    return Table(("gel (um)", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "MAPE in the paper (%)"), tuple(
+        (f"{1e6 * c.thickness:g}", number(c.comparison.mape_percent), number(c.comparison.rms_log_residual),
+         "" if _published(c.thickness) is None else f"{_published(c.thickness):g}") for c in cases))
+
+
+def _published(thickness: float) -> float | None:
+    return next((error for known, error in PUBLISHED.items() if abs(known - thickness) < 1e-9), None)
+
+
+def write_fit_report(
+    folder: Path, title: str, result: FitResult, prepared: Prepared, sources: Sequence[Source], *,
+    gel: Sequence[GelCase], saved_as: str | None,
+) -> None:
+    """Pictures and ``report.html``: first what was found, then pictures, starts, bands, noise, provenance."""
+    from workbench.render import fits
+
+    pictures = [Picture(fits.draw_fit(m.measured, m.start, m.fitted, folder / f"fit_{m.name}.png", title=m.name),
+                        f"{m.name}: impedance as measured, at the start and fitted, and what the fit leaves")
+                for m in result.recordings]
+    names = [short_name(e, prepared) for e in result.estimates]
+    known_well = np.isfinite(result.covariance).all()
+    if known_well:
+        intervals = [fits.Interval(
+            name, e.value, e.low, e.high, e.parameter.start, e.parameter.prior,
+            "; ".join(filter(None, ("at bound" if e.at_bound else "", "" if e.determined else "not determined"))))
+            for name, e in zip(names, result.estimates, strict=True)]
+        pictures.append(Picture(fits.draw_intervals(intervals, folder / "intervals.png", title="parameters"),
+                                "fitted values with their 95 % intervals, and what was known before"))
+    if known_well and len(names) > 1:
+        pictures.append(Picture(fits.draw_correlation(names, result.correlation, folder / "correlation.png",
+                                                      title="correlation of the estimates"), "correlations"))
+    verdict: list[Block] = [Note(text) for text in refusals(result)]
+    verdict += [Note(f"{s.recording}: {text}") for s in sources for text in s.findings]
+    if saved_as:
+        verdict.append(f"Saved as {saved_as}.")
+    found: list[Block] = [*verdict, "\n".join(result.findings), parameter_table(result, prepared), match_table(result)]
+    table = derived_table(result, prepared)
+    if table is not None:
+        found += [f"At {reference_frequency(result) / 1e6:.4f} MHz:", table]
+    sections: list[tuple[str, Sequence[Block]]] = [("What was found", found), ("Pictures", pictures)]
+    if gel:
+        shown_cases = {f"{1e6 * c.thickness:g} µm": (c.spectrum, c.comparison.mape_percent) for c in gel}
+        sections.append(("Thickness of the gel", [
+            "Nothing was fitted again: only the gel is made thicker or thinner.", gel_table(gel),
+            Picture(fits.draw_gel_study(result.recordings[0].measured, shown_cases, folder / "gel.png",
+                                        resonance=reference_frequency(result), title="thickness of the gel"),
+                    "impedance predicted for several thicknesses of the gel")]))
+    sections += _background(result, sources)
+    write_report(folder / "report.html", f"{title}: {prepared.material.name} fitted", sections)
+
+
+def _background(result: FitResult, sources: Sequence[Source]) -> list[tuple[str, Sequence[Block]]]:
+    starts = Table(("start", "rms of ln(Z / Z_measured)", "outcome", "steps"), tuple(
+        (s.label, number(s.rms), s.outcome, str(s.steps)) for s in result.starts))
+    spent = Table(("algorithm", "wall time (s)", "full solves", "steps", "difference from full solves"), (
+        (result.algorithm, f"{result.seconds:.1f}", str(result.full_solves), str(result.iterations),
+         f"{result.check[0]:.1e} at {result.check[1] / 1e3:.1f} kHz" if np.isfinite(result.check[0]) else ""),))
+    sections: list[tuple[str, Sequence[Block]]] = [("Starts and effort", [starts, spent])]
+    if result.bands:
+        sections.append(("Bands left out", [
+            "Each band was left out in turn, and predicted by a fit to the rest.",
+            Table(("recording", "band (kHz)", "rms when fitted", "rms when left out"), tuple(
+                (b.recording, f"{b.low / 1e3:.1f} to {b.high / 1e3:.1f}", number(b.fitted_rms, 3),
+                 number(b.predicted_rms, 3)) for b in result.bands))]))
+    if result.undetermined:
+        sections.append(("What the data do not determine", [Table(("combination", "narrowed to", "symmetry"), tuple(
+            (", ".join(f"{share:+.2f} {name}" for name, share in d.shares[:6]), f"{d.narrowing:.0%}", d.symmetry)
+            for d in result.undetermined))]))
+    sections.append(("Noise", [Table(
+        ("recording", "relative deviation of a point (%)", "points that say as much as one", "stated"),
+        tuple((m.name, number(100.0 * m.noise.deviation, 3), f"{m.noise.correlation:.1f}",
+               f"yes, residual {m.noise.ratio:.2f} times as large" if m.noise.stated else "no")
+              for m in result.recordings))]))
+    provenance: list[Block] = []
+    for m, s in zip(result.recordings, sources, strict=True):
+        provenance += [Table((m.name, ""), (("recording", s.recording), ("SHA-256", s.sha256), ("chip", s.chip),
+                                            ("SHA-256 of the chip", s.chip_sha256))), origin_table(m.measured.origin)]
+    sections.append(("The recordings", provenance))
+    return sections
+
+
+def batch_work(settings: Settings, folder: Path) -> Callable[[Job], None]:
+    """The work of one job of a batch, as a process can be given it."""
+    return partial(run_in_batch, settings=settings, folder=folder)

@@ -1,0 +1,44 @@
+"""``workbench render``."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from typing import TYPE_CHECKING
+
+from geometry.chip import read_chip
+from geometry.mesh import user_cache
+from inputs import InputError, choose
+from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.states import SIMULATED, simulated, write_fields
+from workbench.commands.terminal import print_line, progress_bars
+from workbench.simulate import snapshot, state_name
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def run(options: argparse.Namespace, console: Console) -> int:
+    """``workbench render``: the fields at one frequency."""
+    from workbench.render.gallery import FIELDS, draw_state
+
+    for name in options.field or []:
+        choose(name, FIELDS, source="command line", field="--field")
+    chip = read_chip(options.chip)
+    asked, name, folder = asked_model(options, chip), state_name(chip, options.state), output_folder(options.output)
+    if asked.at is None:
+        raise InputError("command line", "--at", None, "the frequency of the fields")
+    with progress_bars(console) as show:
+        shot = snapshot(chip, name, asked.at, registry=asked.registry, band=asked.band, drive=asked.drive,
+                        elements_per_wavelength=asked.elements_per_wavelength, mesh_cache=user_cache(),
+                        progress=partial(simulated, show, name))
+        show(name, "pictures", SIMULATED)
+        paths = [picture.path for picture in draw_state(shot, folder, only=options.field)]
+        if options.vtu:
+            paths.append(write_fields(shot, folder))
+        show(name, "done", 1.0)
+    for path in paths:
+        print_line(str(path))
+    if shot.traps is not None:
+        print_line(str(shot.traps))
+    return 0

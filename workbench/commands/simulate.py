@@ -1,0 +1,155 @@
+"""``workbench simulate``."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geometry.chip import Chip, read_chip
+from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.states import SIMULATED, run_state, write_fields
+from workbench.commands.tables import model_table
+from workbench.commands.terminal import print_table, progress_bars
+from workbench.particles import TrapReport, focus_time
+from workbench.problem import chip_materials
+from workbench.report import (
+    FIGURE_COLUMNS,
+    Block,
+    Note,
+    Picture,
+    Table,
+    figures_row,
+    number,
+    simulation_record,
+    write_json,
+    write_report,
+)
+from workbench.simulate import Simulation
+from workbench.spectrum import write_csv
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def run(options: argparse.Namespace, console: Console) -> int:
+    """``workbench simulate``: every state of a chip, its pictures, its CAD, and the report."""
+    from workbench.render.gallery import draw_chip, draw_state
+
+    chip = read_chip(options.chip)
+    asked = asked_model(options, chip)
+    chosen = options.state or [state.name for state in chip.states]
+    # Each once; and every state's materials are read before the first state is solved.
+    states = list(dict.fromkeys(chip.state(name).name for name in chosen))
+    for name in states:
+        chip_materials(chip, name, asked.registry)
+    folder = output_folder(options.output)
+    runs: list[Simulation] = []
+    pictures: dict[str, list[Picture]] = {}
+    unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
+    with _solid_model(options.chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
+        for name in states:
+            run = run_state(chip, name, asked, show, unfinished=unfinished.get(name))
+            write_csv(run.spectrum, folder / f"spectrum_{name}.csv")
+            show(name, "pictures", SIMULATED)
+            pictures[name] = draw_state(run, folder)
+            if options.vtu:
+                write_fields(run, folder)
+            show(name, "done", 1.0)
+            runs.append(run)
+        solids = parts()
+    # The last state is the one the device works in: the filled chip comes after the empty one.
+    write_csv(runs[-1].spectrum, folder / "spectrum.csv")
+    write_json(folder / "merit.json", {
+        "chip": chip.name, "chip_file": str(options.chip), "spectrum_csv": runs[-1].state,
+        "states": {run.state: simulation_record(run) for run in runs},
+    })
+    solid_view = [draw_chip(chip, solids, folder / "cad.png")] if solids else []
+    _simulation_report(chip, runs, pictures, solid_view, folder)
+    # Not sooner: a run interrupted in its second state must not solve the first one again.
+    for path in unfinished.values():
+        path.unlink(missing_ok=True)
+    print_table(chip.name, _figures_table(chip, runs))
+    for note in _without_resonance(runs):
+        console.print(note.text, style="yellow", markup=False)
+    return 0
+
+
+@contextmanager
+def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Callable[[], dict[str, Path]]]:
+    """``workbench export`` run on the second core while the first one solves.
+
+    Call the result to wait for it and get the STL files by part.
+
+    Raises:
+        RuntimeError: the export failed; its last words.
+    """
+    if not wanted:
+        yield dict
+        return
+    # A process of its own rather than multiprocessing's, which would run the caller's script a second time. CadQuery's
+    # own warnings stay in it.
+    command = [sys.executable, "-P", "-W", "ignore", "-m", "workbench.cli", "export", str(chip_file), "-o", str(folder)]
+    with tempfile.TemporaryFile("w+") as words, subprocess.Popen(command, stdout=words, stderr=words) as process:
+        def wait() -> dict[str, Path]:
+            status = process.wait()
+            words.seek(0)
+            said = words.read().strip()
+            if status:
+                raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({said[-500:]})")
+            return {path.stem: path for path in map(Path, said.splitlines()) if path.suffix == ".stl"}
+
+        try:
+            yield wait
+        finally:
+            process.kill()
+
+
+def _figures_table(chip: Chip, runs: list[Simulation]) -> Table:
+    rows = []
+    for run in runs:
+        rows.append(figures_row(f"{run.state}, simulated", run.figures))
+        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number(r.z_min), number(r.q), "", "")
+                 for r in chip.state(run.state).reported]
+    return Table(FIGURE_COLUMNS, tuple(rows))
+
+
+def _without_resonance(runs: list[Simulation]) -> list[Note]:
+    return [Note(f"{run.state}: {run.no_resonance}") for run in runs if run.figures is None]
+
+
+def _simulation_report(
+    chip: Chip, runs: list[Simulation], pictures: Mapping[str, list[Picture]], solid_view: list[Picture], folder: Path
+) -> None:
+    from workbench.render.plots import draw_spectra
+
+    spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
+    dimensions = Table(("dimension", "value (mm)", "tolerance (um)", ""), tuple(
+        (name, f"{d.value * 1e3:.4g}", "" if d.tolerance is None else f"{d.tolerance * 1e6:.3g}",
+         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
+    sections: list[tuple[str, list[Block]]] = [
+        ("Figures of merit", [chip.description, f"Source: {chip.source}" if chip.source else "",
+                              _figures_table(chip, runs), *_without_resonance(runs), Picture(spectra, "impedance")]),
+    ]
+    for run in runs:
+        blocks: list[Block] = list(pictures[run.state])
+        if run.traps is not None:
+            blocks.insert(0, _particles_text(run.traps))
+        sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}", blocks))
+    used = Table(("state", "region", "material", "source"), tuple(
+        (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
+    sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
+    write_report(folder / "report.html", chip.name, sections)
+
+
+def _particles_text(traps: TrapReport) -> str:
+    """The traps, the forces with the field they belong to, and how long focusing takes."""
+    seconds = focus_time(traps)
+    if seconds is None:
+        return f"{traps}\nA particle a quarter wavelength above the deepest trap does not get there."
+    return f"{traps}\nFocusing time from 90 to 10 % of a quarter wavelength above the deepest trap: {seconds:.3g} s"

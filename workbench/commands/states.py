@@ -1,0 +1,74 @@
+"""One state of a chip, simulated as the options ask."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import partial
+from pathlib import Path
+
+from geometry.chip import Chip
+from geometry.mesh import user_cache
+from inputs import write_atomic
+from workbench.commands.asked import Asked
+from workbench.commands.terminal import Show
+from workbench.problem import chip_materials
+from workbench.simulate import Simulation, Snapshot, state_name
+from workbench.simulate import simulate as simulate_state
+
+#: Share of the progress bar of a state that is the simulation; the pictures are the rest.
+SIMULATED = 0.9
+
+
+def run_state(
+    chip: Chip, state: str | None, asked: Asked, show: Show, *, unfinished: Path | None = None
+) -> Simulation:
+    """The simulation of a state (the last one unless named); full spectra go on from the file `unfinished`."""
+    name = state_name(chip, state)
+    points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
+    return simulate_state(
+        chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
+        tolerance=asked.tolerance, drive=asked.drive, elements_per_wavelength=asked.elements_per_wavelength,
+        mesh_cache=user_cache(), on_point=points.add if points else None, known=points.known if points else None,
+        progress=partial(simulated, show, name),
+    )
+
+
+def simulated(show: Show, state: str, activity: str, fraction: float) -> None:
+    """Show the progress of a simulation as its part of the bar."""
+    show(state, activity, SIMULATED * fraction)
+
+
+class _UnfinishedSpectrum:
+    """Points of a full spectrum, on disk as soon as each is known, so that an interrupted run goes on from there.
+
+    The first line is a digest of all that decides an impedance: the chip, its materials with their values, and the
+    mesh. Points with another digest are not taken over. Numbers are hexadecimal, hence exact.
+    """
+
+    def __init__(self, path: Path, chip: Chip, state: str, asked: Asked) -> None:
+        filling = chip_materials(chip, state, asked.registry)
+        deciding = repr((chip, state, sorted(filling.items()), asked.band[1], asked.elements_per_wavelength))
+        self.path, self.known = path, dict[float, complex]()
+        key = hashlib.sha256(deciding.encode()).hexdigest()
+        # What follows the last line end was cut short by a kill: a number there may lack its last digits.
+        first, *rows = path.read_text().split("\n")[:-1] if path.exists() else [""]
+        for row in rows if first == key else []:
+            frequency, real, imaginary = (float.fromhex(number) for number in row.split(","))
+            self.known[frequency] = complex(real, imaginary)
+        write_atomic(path, "".join(f"{line}\n" for line in (key, *(_hexadecimal(f, z) for f, z in self.known.items()))))
+
+    def add(self, frequency: float, impedance: complex) -> None:
+        """Append one point; it is on disk when this returns."""
+        with self.path.open("a", encoding="ascii") as stream:
+            stream.write(_hexadecimal(frequency, impedance) + "\n")
+
+
+def _hexadecimal(frequency: float, impedance: complex) -> str:
+    return ",".join(number.hex() for number in (frequency, impedance.real, impedance.imag))
+
+
+def write_fields(run: Snapshot, folder: Path) -> Path:
+    """The fields of a state for ParaView."""
+    from workbench.render.vtu import write_vtu
+
+    return write_vtu(run.fields, folder / f"fields_{run.state}.vtu")

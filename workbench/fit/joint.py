@@ -1,0 +1,483 @@
+"""The workbench's own fit: all free parameters together, exact gradients, physical bounds, several starts.
+
+1. Every start is taken down a sequence of smoothed problems (see `objective`) on a coarse mesh. With the overtones
+   smoothed away there is one way to lay the model on the recording; as the smoothing is let down, each overtone falls
+   on its own neighbour.
+2. An overtone laid on the wrong neighbour leaves a residual of several per cent that is not white. While that is so,
+   the best end is left for its neighbours: stiffnesses that rule radial and shear overtones are moved by about one
+   overtone, together and apart, and followed down again, until no neighbour is better.
+3. The best is refined on the mesh asked for, and once more with the noise that the residual shows.
+4. What the data say of every parameter is worked out at the minimum (see `certainty`), and the reduced model is
+   checked against full solves there.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.compare import Comparison, compare
+from workbench.fit import certainty
+from workbench.fit.admissible import inequalities
+from workbench.fit.certainty import REFUSED, BandLeftOut, Direction, Fitted, Noise
+from workbench.fit.constrained import Inequality, Minimum, interior, minimise
+from workbench.fit.objective import Objective, Recording, Residual, through_bench
+from workbench.fit.parameter import Parameter
+from workbench.fit.predict import Predictor
+from workbench.spectrum import Origin, Spectrum
+
+Real = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+#: Half widths of the smoothing, relative to the middle of the band, from far to none.
+WIDTHS = (0.03, 0.01, 0.003, 0.0)
+
+#: Relative deviation that a point is given during exploration. It stands for all that the model leaves out, and lets
+#: the prior hold what the smoothed spectra cannot see.
+EXPLORATION = 0.05
+
+#: Relative error of the reduced model while exploring, and at the end.
+COARSE, FINE = 5e-3, 2e-5
+
+#: A recording is searched on at most about so many of its points.
+SEARCHED_POINTS = 241
+
+#: An end of the search is left for its neighbours if more than this rms of |ln ratio| remains and it is not white.
+UNEXPLAINED = 0.01
+
+#: What moves the overtones of a body by about one of some ten: factors of stiffnesses, by the first letters of names.
+LEVERS: tuple[tuple[str, ...], ...] = (("c11", "c12"), ("c44",), ("shear_modulus", "bulk_modulus"))
+HOPS = (1.0, 0.88, 1.13)
+
+#: A neighbour is better if it costs less than this share of the best.
+BETTER = 0.9
+
+#: Two ends are the same optimum if every parameter agrees within this many standard errors of either, or within this
+#: share of its prior, whichever is larger: a flat direction of the data may be anywhere along it.
+SAME_ERRORS, SAME_SHARE = 2.0, 0.02
+
+class FitError(RuntimeError):
+    """A fit that cannot be made: what is wrong with recording, geometry or parameters, in words."""
+
+
+#: What may end one start of several: nothing can be predicted, or nothing there is admissible.
+NO_END: tuple[type[Exception], ...] = (*REFUSED, ValueError)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """One start of the search: where it began and ended (p,), SI; the rms of |ln ratio| it ended at, and in words."""
+
+    label: str
+    begin: Real
+    end: Real
+    rms: float
+    outcome: str
+    steps: int
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A recording with the spectra of the start and of the fit, and how far each is from it.
+
+    ``start`` was predicted on the coarse mesh of the search.
+    """
+
+    name: str
+    measured: Spectrum
+    start: Spectrum
+    fitted: Spectrum
+    before: Comparison
+    after: Comparison
+    noise: Noise
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """What a fit found, and how far to trust it.
+
+    ``estimates`` one for each free parameter, in their order; ``covariance`` (p, p) SI, prior included;
+    ``undetermined`` the directions the data say less of than was known before; ``bands`` predictions of parts of the
+    band left out; ``check`` the largest relative difference from full solves and the frequency (Hz) it was found at;
+    ``findings`` plain statements; ``seconds`` wall time; ``full_solves`` spent on all meshes.
+    """
+
+    algorithm: str
+    recordings: tuple[Match, ...]
+    estimates: tuple[Fitted, ...]
+    covariance: Real
+    undetermined: tuple[Direction, ...]
+    starts: tuple[Start, ...]
+    bands: tuple[BandLeftOut, ...]
+    check: tuple[float, float]
+    converged: bool
+    improved: bool
+    iterations: int
+    findings: tuple[str, ...]
+    seconds: float
+    full_solves: int
+
+    @property
+    def correlation(self) -> Real:
+        """(p, p)."""
+        deviation = np.sqrt(np.diag(self.covariance))
+        return np.asarray(self.covariance / np.outer(deviation, deviation))
+
+    def estimate(self, name: str) -> Fitted:
+        """The estimate of a parameter by its full name or by the part after the material.
+
+        Raises:
+            KeyError: no such parameter.
+        """
+        for found in self.estimates:
+            if name in (found.parameter.name, found.parameter.name.split(".", 1)[-1]):
+                return found
+        raise KeyError(name)
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighted:
+    """A residual with the prior's rows below: what `minimise` sees."""
+
+    vector: Real
+    jacobian: Real
+    data: Residual
+
+
+class Search:
+    """The least-squares problem of one objective: bounds, prior and inequalities around it."""
+
+    def __init__(
+        self, objective: Objective, *, poisson: tuple[float, float] | None = None
+    ) -> None:
+        self.objective, self.parameters = objective, objective.parameters
+        self.low = np.array([p.low for p in self.parameters])
+        self.high = np.array([p.high for p in self.parameters])
+        self.scale = np.array([p.scale for p in self.parameters])
+        self.centre = np.array([p.start for p in self.parameters])
+        self.precision = np.array([0.0 if p.prior is None else 1.0 / p.prior for p in self.parameters])
+        problems = [r.problem for r in objective.recordings]
+        self.inequalities: tuple[Inequality, ...] = (
+            inequalities(problems, self.parameters) if poisson is None
+            else inequalities(problems, self.parameters, poisson=poisson))
+
+    def evaluate(
+        self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0, centre: Real | None = None
+    ) -> _Weighted:
+        """Data and prior at x (p,); the prior is about `centre`, by default the parameters' own starts."""
+        data = self.objective(x, deviation=deviation, smoothing=smoothing)
+        vector = np.concatenate([data.vector, (x - (self.centre if centre is None else centre)) * self.precision])
+        return _Weighted(vector, np.vstack([data.jacobian, np.diag(self.precision)]), data)
+
+    def minimise(
+        self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,
+        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (), centre: Real | None = None,
+    ) -> Minimum:
+        """The least cost near x; the parameters of the indices `fixed` stay where they are."""
+        if not fixed:
+            return minimise(
+                lambda y: self.evaluate(y, deviation, smoothing, centre), x, low=self.low, high=self.high,
+                scale=self.scale, inequalities=self.inequalities, radius=radius, tolerance=tolerance, limit=limit,
+                refused=REFUSED)
+        free = np.setdiff1d(np.arange(x.size), fixed)
+
+        def whole(y: Real) -> Real:
+            result = x.copy()
+            result[free] = y
+            return result
+
+        def reduced(y: Real) -> _Weighted:
+            full = self.evaluate(whole(y), deviation, smoothing, centre)
+            return _Weighted(full.vector, full.jacobian[:, free], full.data)
+
+        held = x.copy()
+        held[free] = 0.0
+        conditions = [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
+        found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
+                         inequalities=conditions, radius=radius, tolerance=tolerance, limit=limit, refused=REFUSED)
+        return Minimum(whole(found.x), found.residual, found.cost, found.converged, found.iterations, found.reason)
+
+    def descend(self, x: Real, progress: Callable[[], None]) -> Minimum:
+        """From a start through the smoothed problems to the recordings themselves.
+
+        What the smoothed spectra cannot see is held near the start: it decides which overtone falls on which, and a
+        start is only worth its time if it may decide differently from the others.
+        """
+        steps, begin = 0, x
+        for width in self.widths():
+            # A smoothed spectrum has as many independent points as widths fit into the band.
+            deviation = [EXPLORATION * np.sqrt(max(1.0, width / float(np.median(np.diff(r.measured.frequency)))))
+                         for r in self.objective.recordings]
+            found = self.minimise(x, deviation, smoothing=width, limit=15, tolerance=1e-4,
+                                  centre=begin if width else None)
+            x, steps = found.x, steps + found.iterations
+            progress()
+        return Minimum(x, found.residual, found.cost, found.converged, steps, found.reason)
+
+    def widths(self) -> list[float]:
+        """Half widths (Hz) of the smoothed problems: those that a recording's points can show, then none."""
+        frequency = self.objective.recordings[0].measured.frequency
+        middle, spacing = float(np.mean(frequency[[0, -1]])), float(np.median(np.diff(frequency)))
+        return [w * middle for w in WIDTHS if w == 0.0 or w * middle > spacing]
+
+
+def fit(
+    recordings: Sequence[Recording],
+    parameters: Sequence[Parameter],
+    *,
+    coarse: Sequence[Recording] | None = None,
+    starts: Mapping[str, Real] | None = None,
+    draws: int = 2,
+    spread: float = 0.1,
+    seed: int = 0,
+    poisson: tuple[float, float] | None = None,
+    profiles: bool = True,
+    bands: int = 3,
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit `parameters` to `recordings` and say what was found and how sure it is.
+
+    Args:
+        recordings: each with its problem on the mesh whose parameters are wanted.
+        parameters: what may move, with prior and bounds; see `parameter.parameters`.
+        coarse: the same recordings on coarser meshes, for the search; the recordings themselves if None.
+        starts: further starts by label, vectors (p,) in SI; the parameters' own start is always the first.
+        draws: further starts drawn within `spread` (relative; losses within a factor of two) of the first.
+        poisson: bounds of Poisson's ratio of isotropic solids (default `admissible.POISSON_RATIO`).
+        profiles: profile likelihoods where the quadratic approximation misjudges.
+        bands: parts of the band to leave out in turn and predict; 0 for none.
+
+    Raises:
+        FitError: fewer data than parameters, or no start can be predicted at all.
+        InputError: parameters that no passive solid can have.
+    """
+    started = time.perf_counter()
+    _check(recordings, parameters)
+    show = progress or (lambda _text, _fraction: None)
+    searched = [_thinned(r) for r in coarse or recordings]
+    scout = Search(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
+    begins = _starts(scout, starts or {}, draws, spread, seed)
+    stages = len(begins) * len(scout.widths())
+    done = 0
+
+    def stage() -> None:
+        nonlocal done
+        done += 1
+        show("searching", 0.6 * done / stages)
+
+    found: list[tuple[str, Real, Minimum | None, str]] = []
+    for label, begin in begins:
+        try:
+            found.append((label, begin, scout.descend(begin, stage), ""))
+        except REFUSED as error:
+            found.append((label, begin, None, f"{type(error).__name__}: {error}"))
+            done = len(found) * len(scout.widths())
+    ends = [(label, begin, end) for label, begin, end, _ in found if end is not None]
+    if not ends:
+        raise FitError("no start could be predicted: " + found[0][3])
+    best = min((end for _, _, end in ends), key=lambda end: end.cost)
+    best, tried = _left(scout, best, lambda count: show(f"searching, neighbour {count}", 0.6))
+    found += tried
+    search = Search(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
+    show("refining", 0.6)
+    minimum, noise = refine(search, best.x)
+    show("judging", 0.85)
+    verdict = certainty.judge(search, minimum, noise, profiles=profiles, coarser=coarse)
+    left_out = certainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
+    check = certainty.check(search.objective, minimum.x)
+    matches = _matches(recordings, _start_spectra(coarse or recordings, parameters), minimum, noise)
+    listed = _judged_starts(found, best, scout, noise)
+    improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
+    solves = search.objective.solves + scout.objective.solves
+    show("done", 1.0)
+    return FitResult(
+        "joint", matches, verdict.estimates, verdict.covariance, verdict.undetermined, listed, left_out, check,
+        minimum.converged, improved, minimum.iterations,
+        (*_findings(minimum, improved, listed, matches, left_out, check), *verdict.findings),
+        time.perf_counter() - started, solves,
+    )
+
+
+def _thinned(recording: Recording) -> Recording:
+    """The recording with at most about :data:`SEARCHED_POINTS` of its points, evenly."""
+    measured = recording.measured
+    every = max(1, round(measured.frequency.size / SEARCHED_POINTS))
+    uncertainty = None if measured.uncertainty is None else measured.uncertainty[::every]
+    thin = Spectrum(measured.frequency[::every], measured.impedance[::every], uncertainty, measured.origin)
+    return replace(recording, measured=thin)
+
+
+def _left(
+    search: Search, best: Minimum, progress: Callable[[int], None]
+) -> tuple[Minimum, list[tuple[str, Real, Minimum | None, str]]]:
+    """The best end reached by hops of about one overtone from `best`, and every hop tried."""
+    tried: list[tuple[str, Real, Minimum | None, str]] = []
+    groups = [[i for i, p in enumerate(search.parameters) if not p.is_loss and p.coefficient.split(".")[-1] in lever]
+              for lever in LEVERS]
+    groups = [group for group in groups if group]
+    improved = True
+    while improved and _unexplained(best):
+        improved = False
+        for hop in itertools.product(HOPS, repeat=len(groups)):
+            if all(factor == 1.0 for factor in hop):
+                continue
+            begin = best.x.copy()
+            for group, factor in zip(groups, hop, strict=True):
+                begin[group] *= factor
+            label = "hop " + ", ".join(f"{search.parameters[g[0]].name.split('.')[-1]} x {f:g}"
+                                       for g, f in zip(groups, hop, strict=True) if f != 1.0)
+            try:
+                begin = interior(begin, search.low, search.high, search.inequalities)
+                end = search.descend(begin, lambda: progress(len(tried) + 1))
+            except NO_END as error:
+                tried.append((label, begin, None, f"{type(error).__name__}: {error}"))
+                continue
+            tried.append((label, begin, end, ""))
+            if end.cost < BETTER * best.cost:
+                best, improved = end, True
+                break
+    return best, tried
+
+
+def _unexplained(end: Minimum) -> bool:
+    """Whether what an end leaves is large and systematic."""
+    data: Residual = end.residual.data  # type: ignore[attr-defined]
+    return any(np.sqrt(np.mean(np.abs(log) ** 2)) > UNEXPLAINED and certainty.correlation_length(log) > 1.0
+               for log in data.log_ratio)
+
+
+def _start_spectra(recordings: Sequence[Recording], parameters: Sequence[Parameter]) -> list[NDArray[np.complex128]]:
+    """The impedance of every recording's start, as it would be recorded."""
+    meaning = Objective(recordings, parameters, tolerance=COARSE)
+    x = np.array([p.start for p in parameters])
+    result = []
+    for recording in recordings:
+        values, lengths, bench = meaning.settings(x, recording)
+        predictor = Predictor(recording.problem, recording.measured.frequency, chip=recording.chip,
+                              dimensions=tuple(lengths), tolerance=COARSE)
+        prediction = predictor(values, lengths)
+        result.append(through_bench(prediction.impedance, prediction.solution.omega, bench)[0])
+    return result
+
+
+def refine(search: Search, x: Real) -> tuple[Minimum, tuple[Noise, ...]]:
+    """The minimum near x with every recording weighted by the noise its own residual shows.
+
+    The spectra's own uncertainties are scaled as a whole, or a constant relative deviation is found.
+    """
+    shapes = [certainty.noise_shape(r.measured) for r in search.objective.recordings]
+    levels = [0.01 if r.measured.uncertainty is None else 1.0 for r in search.objective.recordings]
+    for _ in range(3):
+        deviation = [level * shape for level, shape in zip(levels, shapes, strict=True)]
+        minimum = search.minimise(x, deviation, radius=0.3, tolerance=1e-7)
+        x = minimum.x
+        data = minimum.residual.data  # type: ignore[attr-defined]
+        free = len(search.parameters) / max(1, len(levels))
+        now = [float(np.sqrt(np.sum(np.abs(log / shape) ** 2) / max(1.0, 2.0 * log.size - free)))
+               for log, shape in zip(data.log_ratio, shapes, strict=True)]
+        settled = all(abs(a / b - 1.0) < 0.02 for a, b in zip(levels, now, strict=True))
+        # A fit without noise would weigh rounding.
+        levels = [max(level, 0.1 * FINE) for level in now]
+        if settled:
+            break
+    noise = tuple(
+        certainty.noise(log, level * shape, r.measured.uncertainty is not None, level)
+        for log, level, shape, r in zip(data.log_ratio, levels, shapes, search.objective.recordings, strict=True))
+    return minimum, noise
+
+
+def _check(recordings: Sequence[Recording], parameters: Sequence[Parameter]) -> None:
+    data = sum(2 * r.measured.frequency.size for r in recordings)
+    if not parameters:
+        raise FitError("there is nothing to fit: no parameter is free")
+    if data < len(parameters):
+        raise FitError(f"{data} real data cannot determine {len(parameters)} parameters; "
+                       "free fewer or record more points")
+
+
+def _starts(
+    search: Search, starts: Mapping[str, Real], draws: int, spread: float, seed: int
+) -> list[tuple[str, Real]]:
+    """The parameters' own start, those given, and draws about the first."""
+    random = np.random.default_rng(seed)
+    result = [("start", search.centre), *starts.items()]
+    for number in range(draws):
+        factor = 1.0 + spread * random.uniform(-1.0, 1.0, search.centre.size)
+        drawn = search.centre * factor
+        for i, parameter in enumerate(search.parameters):
+            if parameter.is_loss:
+                drawn[i] = search.centre[i] * np.exp(np.log(2.0) * random.uniform(-1.0, 1.0))
+            elif not parameter.is_material:
+                drawn[i] = search.centre[i] + parameter.scale * random.uniform(-1.0, 1.0)
+        result.append((f"draw {number + 1}", drawn))
+    return [(label, interior(np.asarray(x, dtype=float), search.low, search.high, search.inequalities))
+            for label, x in result]
+
+
+def _judged_starts(
+    found: Sequence[tuple[str, Real, Minimum | None, str]], best: Minimum, search: Search, noise: Sequence[Noise]
+) -> tuple[Start, ...]:
+    """Every start with where it ended, seen from the best end."""
+    jacobian = best.residual.jacobian
+    spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
+    # The exploration's deviation is a stand-in; what the data resolve is what the noise allows.
+    resolved = spread * max(float(np.mean(n.deviation)) for n in noise) / EXPLORATION
+    allowed = np.maximum(SAME_ERRORS * resolved, SAME_SHARE * search.scale)
+    result = []
+    for label, begin, end, reason in found:
+        if end is None:
+            result.append(Start(label, begin, begin, np.inf, f"failed: {reason}", 0))
+            continue
+        data: Residual = end.residual.data  # type: ignore[attr-defined]
+        rms = float(np.sqrt(np.mean(np.abs(np.concatenate(data.log_ratio)) ** 2)))
+        off = np.abs(end.x - best.x) / allowed
+        worst = int(np.argmax(off))
+        outcome = "same optimum" if off[worst] <= 1.0 else (
+            f"another optimum: {search.parameters[worst].name} differs most")
+        result.append(Start(label, begin, end.x, rms, outcome, end.iterations))
+    return tuple(result)
+
+
+def _matches(
+    recordings: Sequence[Recording], before: Sequence[NDArray[np.complex128]], minimum: Minimum, noise: Sequence[Noise]
+) -> tuple[Match, ...]:
+    data: Residual = minimum.residual.data  # type: ignore[attr-defined]
+    result = []
+    for recording, first, last, level in zip(recordings, before, data.impedance, noise, strict=True):
+        frequency = recording.measured.frequency
+        start, fitted = (Spectrum(frequency, z, origin=Origin("simulated")) for z in (first, last))
+        result.append(Match(recording.name, recording.measured, start, fitted, compare(recording.measured, start),
+                            compare(recording.measured, fitted), level))
+    return tuple(result)
+
+
+def _findings(
+    minimum: Minimum, improved: bool, starts: Sequence[Start], matches: Sequence[Match],
+    bands: Sequence[BandLeftOut], check: tuple[float, float],
+) -> list[str]:
+    result = []
+    if not minimum.converged:
+        result.append(f"The search did not converge: {minimum.reason}.")
+    if not improved:
+        result.append("The fit is not better than its start.")
+    others = [s for s in starts if s.outcome != "same optimum"]
+    if others:
+        result.append(f"{len(others)} of {len(starts)} starts ended elsewhere: " + "; ".join(
+            f"{s.label} at an rms of {s.rms:.3g} ({s.outcome})" for s in others) + ".")
+    else:
+        result.append(f"All {len(starts)} starts reached the same optimum.")
+    for match in matches:
+        result += certainty.residual_findings(match.name, match.after, match.noise)
+    for band in bands:
+        if band.predicted_rms > 3.0 * band.fitted_rms:
+            result.append(f"{band.recording}: {band.low / 1e3:.1f} to {band.high / 1e3:.1f} kHz is predicted with an "
+                          f"rms error of {100 * band.predicted_rms:.2g} % when left out, against "
+                          f"{100 * band.fitted_rms:.2g} % when fitted: the parameters depend on that part of the band.")
+    if check[0] > 10.0 * FINE:
+        result.append(f"The reduced model is {check[0]:.1e} off a full solve at {check[1] / 1e3:.1f} kHz.")
+    return result

@@ -1,0 +1,199 @@
+"""How far a set of parameters is from the recordings, and its exact derivative.
+
+The residual is ln(Z_model / Z_measured), complex: the relative error of the magnitude and the error of the phase in
+radian, equally weighted, which is what an instrument of constant relative accuracy leaves. Each point is divided by
+its relative standard deviation.
+
+A spectrum with sharp overtones has many local minima: one for every way to lay the overtones of the model on those of
+the recording. Both are therefore smoothed first, with the same Lorentzian weights applied to both admittances: for a
+causal response this is the response at a complex frequency, that is with damping added, in which overtones merge into
+the one broad resonance that every parameter set has. The width is then let down to nothing (`joint`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from workbench.fit.parameter import BENCH, Parameter
+from workbench.fit.predict import Prediction, Predictor
+from workbench.problem import Problem
+from workbench.spectrum import Spectrum
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A measured spectrum and the problem that is to explain it; the chip where its dimensions may be moved."""
+
+    name: str
+    problem: Problem
+    measured: Spectrum
+    chip: Chip | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Weighted residuals and their derivative by the parameters in SI units.
+
+    ``vector`` (2 n,) real parts then imaginary parts, recording after recording; ``jacobian`` (2 n, p); ``log_ratio``
+    ln(Z_model / Z_measured) of every recording, unweighted; ``error`` the largest estimated error of any prediction.
+    """
+
+    vector: Real
+    jacobian: Real
+    log_ratio: tuple[Complex, ...]
+    impedance: tuple[Complex, ...]
+    error: float
+
+    @property
+    def cost(self) -> float:
+        return 0.5 * float(self.vector @ self.vector)
+
+
+class Objective:
+    """Residuals of several recordings as a function of one vector of parameters.
+
+    ``deviation`` is the relative standard deviation of each recording's points: a number, or None for the
+    uncertainties the spectrum itself carries.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        parameters: Sequence[Parameter],
+        *,
+        tolerance: float,
+    ) -> None:
+        self.recordings, self.parameters = tuple(recordings), tuple(parameters)
+        names = [r.name for r in self.recordings]
+        if len(set(names)) < len(names):
+            raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
+        self.predictors = tuple(
+            Predictor(
+                r.problem, r.measured.frequency, chip=r.chip, tolerance=tolerance,
+                dimensions=tuple(p.name for p in self._of(r) if p.is_dimension),
+                tangents=tuple(dict.fromkeys(p.coefficient for p in self._of(r)
+                                             if p.is_material and p.coefficient in r.problem.values)),
+            )
+            for r in self.recordings
+        )
+
+    @property
+    def solves(self) -> int:
+        return sum(p.solves for p in self.predictors)
+
+    def _of(self, recording: Recording) -> list[Parameter]:
+        return [p for p in self.parameters if not p.recordings or recording.name in p.recordings]
+
+    def settings(self, x: Real, recording: Recording) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:
+        """Complex values, dimensions and bench elements that the vector x (p,) means for a recording."""
+        values: dict[str, complex] = {}
+        lengths: dict[str, float] = {}
+        bench: dict[str, float] = {}
+        for number, parameter in zip(x, self.parameters, strict=True):
+            if parameter not in self._of(recording):
+                continue
+            name = parameter.coefficient
+            if parameter.is_bench:
+                bench[parameter.name] = float(number)
+            elif parameter.is_dimension:
+                lengths[parameter.name] = float(number)
+            elif name in recording.problem.values:
+                old = values.get(name, complex(recording.problem.values[name]))
+                values[name] = complex(old.real, number) if parameter.is_loss else complex(number, old.imag)
+        return values, lengths, bench
+
+    def predict(self, x: Real, index: int) -> tuple[Complex, Complex, Prediction]:
+        """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them."""
+        recording, predictor = self.recordings[index], self.predictors[index]
+        values, lengths, bench = self.settings(x, recording)
+        prediction = predictor(values, lengths)
+        omega = prediction.solution.omega
+        seen, device, elements = through_bench(prediction.impedance, omega, bench)
+        gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
+        slopes = np.conj(prediction.logarithmic_gradient(predictor.tangents)) if predictor.tangents else None
+        for column, parameter in enumerate(self.parameters):
+            if parameter not in self._of(recording):
+                continue
+            if parameter.is_bench:
+                gradient[:, column] = elements[parameter.name]
+            elif parameter.is_dimension:
+                gradient[:, column] = device * np.conj(prediction.logarithmic_slope(parameter.name))
+            elif parameter.coefficient in predictor.tangents:
+                assert slopes is not None
+                slope = slopes[:, predictor.tangents.index(parameter.coefficient)]
+                # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
+                gradient[:, column] = device * (-1j * slope if parameter.is_loss else slope)
+        return seen, gradient, prediction
+
+    def __call__(self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0) -> Residual:
+        """The residuals at x (p,), SI; `smoothing` is the half width (Hz) of the Lorentzian, 0 for none.
+
+        Raises:
+            NotEnriched, MeshError, InputError: nothing can be predicted at x.
+        """
+        parts, rows, logs, seen = [], [], [], []
+        worst = 0.0
+        for index, recording in enumerate(self.recordings):
+            impedance, gradient, prediction = self.predict(x, index)
+            measured = recording.measured.impedance
+            worst = max(worst, float(prediction.error.max()))
+            logs.append(log_ratio(impedance, measured))
+            seen.append(impedance)
+            if smoothing > 0.0:
+                weights = lorentzian(recording.measured.frequency, smoothing)
+                admittance = weights @ (1.0 / impedance)
+                gradient = (weights @ (gradient / impedance[:, None])) / admittance[:, None]
+                impedance, measured = 1.0 / admittance, 1.0 / (weights @ (1.0 / measured))
+            ratio = log_ratio(impedance, measured) / deviation[index]
+            scaled = gradient / (deviation[index] if np.isscalar(deviation[index])
+                                 else np.asarray(deviation[index])[:, None])
+            parts += [ratio.real, ratio.imag]
+            rows += [scaled.real, scaled.imag]
+        return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), worst)
+
+
+def log_ratio(model: Complex, measured: Complex) -> Complex:
+    """ln(model / measured) (n,), the phase as its principal value."""
+    ratio = model / measured
+    return np.asarray(np.log(np.abs(ratio)) + 1j * np.angle(ratio))
+
+
+def through_bench(
+    impedance: Complex, omega: Real, bench: Mapping[str, float]
+) -> tuple[Complex, Complex, dict[str, Complex]]:
+    """What an instrument sees of an impedance (n,), e^{+j w t}, through the elements named in `bench`.
+
+    Returns:
+        the impedance seen (n,), d ln seen / d ln impedance (n,), and d ln seen / d element (n,) for every element.
+    """
+    def element(name: str) -> float:
+        return bench.get(BENCH + name, 0.0)
+
+    parallel = impedance / (1.0 + 1j * omega * element("parallel_capacitance") * impedance)
+    whole = element("series_resistance") + 1j * omega * element("series_inductance") + parallel
+    gain = np.exp(element("gain") + 1j * (element("phase") - omega * element("delay")))
+    one = np.ones(impedance.size, dtype=complex)
+    slopes = {
+        "series_resistance": 1.0 / whole,
+        "series_inductance": 1j * omega / whole,
+        "parallel_capacitance": -1j * omega * parallel**2 / whole,
+        "gain": one,
+        "phase": 1j * one,
+        "delay": -1j * omega,
+    }
+    return gain * whole, parallel**2 / (impedance * whole), {BENCH + name: slope for name, slope in slopes.items()}
+
+
+def lorentzian(frequency: Real, half_width: float) -> Real:
+    """Weights (n, n), rows of sum one, that smooth with a Lorentzian of that half width (Hz) on any grid."""
+    spacing = np.gradient(frequency)
+    weights = spacing[None, :] / ((frequency[:, None] - frequency[None, :]) ** 2 + half_width**2)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

@@ -1,0 +1,263 @@
+"""What a fit may move: real numbers with a start, bounds and what was known of them before.
+
+Names say what they are:
+
+    pzt4/acevedo_2026_initial.c33        real part of a material's coefficient, SI
+    pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
+    transducer.thickness                 a dimension of the chip, metres
+    bench.series_resistance              an element between the electrodes and the instrument
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.chip import Chip
+from inputs import InputError, nearest_names
+from materials.kinds import IsotropicSolid, Piezoelectric
+from materials.registry import Material
+from workbench.problem import Problem
+
+LOSS = ".loss"
+BENCH = "bench."
+
+#: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
+#: sheets of one class of ceramic differ from each other (the entries pic255, pzt5a, pzt5h of the registry do so).
+DATA_SHEET: Mapping[str, float] = {"c": 0.1, "eps": 0.2, "e": 0.15, "density": 0.01}
+
+#: The same of a modulus or a sound speed of anything else.
+HANDBOOK = 0.2
+
+#: The loss a fit starts from where none is known, and how far it may lie off, relative to the real part. A ceramic
+#: starts as in Acevedo-Espinosa et al. (RP-UEIS), section 4.2.
+CERAMIC_LOSS = 1e-3
+CERAMIC_LOSS_REACH = 5e-2
+POLYMER_LOSS_REACH = 0.3
+
+#: Standard uncertainty of a dimension without a stated tolerance, relative.
+MEASURED = 0.005
+
+
+@dataclass(frozen=True)
+class Element:
+    """A bench element: what it is in words, its unit, its standard uncertainty before the measurement, its bounds."""
+
+    text: str
+    unit: str
+    prior: float
+    low: float
+    high: float
+
+
+#: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}; all are zero
+#: (the gain as its logarithm) where the bench is ideal. How large they may be: PHYSICS of contacts, leads and probes.
+BENCH_ELEMENTS: Mapping[str, Element] = {
+    "series_resistance": Element("resistance of leads and contacts", "ohm", 0.3, -1.0, 5.0),
+    "series_inductance": Element("inductance of the leads", "H", 2e-7, -5e-7, 2e-6),
+    "parallel_capacitance": Element("stray and probe capacitance", "F", 1e-11, -5e-11, 2e-10),
+    "gain": Element("logarithm of the gain", "1", 0.05, -0.5, 0.5),
+    "phase": Element("phase of the gain", "rad", 0.02, -0.5, 0.5),
+    "delay": Element("delay between the channels", "s", 2e-9, -5e-8, 5e-8),
+}
+
+#: Units of material properties, SI.
+UNITS: Mapping[str, str] = {
+    **dict.fromkeys(("c11", "c12", "c13", "c33", "c44", "bulk_modulus", "shear_modulus"), "Pa"),
+    **dict.fromkeys(("e31", "e33", "e15"), "C/m^2"),
+    **dict.fromkeys(("eps11", "eps33"), "1"),
+    "density": "kg/m^3", "sound_speed": "m/s", "diffusivity_of_sound": "m^2/s",
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A real number a fit may move.
+
+    ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
+    beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all.
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    prior: float | None
+    unit: str
+    recordings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.start <= self.high or not self.low < self.high:
+            raise ValueError(f"{self.name}: start {self.start:g} must lie between {self.low:g} and {self.high:g}")
+        if self.prior is not None and not self.prior > 0.0:
+            raise ValueError(f"{self.name}: prior {self.prior!r} must be a positive standard uncertainty")
+
+    @property
+    def is_bench(self) -> bool:
+        return self.name.startswith(BENCH)
+
+    @property
+    def is_material(self) -> bool:
+        return "/" in self.name
+
+    @property
+    def is_dimension(self) -> bool:
+        return not self.is_bench and not self.is_material
+
+    @property
+    def is_loss(self) -> bool:
+        return self.is_material and self.name.endswith(LOSS)
+
+    @property
+    def coefficient(self) -> str:
+        """The complex coefficient of a material parameter: the name without ``.loss``."""
+        return self.name.removesuffix(LOSS)
+
+    @property
+    def material(self) -> str:
+        return self.name.split(".")[0]
+
+    @property
+    def scale(self) -> float:
+        """What a step is measured in: the prior, or a fifth of the admitted range."""
+        return self.prior if self.prior is not None else 0.2 * (self.high - self.low)
+
+
+#: What a fit of a transducer frees unless told otherwise: the ten of Acevedo-Espinosa et al. (RP-UEIS), Table 2.
+TRANSDUCER_TEN = ("c11", "c13", "c33", "c44", "e15", "e33", "eps33", "c11.loss", "c13.loss", "c33.loss")
+
+#: What a fit of a polymer sample frees: section 3.5 of the paper.
+POLYMER_FOUR = ("bulk_modulus", "bulk_modulus.loss", "shear_modulus", "shear_modulus.loss")
+
+
+def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
+    """The parameter ``<material>.<name>`` of a problem, with the bounds and the prior of its kind.
+
+    A real part may move by half of itself, with the registry's uncertainty for prior or else that of a data sheet;
+    a loss within the reach of its kind. A loss the registry does not know starts at a thousandth of the real part.
+
+    Raises:
+        InputError: the material has no such coefficient, or it cannot have a loss.
+    """
+    known = [key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")]
+    coefficient = name.removesuffix(LOSS)
+    if coefficient not in known:
+        raise InputError("fit", "free", name, f"a coefficient of {material}: {', '.join(known)}, each also with "
+                         f"{LOSS!r}", nearest_names(coefficient, known))
+    found = next(m for m in problem.materials.values() if m.name == material)
+    value = complex(problem.values[f"{material}.{coefficient}"])
+    full = f"{material}.{name}"
+    unit = UNITS.get(coefficient, "")
+    if name.endswith(LOSS):
+        return _loss(full, coefficient, value, found, unit)
+    known_value = found.values.get(coefficient)
+    prior = known_value.uncertainty if known_value is not None else None
+    if prior is None:
+        prior = _data_sheet(coefficient) * abs(value.real)
+    reach = max(0.5 * abs(value.real), 5.0 * prior)
+    low, high = value.real - reach, value.real + reach
+    if coefficient in ("c11", "c33", "c44", "eps11", "eps33", "density", "sound_speed", "bulk_modulus",
+                       "shear_modulus"):
+        low = max(low, 0.05 * value.real)
+    return Parameter(full, value.real, low, high, prior, unit)
+
+
+def _data_sheet(coefficient: str) -> float:
+    for prefix in ("density", "eps", "e", "c"):
+        if coefficient.startswith(prefix):
+            return DATA_SHEET[prefix]
+    return HANDBOOK
+
+
+def _loss(name: str, coefficient: str, value: complex, material: Material, unit: str) -> Parameter:
+    if coefficient == "density" or not isinstance(material, Piezoelectric | IsotropicSolid):
+        raise InputError("fit", "free", name, "a coefficient that can have a loss: a stiffness, a modulus, a "
+                         "piezoelectric constant or a permittivity")
+    size = abs(value.real)
+    ceramic = isinstance(material, Piezoelectric)
+    reach = (CERAMIC_LOSS_REACH if ceramic else POLYMER_LOSS_REACH) * size
+    gains = coefficient in ("eps11", "eps33")
+    diagonal = gains or coefficient in ("c11", "c33", "c44", "bulk_modulus", "shear_modulus")
+    sign = 1.0 if gains or not diagonal else -1.0
+    start = value.imag
+    if start == 0.0 and diagonal:
+        start = sign * (CERAMIC_LOSS if ceramic else 0.02) * size
+    reach = max(reach, 3.0 * abs(start))
+    low, high = (-reach, reach) if not diagonal else ((0.0, reach) if gains else (-reach, 0.0))
+    return Parameter(name, start, low, high, max(0.5 * reach, abs(start)), unit)
+
+
+def dimension_parameter(chip: Chip, name: str) -> Parameter:
+    """A dimension of a chip: within three tolerances of its value, the tolerance read as the limits of a uniform law.
+
+    Raises:
+        InputError: the chip has no such dimension.
+    """
+    known = chip.dimensions()
+    if name not in known:
+        raise InputError(chip.file, "free", name, f"a dimension of the chip: {', '.join(known)}",
+                         nearest_names(name, known))
+    found = known[name]
+    prior = MEASURED * found.value if found.tolerance is None else found.tolerance / np.sqrt(3.0)
+    reach = min(max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value), 0.9 * found.value)
+    return Parameter(name, found.value, found.value - reach, found.value + reach, float(prior), "m")
+
+
+def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
+    """A bench element, named with or without ``bench.``.
+
+    Raises:
+        InputError: no such element.
+    """
+    element = name.removeprefix(BENCH)
+    if element not in BENCH_ELEMENTS:
+        raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
+                         nearest_names(element, BENCH_ELEMENTS))
+    known = BENCH_ELEMENTS[element]
+    return Parameter(BENCH + element, 0.0, known.low, known.high, known.prior, known.unit, tuple(recordings))
+
+
+def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequence[str]) -> tuple[Parameter, ...]:
+    """The parameters called `names`: coefficients of `material`, dimensions of `chip`, or bench elements.
+
+    A coefficient of another material is given by its full name, ``material/source.coefficient``.
+
+    Raises:
+        InputError: a name that is none of these, or given twice.
+    """
+    result: list[Parameter] = []
+    for name in names:
+        if name.startswith(BENCH):
+            found = bench_parameter(name)
+        elif "/" in name:
+            owner = next((m.name for m in problem.materials.values() if name.startswith(f"{m.name}.")), None)
+            if owner is None:
+                raise InputError("fit", "free", name, "a coefficient of one of "
+                                 + ", ".join(sorted({m.name for m in problem.materials.values()})))
+            found = material_parameter(problem, owner, name.removeprefix(f"{owner}."))
+        elif chip is not None and name in chip.dimensions():
+            found = dimension_parameter(chip, name)
+        else:
+            found = _own_or_none(problem, chip, material, name)
+        if any(other.name == found.name for other in result):
+            raise InputError("fit", "free", name, "each parameter once")
+        result.append(found)
+    return tuple(result)
+
+
+def _own_or_none(problem: Problem, chip: Chip | None, material: str, name: str) -> Parameter:
+    own = {key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")}
+    if name.removesuffix(LOSS) in own:
+        return material_parameter(problem, material, name)
+    dimensions = [] if chip is None else list(chip.dimensions())
+    known = [*sorted(own), *(f"{key}{LOSS}" for key in sorted(own)), *dimensions,
+             *(BENCH + key for key in BENCH_ELEMENTS)]
+    raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
+                     f"{', '.join(known)}", nearest_names(name, known))
+
+
+def started_at(parameter: Parameter, start: float) -> Parameter:
+    """The same parameter with another start, moved into its bounds."""
+    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))

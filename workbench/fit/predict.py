@@ -1,0 +1,264 @@
+"""The spectrum of a problem, and its exact derivatives, at one set of parameters after the other.
+
+A fit asks for the same spectrum hundreds of times while its parameters wander. The reduced model answers; where its
+own estimate says that it is not good enough for the present parameters, full solves are added there, so the basis
+grows along the path of the fit and serves every later one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import SAME_LENGTH, Chip
+from geometry.stretch import stretch
+from workbench.operators import FullOperators, assemble
+from workbench.problem import Problem
+from workbench.reduce import ReducedModel, narrowed, projected, reduce
+from workbench.solve import Solution, solve_full
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Reach, relative, of the quadratic expansion of the reduced matrices in a dimension: what it leaves out is the cube.
+REACH = 5e-3
+
+#: Directions of the basis that no state within reach of the fit needs more than this (relative) are dropped.
+UNNEEDED = 1e-6
+
+#: The same at the end of a fit, where the states wanted are all close to each other.
+NEGLIGIBLE = 1e-8
+
+#: A basis of more columns is narrowed: the dense algebra grows with their cube.
+WIDE = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A predicted spectrum and what it would do if parameters moved.
+
+    ``impedance`` (n,) ohm, e^{+j w t}; ``error`` (n,) its estimated relative error; ``values`` complex parameters,
+    e^{-i w t}; ``dimensions`` lengths in metres; ``slopes`` the derivative of the operators by each free dimension.
+    """
+
+    solution: Solution
+    error: Real
+    values: Mapping[str, complex]
+    dimensions: Mapping[str, float]
+    slopes: Mapping[str, Real]
+
+    @property
+    def impedance(self) -> Complex:
+        return np.conj(self.solution.impedance)
+
+    def logarithmic_gradient(self, names: tuple[str, ...]) -> Complex:
+        """d ln Z / d theta (n, len(names)) by complex parameters, e^{-i w t} on both sides.
+
+        For ln Z of a spectrum take the conjugate: by the real part of theta conj(d), by its imaginary part conj(i d).
+        """
+        return self.solution.parameter_gradient(self.values, names) / self.solution.impedance[:, None]
+
+    def logarithmic_slope(self, dimension: str) -> Complex:
+        """d ln Z / d dimension (n,), 1/m, e^{-i w t}."""
+        states = self.solution.states
+        forms = np.einsum("in,qij,jn->nq", states, self.slopes[dimension], states, optimize=True)
+        # ln Z = -ln Q + const, dQ = -x^T (dA) x
+        return np.sum(self.solution.coefficients * forms, axis=1) / self.solution.charge
+
+
+@dataclass(frozen=True, eq=False)
+class _Expansion:
+    """A reduced model and how its matrices and sketch change with dimensions, to second order about `centre`.
+
+    ``first[i]`` and ``second[i, j]`` are the derivatives of (matrices, sketch) by dimensions i and j.
+    """
+
+    model: ReducedModel
+    centre: Real
+    first: tuple[tuple[Real, Real], ...]
+    second: Mapping[tuple[int, int], tuple[Real, Real]]
+
+    def at(self, lengths: Real) -> ReducedModel:
+        """The model at other lengths (metres)."""
+        if not self.first:
+            return self.model
+        step = lengths - self.centre
+        matrices, sketch = self.model.operators.matrices, self.model.sketch
+        for i, (m, k) in enumerate(self.first):
+            matrices, sketch = matrices + step[i] * m, sketch + step[i] * k
+        for (i, j), (m, k) in self.second.items():
+            factor = step[i] * step[j] * (0.5 if i == j else 1.0)
+            matrices, sketch = matrices + factor * m, sketch + factor * k
+        return replace(self.model, operators=replace(self.model.operators, matrices=matrices), sketch=sketch)
+
+    def narrowed(self, states: Complex, tolerance: float) -> _Expansion:
+        """The same on the part of the basis that reduced `states` (rank, n) need."""
+        model, within = narrowed(self.model, states, tolerance)
+
+        def inside(pair: tuple[Real, Real]) -> tuple[Real, Real]:
+            return within.T @ pair[0] @ within, pair[1] @ within
+
+        return _Expansion(model, self.centre, tuple(inside(pair) for pair in self.first),
+                          {key: inside(pair) for key, pair in self.second.items()})
+
+    def slope(self, index: int, lengths: Real) -> Real:
+        """d matrices / d length of one dimension (integrals, r, r), 1/m."""
+        step = lengths - self.centre
+        result = self.first[index][0]
+        for (i, j), (m, _) in self.second.items():
+            if index in (i, j):
+                result = result + step[j if index == i else i] * m
+        return result
+
+
+class Predictor:
+    """Spectra of one problem at fixed frequencies (n,) Hz, for any values of its parameters and free `dimensions`.
+
+    ``tangents`` are the parameters about to be moved: the basis prepares for them. ``tolerance`` bounds the relative
+    error of the impedance. ``solves`` counts the full solves spent. A dimension moves together with all radii of the
+    same length, whose edges coincide (see `geometry.stretch`).
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        frequencies: Real,
+        *,
+        chip: Chip | None = None,
+        dimensions: tuple[str, ...] = (),
+        tangents: tuple[str, ...] = (),
+        tolerance: float = 1e-4,
+    ) -> None:
+        if dimensions and chip is None:
+            raise ValueError("dimensions can only be free where the chip of the problem is given")
+        self.problem, self.chip, self.frequencies = problem, chip, np.asarray(frequencies, dtype=float)
+        self.names, self.tangents, self.tolerance = dimensions, tangents, tolerance
+        self.solves = 0
+        self._expansion: _Expansion | None = None
+
+    def __call__(self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None = None) -> Prediction:
+        """The spectrum at these parameters (those not given keep the problem's own values), enriched if need be.
+
+        Raises:
+            NotEnriched: the reduced model did not reach the tolerance.
+            InputError, MeshError: dimensions that make no chip.
+        """
+        values = {**self.problem.values, **values}
+        lengths = self._lengths(dimensions or {})
+        expansion = self._expansion
+        if expansion is None:
+            expansion = self._enriched(None, values, lengths)
+        elif np.any(np.abs(lengths / expansion.centre - 1.0) > REACH):
+            expansion = self._expanded(projected(expansion.model, self._operators(lengths)), lengths)
+        prediction = self._predict(expansion, values, lengths)
+        if prediction.error.max() > self.tolerance:
+            expansion = self._enriched(expansion, values, lengths)
+            prediction = self._predict(expansion, values, lengths)
+        self._expansion = expansion
+        return prediction
+
+    def settle(self, settings: Sequence[tuple[Mapping[str, complex], Mapping[str, float]]]) -> None:
+        """Narrow the basis to what the spectra at these (values, dimensions) need: a neighbourhood to be searched.
+
+        Elsewhere the estimated error rises, and the basis is enriched again.
+        """
+        if self._expansion is None:
+            return
+        states = []
+        for values, dimensions in settings:
+            model = self._expansion.at(self._lengths(dimensions))
+            states.append(model.solve(self.frequencies, {**self.problem.values, **values}).states)
+        first, others = states[0], [other - states[0] for other in states[1:]]
+        self._expansion = self._expansion.narrowed(np.concatenate([first, *others], axis=1), NEGLIGIBLE)
+
+    def full(self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None, at: Real) -> Complex:
+        """The impedance (e^{+j w t}) by full solves at the frequencies `at`, to check the reduced model with."""
+        operators = self._operators(self._lengths(dimensions or {}))
+        self.solves += len(at)
+        return np.conj(solve_full(operators, at, {**self.problem.values, **values}).impedance)
+
+    def _predict(self, expansion: _Expansion, values: Mapping[str, complex], lengths: Real) -> Prediction:
+        model = expansion.at(lengths)
+        solution = model.solve(self.frequencies, values)
+        slopes = {name: expansion.slope(i, lengths) for i, name in enumerate(self.names)}
+        return Prediction(solution, model.error(solution), values, dict(zip(self.names, lengths, strict=True)), slopes)
+
+    def _enriched(self, expansion: _Expansion | None, values: Mapping[str, complex], lengths: Real) -> _Expansion:
+        operators = self._operators(lengths)
+        start = None
+        if expansion is not None:
+            start = expansion.model
+            if self.names:
+                start = projected(start, operators)
+        before = 0 if start is None else start.solves
+        model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance, tangents=self.tangents,
+                       start=start)
+        self.solves += model.solves - before
+        if model.basis.shape[1] > WIDE:
+            model, _ = narrowed(model, self._states_around(model, values), UNNEEDED)
+        return self._expanded(model, lengths)
+
+    def _states_around(self, model: ReducedModel, values: Mapping[str, complex]) -> Complex:
+        """Reduced states at these parameters and with each parameter about to be moved changed by a tenth."""
+        states = [model.solve(self.frequencies, values).states]
+        for name in self.tangents:
+            states.append(model.solve(self.frequencies, {**values, name: 1.1 * values[name]}).states - states[0])
+        return np.concatenate(states, axis=1)
+
+    def _expanded(self, model: ReducedModel, lengths: Real) -> _Expansion:
+        """`model`, whose operators are those of `lengths`, with its expansion about them."""
+        steps = REACH * lengths
+        count = len(self.names)
+
+        def moved(*indices: tuple[int, float]) -> ReducedModel:
+            other = lengths.copy()
+            for index, sign in indices:
+                other[index] += sign * steps[index]
+            return projected(model, self._operators(other))
+
+        first: list[tuple[Real, Real]] = []
+        second: dict[tuple[int, int], tuple[Real, Real]] = {}
+        plus: list[ReducedModel] = []
+        for i in range(count):
+            ahead, behind = moved((i, 1.0)), moved((i, -1.0))
+            plus.append(ahead)
+            (a, ka), (b, kb), (m, km) = (_parts(each) for each in (ahead, behind, model))
+            first.append(((a - b) / (2.0 * steps[i]), (ka - kb) / (2.0 * steps[i])))
+            second[i, i] = ((a + b - 2.0 * m) / steps[i] ** 2, (ka + kb - 2.0 * km) / steps[i] ** 2)
+        for i in range(count):
+            for j in range(i):
+                area = steps[i] * steps[j]
+                both = moved((i, 1.0), (j, 1.0))
+                (b, kb), (p, kp), (q, kq), (m, km) = (_parts(each) for each in (both, plus[i], plus[j], model))
+                second[j, i] = ((b - p - q + m) / area, (kb - kp - kq + km) / area)
+        return _Expansion(model, lengths, tuple(first), second)
+
+    def _lengths(self, dimensions: Mapping[str, float]) -> Real:
+        if self.chip is None:
+            return np.zeros(0)
+        known = self.chip.dimensions()
+        return np.array([dimensions.get(name, known[name].value) for name in self.names])
+
+    def _operators(self, lengths: Real) -> FullOperators:
+        if self.chip is None or not self.names:
+            return assemble(self.problem.mesh, self.problem.terms)
+        return assemble(stretch(self.problem.mesh, moved_chip(self.chip, self.names, lengths)), self.problem.terms)
+
+
+def _parts(model: ReducedModel) -> tuple[Real, Real]:
+    return model.operators.matrices, model.sketch
+
+
+def moved_chip(chip: Chip, names: tuple[str, ...], lengths: Real) -> Chip:
+    """`chip` with its dimensions `names` at `lengths` (metres), and with them all radii that were as long."""
+    known = chip.dimensions()
+    wanted = dict(zip(names, map(float, lengths), strict=True))
+    for name, length in zip(names, lengths, strict=True):
+        if name.endswith("radius"):
+            for other, dimension in known.items():
+                if other.endswith("radius") and abs(dimension.value - known[name].value) < SAME_LENGTH:
+                    wanted.setdefault(other, float(length))
+    return chip.with_dimensions(wanted)

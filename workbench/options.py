@@ -1,0 +1,227 @@
+"""The options of every command: one function a command, listed in :data:`COMMANDS`.
+
+Nothing but argparse is needed here, so that whoever asks for help, or mistypes an option, need not wait.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+#: Shown by every command that has a drive.
+DRIVE_HELP = ('"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator of that open-circuit voltage, '
+              '"0.1 W" constant input power')
+
+OUTPUT_HELP = "folder for the results, made if need be"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line; ``options.command`` is the name of the command."""
+    whole = argparse.ArgumentParser(
+        prog="workbench", formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
+        epilog="exit status: 0 done, 1 computation failed, 2 mistake in the command or a file, 130 interrupted",
+    )
+    subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (text, add_options) in COMMANDS.items():
+        add_options(subparsers.add_parser(name, help=text, description=text))
+    return whole
+
+
+def _with_materials(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--materials", type=Path, action="append", default=[], metavar="DIR",
+                     help="a further folder of materials, material/source.toml, beside the package's and your own (may "
+                          "be repeated; default none)")
+
+
+def _with_state(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--state", metavar="NAME", help="state of the chip (default: the last of its file)")
+
+
+def _with_model(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--from", dest="low", metavar="FREQ",
+                     help='lower end of the band, such as "0.91 MHz" (default: of the chip)')
+    sub.add_argument("--to", dest="high", metavar="FREQ", help="upper end of the band (default: of the chip)")
+    sub.add_argument("--elements-per-wavelength", type=float, default=10.0, metavar="N",
+                     help="quadratic elements per slowest wavelength (default 10)")
+    _with_materials(sub)
+    # For the commands without these options.
+    sub.set_defaults(points=481, at=None, full=False, tolerance=1e-5, drive="10 Vpp")
+
+
+def _with_recording(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--columns", type=Path, metavar="MAP.toml",
+                     help="which columns of the recording are what, for a table of another instrument "
+                          "(default: the columns' own names)")
+    sub.add_argument("--format", metavar="NAME",
+                     help="format of the recording: workbench, e4990a, 4294a or touchstone (default: found out)")
+    sub.add_argument("--correction", choices=("negate", "conjugate"),
+                     help="put a wrong phase right, on your word (default: as recorded)")
+
+
+def _simulate(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    sub.add_argument("--state", action="append", metavar="NAME",
+                     help="only this state (may be repeated; default all)")
+    _with_model(sub)
+    sub.add_argument("--points", type=int, default=481, metavar="N", help="frequencies in the band (default 481)")
+    sub.add_argument("--full", action="store_true",
+                     help="solve every frequency instead of a reduced model (default); may be interrupted and "
+                     "continued")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default f0)")
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
+    sub.add_argument("--tolerance", type=float, default=1e-5, metavar="ERROR",
+                     help="relative error of the reduced model's impedance (default 1e-5)")
+    sub.add_argument("--no-cad", action="store_true", help="leave out the solid model (default: STEP, STL, view)")
+    sub.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _compare(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("recording", type=Path, metavar="RECORDING")
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_recording(sub)
+    _with_model(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _mesh(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--converge", action="store_true", help="refine until f0 and Z_min change by less than --limit")
+    sub.add_argument("--limit", type=float, default=3.0, metavar="PERCENT", help="default 3, as in the paper")
+    sub.add_argument("--refinements", type=int, default=4, metavar="N", help="at most this many meshes (default 4)")
+    sub.add_argument("-o", "--output", type=Path, metavar="DIR",
+                     help="folder for the report of the refinement (default: none is written)")
+
+
+def _export(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _render(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--at", metavar="FREQ", required=True, help="frequency of the fields")
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
+    sub.add_argument("--field", action="append", metavar="NAME", help="displacement, pressure, gorkov, cutaway, "
+                     "losses or mesh (may be repeated; default all)")
+    sub.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _materials(sub: argparse.ArgumentParser) -> None:
+    actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
+
+    def action(name: str, text: str) -> argparse.ArgumentParser:
+        found = actions.add_parser(name, help=text, description=text)
+        _with_materials(found)
+        return found
+
+    action("list", "every material, fitted and withdrawn ones marked")
+    for name, text, default in (("show", "every number of a material, with its source or its fit", "must be given"),
+                                ("check", "read materials and check them", "default: all")):
+        one = action(name, text)
+        one.add_argument("name", nargs="?", metavar="NAME", help=f"material, or material/source ({default})")
+        one.add_argument("--temperature", metavar="TEMP",
+                         help='such as "25 degC" (default: the reference temperature of the material)')
+    diff = action("diff", "two materials beside each other")
+    diff.add_argument("first", metavar="A")
+    diff.add_argument("second", metavar="B")
+    history = action("history", "the versions of a saved fit")
+    history.add_argument("name", metavar="NAME", help="material/name")
+    withdraw = action("withdraw", "take back one version of a saved fit; it can still be read by its full name")
+    withdraw.add_argument("name", metavar="NAME", help="material/name@version")
+    withdraw.add_argument("--reason", required=True, metavar="TEXT", help="for those who used it")
+    export = action("export", "materials of your own in one file")
+    export.add_argument("names", nargs="+", metavar="NAME")
+    export.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file, overwritten")
+    importing = action("import", "put exported materials into the last folder of --materials, or else your own")
+    importing.add_argument("file", type=Path, metavar="FILE")
+
+
+def _sensitivity(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="DISC.toml")
+    _with_state(sub)
+    sub.add_argument("--density", metavar="DENSITY",
+                     help='of the transducer, such as "7500 kg/m^3" (default: of the chip)')
+    sub.add_argument("--loss", type=float, default=0.0, metavar="SHARE",
+                     help="losses that the material does not state, over the real part (default 0: they stay zero, and "
+                          "cannot be ranked)")
+    _with_model(sub)
+    sub.add_argument("--points", type=int, default=481, metavar="N", help="frequencies in the band (default 481)")
+    sub.add_argument("--scalings", type=int, default=50, metavar="N",
+                     help="scalings of every part from 0.7 to 1.3 (default 50, as in the paper)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _fit(sub: argparse.ArgumentParser) -> None:
+    kinds = sub.add_subparsers(dest="kind", required=True, metavar="KIND")
+
+    def kind(name: str, text: str) -> argparse.ArgumentParser:
+        return kinds.add_parser(name, help=text, description=text)
+
+    def with_search(found: argparse.ArgumentParser) -> None:
+        found.add_argument("--algorithm", choices=("joint", "paper"), default="joint",
+                           help="joint (default): all parameters at once, with intervals; paper: as Acevedo-Espinosa "
+                                "et al. printed theirs")
+        found.add_argument("--start", action="append", default=[], metavar="MATERIAL",
+                           help="a further start: the free parameters as this material has them (may be repeated)")
+        found.add_argument("--draws", type=int, default=2, metavar="N",
+                           help="further starts drawn about the first (default 2)")
+        found.add_argument("--force", action="store_true",
+                           help="fit a recording that seems to be of another device, and save a fit that was not "
+                                "accepted")
+
+    def with_one(found: argparse.ArgumentParser, region: str) -> None:
+        found.add_argument("recording", type=Path, metavar="RECORDING")
+        found.add_argument("--chip", type=Path, required=True, metavar="CHIP.toml")
+        _with_state(found)
+        found.add_argument("--material", metavar="NAME", help="what the fit starts from (default: the chip's material)")
+        found.add_argument("--region", metavar="NAME", help=f"whose material is fitted (default: {region})")
+        found.add_argument("--free", metavar="A,B,C",
+                           help="parameters: coefficients such as c33 or c33.loss, dimensions such as "
+                                "transducer.thickness, bench elements such as bench.series_resistance; default stands "
+                                "for those of the paper (which are the default)")
+        with_search(found)
+        _with_recording(found)
+        _with_model(found)
+        found.add_argument("--save", metavar="MATERIAL/NAME", help="save what was found as the next version of this "
+                           "material, if it is accepted (default: not saved)")
+        found.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+    pzt = kind("pzt", "fit the material of a transducer to a recording")
+    with_one(pzt, "transducer")
+    pzt.set_defaults(gel_study=None)
+    polymer = kind("polymer", "fit the material of a sample on a transducer that is known")
+    with_one(polymer, "sample")
+    polymer.add_argument("--gel-study", metavar="A,B,C",
+                         help='thicknesses of the gel to predict the spectrum with after the fit, such as '
+                              '"5um,20um,50um" (default: none)')
+    batch = kind("batch", "fit many recordings, several at a time; a further run does only what is not finished")
+    batch.add_argument("file", type=Path, metavar="FILE.toml", help="lists the recordings; see workbench/fit/batch.py")
+    with_search(batch)
+    batch.add_argument("--again", action="store_true", help="fit again what is finished (default: only the rest)")
+    batch.add_argument("--workers", type=int, metavar="N", help="fits at a time (default: one for each core)")
+    batch.add_argument("--elements-per-wavelength", type=float, default=10.0, metavar="N",
+                       help="quadratic elements per slowest wavelength (default 10)")
+    _with_materials(batch)
+    batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+#: What every command is for, and what adds its options.
+COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
+    "compare": ("compare a recorded impedance with the simulation of a chip", _compare),
+    "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
+    "export": ("write the solids of a chip as STEP and STL", _export),
+    "render": ("draw the fields of a chip at one frequency", _render),
+    "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),
+    "fit": ("find material constants from recordings, with intervals, and save them", _fit),
+    "materials": ("list, show, compare, check, withdraw, export or import materials", _materials),
+}
