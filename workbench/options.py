@@ -207,6 +207,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
     batch.add_argument("file", type=Path, metavar="FILE.toml", help="lists the recordings; see workbench/fit/batch.py")
     with_search(batch)
     batch.add_argument("--again", action="store_true", help="fit again what is finished (default: only the rest)")
+    batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")
     batch.add_argument("--workers", type=int, metavar="N", help="fits at a time (default: one for each core)")
     batch.add_argument("--elements-per-wavelength", type=float, default=10.0, metavar="N",
                        help="quadratic elements per slowest wavelength (default 10)")

@@ -6,17 +6,17 @@ import argparse
 import dataclasses
 import math
 import os
+import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inputs import InputError, parse_quantity
+from inputs import InputError, choose, parse_quantity
 from workbench.commands.asked import output_folder
 from workbench.commands.fit_job import (
     Done,
-    batch_work,
     derived_table,
     gel_table,
     known,
@@ -28,7 +28,17 @@ from workbench.commands.fit_job import (
     shown_unit,
 )
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
-from workbench.fit.batch import OUTLIER, Column, Job, Member, Settings, read_batch, run_jobs, summarise, summary_record
+from workbench.fit.batch import (
+    OUTLIER,
+    Column,
+    Job,
+    Member,
+    Settings,
+    read_batch,
+    run_commands,
+    summarise,
+    summary_record,
+)
 from workbench.fit.prepare import DEFAULT
 from workbench.fit.record import refusals
 from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
@@ -126,14 +136,23 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
     # Every file is looked at before the first fit, so that a mistake in the last one does not cost an hour.
     records = {job.name: None if options.again else known(job, settings, folder) for job in batch.jobs}
     waiting = [job for job in batch.jobs if records[job.name] is None]
+    if options.only is not None:
+        chosen = {job.name: job for job in batch.jobs}
+        return _one_of_batch(chosen[choose(options.only, chosen, source=str(options.file), field="--only")], settings,
+                             folder, console)
     for name, record in records.items():
         if record is not None:
             console.print(f"{name}: finished before, --again would do it once more", markup=False)
-    with progress_bars(console) as show:
-        failed = run_jobs(waiting, batch_work(settings, folder), workers=workers, report=partial(_report, show))
     for job in waiting:
-        if job.name not in failed:
-            records[job.name] = known(job, settings, folder)
+        # Or a fit that fails now would pass for the one that succeeded before.
+        (folder / job.name / "fit.json").unlink(missing_ok=True)
+    with progress_bars(console) as show:
+        last_words = run_commands({job.name: _command(options, job.name) for job in waiting}, workers=workers,
+                                  report=partial(_report, show))
+    for job in waiting:
+        records[job.name] = known(job, settings, folder)
+    # Status 1 and yet a result: not accepted.
+    failed = {job.name: last_words.get(job.name, "no result") for job in waiting if records[job.name] is None}
     finished = {name: record for name, record in records.items() if record is not None}
     columns = summarise(finished)
     write_json(folder / "summary.json", summary_record(batch.name, columns, finished, failed))
@@ -147,6 +166,25 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
         for text in record["refusals"]:
             console.print(f"{name}, not accepted: {text}", style="bold red", markup=False)
     return 1 if failed or any(not record["accepted"] for record in finished.values()) else 0
+
+
+def _one_of_batch(job: Job, settings: Settings, folder: Path, console: Console) -> int:
+    with progress_bars(console) as show:
+        done = run_job(job, settings, folder / job.name, progress=partial(show, job.name))
+        show(job.name, "done", 1.0)
+    return _tell(done, console, job.save)
+
+
+def _command(options: argparse.Namespace, name: str) -> list[str]:
+    """This command again, for one of its jobs."""
+    command = [sys.executable, "-P", "-m", "workbench.cli", "fit", "batch", str(options.file), "--only", name,
+               "--output", str(options.output), "--algorithm", options.algorithm, "--draws", str(options.draws),
+               "--elements-per-wavelength", repr(options.elements_per_wavelength)]
+    for material in options.start:
+        command += ["--start", material]
+    for folder in options.materials:
+        command += ["--materials", str(folder)]
+    return command + ["--force"] * options.force
 
 
 def _report(show: Show, name: str, activity: str) -> None:

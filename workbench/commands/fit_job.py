@@ -1,12 +1,10 @@
-"""One fit from its files to its results: what ``workbench fit`` does, and what a batch does in every process."""
+"""One fit from its files to its results: what every kind of ``workbench fit`` does."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +15,12 @@ from geometry.mesh import user_cache
 from inputs import InputError
 from materials import Registry, save, user_folder, user_registry
 from materials.kinds import Material
+from materials.versions import check_name
 from workbench.commands.tables import origin_table
 from workbench.fit import paper
 from workbench.fit.batch import Job, Member, Settings, content_key, finished
 from workbench.fit.certainty import Fitted
-from workbench.fit.gel import PUBLISHED, GelCase, gel_study
+from workbench.fit.gel import PUBLISHED, GelCase, gel_study, with_gel
 from workbench.fit.joint import FitResult, fit
 from workbench.fit.prepare import Prepared, free_region, material_starts, prepare, together, with_material
 from workbench.fit.record import (
@@ -66,6 +65,11 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     registry = user_registry(settings.materials)
     progress("reading", 0.0)
     prepared, sources = _prepared(job, settings, registry)
+    # Mistakes are reported before the search, not after.
+    if job.save is not None:
+        check_name(job.save)
+    for thickness in settings.gel_thicknesses:
+        with_gel(prepared.chip, thickness)
     starts = material_starts(prepared, registry, settings.starts)
     match settings.algorithm:
         case "joint":
@@ -101,14 +105,6 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     # Last: where it is, everything is.
     write_json(folder / "fit.json", record)
     return Done(result, prepared, record, gel)
-
-
-def run_in_batch(job: Job, settings: Settings, folder: Path) -> None:
-    """The job of a batch, in a process of its own: what its modules warn of is in the report of the whole."""
-    with warnings.catch_warnings():
-        # Every process would print the same; `fit pzt` and `fit polymer` show them.
-        warnings.simplefilter("ignore", UserWarning)
-        run_job(job, settings, folder / job.name)
 
 
 def job_key(job: Job, settings: Settings) -> str:
@@ -325,8 +321,3 @@ def _background(result: FitResult, sources: Sequence[Source]) -> list[tuple[str,
                                             ("SHA-256 of the chip", s.chip_sha256))), origin_table(m.measured.origin)]
     sections.append(("The recordings", provenance))
     return sections
-
-
-def batch_work(settings: Settings, folder: Path) -> Callable[[Job], None]:
-    """The work of one job of a batch, as a process can be given it."""
-    return partial(run_in_batch, settings=settings, folder=folder)

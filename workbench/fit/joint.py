@@ -35,7 +35,10 @@ Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 #: Half widths of the smoothing, relative to the middle of the band, from far to none.
-WIDTHS = (0.03, 0.01, 0.003, 0.0)
+WIDTHS = (0.1, 0.03, 0.01, 0.003, 0.0)
+
+#: Losses are held where more than this is smoothed: they cannot be seen there, but could be used to smooth even more.
+LOSSES_HIDDEN = 0.005
 
 #: Relative deviation that a point is given during exploration. It stands for all that the model leaves out, and lets
 #: the prior hold what the smoothed spectra cannot see.
@@ -56,6 +59,9 @@ HOPS = (1.0, 0.88, 1.13)
 
 #: A neighbour is better if it costs less than this share of the best.
 BETTER = 0.9
+
+#: A way down is given up where its data cost more than this many times what they cost the best at the same smoothing.
+WORSE = 2.0
 
 #: Two ends are the same optimum if every parameter agrees within this many standard errors of either, or within this
 #: share of its prior, whichever is larger: a flat direction of the data may be anywhere along it.
@@ -149,6 +155,13 @@ class _Weighted:
     data: Residual
 
 
+@dataclass(frozen=True, eq=False)
+class Descent(Minimum):
+    """The end of a way down through the smoothed problems, with the misfit of the data at every width passed."""
+
+    misfits: tuple[float, ...]
+
+
 class Search:
     """The least-squares problem of one objective: bounds, prior and inequalities around it."""
 
@@ -202,22 +215,30 @@ class Search:
                          inequalities=conditions, radius=radius, tolerance=tolerance, limit=limit, refused=REFUSED)
         return Minimum(whole(found.x), found.residual, found.cost, found.converged, found.iterations, found.reason)
 
-    def descend(self, x: Real, progress: Callable[[], None]) -> Minimum:
+    def descend(
+        self, x: Real, progress: Callable[[], None], *, centre: Real | None = None, rival: Descent | None = None
+    ) -> Descent:
         """From a start through the smoothed problems to the recordings themselves.
 
-        What the smoothed spectra cannot see is held near the start: it decides which overtone falls on which, and a
-        start is only worth its time if it may decide differently from the others.
+        What the smoothed spectra cannot see is held by the prior, meanwhile about `centre`: it decides which overtone
+        falls on which. The way is not followed to its end once it is clearly worse than `rival` was at the same width.
         """
-        steps, begin = 0, x
+        steps, misfits = 0, []
+        losses = tuple(i for i, p in enumerate(self.parameters) if p.is_loss)
+        hidden = LOSSES_HIDDEN * self.widths()[0] / WIDTHS[0]
         for width in self.widths():
             # A smoothed spectrum has as many independent points as widths fit into the band.
             deviation = [EXPLORATION * np.sqrt(max(1.0, width / float(np.median(np.diff(r.measured.frequency)))))
                          for r in self.objective.recordings]
-            found = self.minimise(x, deviation, smoothing=width, limit=15, tolerance=1e-4,
-                                  centre=begin if width else None)
+            found = self.minimise(x, deviation, smoothing=width, limit=30, tolerance=1e-4,
+                                  centre=centre if width else None, fixed=losses if width > hidden else ())
             x, steps = found.x, steps + found.iterations
+            misfits.append(found.residual.data.cost)  # type: ignore[attr-defined]
             progress()
-        return Minimum(x, found.residual, found.cost, found.converged, steps, found.reason)
+            # The widest smoothing says little: everything fits.
+            if rival is not None and len(misfits) > 1 and misfits[-1] > WORSE * rival.misfits[len(misfits) - 1]:
+                break
+        return Descent(x, found.residual, found.cost, found.converged, steps, found.reason, tuple(misfits))
 
     def widths(self) -> list[float]:
         """Half widths (Hz) of the smoothed problems: those that a recording's points can show, then none."""
@@ -270,7 +291,7 @@ def fit(
         done += 1
         show("searching", 0.6 * done / stages)
 
-    found: list[tuple[str, Real, Minimum | None, str]] = []
+    found: list[tuple[str, Real, Descent | None, str]] = []
     for label, begin in begins:
         try:
             found.append((label, begin, scout.descend(begin, stage), ""))
@@ -313,10 +334,10 @@ def _thinned(recording: Recording) -> Recording:
 
 
 def _left(
-    search: Search, best: Minimum, progress: Callable[[int], None]
-) -> tuple[Minimum, list[tuple[str, Real, Minimum | None, str]]]:
+    search: Search, best: Descent, progress: Callable[[int], None]
+) -> tuple[Descent, list[tuple[str, Real, Descent | None, str]]]:
     """The best end reached by hops of about one overtone from `best`, and every hop tried."""
-    tried: list[tuple[str, Real, Minimum | None, str]] = []
+    tried: list[tuple[str, Real, Descent | None, str]] = []
     groups = [[i for i, p in enumerate(search.parameters) if not p.is_loss and p.coefficient.split(".")[-1] in lever]
               for lever in LEVERS]
     groups = [group for group in groups if group]
@@ -333,12 +354,12 @@ def _left(
                                        for g, f in zip(groups, hop, strict=True) if f != 1.0)
             try:
                 begin = interior(begin, search.low, search.high, search.inequalities)
-                end = search.descend(begin, lambda: progress(len(tried) + 1))
+                end = search.descend(begin, lambda: progress(len(tried) + 1), centre=begin, rival=best)
             except NO_END as error:
                 tried.append((label, begin, None, f"{type(error).__name__}: {error}"))
                 continue
             tried.append((label, begin, end, ""))
-            if end.cost < BETTER * best.cost:
+            if len(end.misfits) == len(best.misfits) and end.cost < BETTER * best.cost:
                 best, improved = end, True
                 break
     return best, tried
@@ -420,7 +441,7 @@ def _starts(
 
 
 def _judged_starts(
-    found: Sequence[tuple[str, Real, Minimum | None, str]], best: Minimum, search: Search, noise: Sequence[Noise]
+    found: Sequence[tuple[str, Real, Descent | None, str]], best: Minimum, search: Search, noise: Sequence[Noise]
 ) -> tuple[Start, ...]:
     """Every start with where it ended, seen from the best end."""
     jacobian = best.residual.jacobian
