@@ -229,6 +229,8 @@ class Chip:
     def with_dimensions(self, values: Mapping[str, float]) -> Chip:
         """The same chip with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
 
+        The tolerance of a length was that of its old value, and goes with it.
+
         Raises:
             InputError: unknown name, or the new lengths do not make a chip.
         """
@@ -237,10 +239,12 @@ class Chip:
             choose(name, known, source=self.file, field="dimension")
 
         def changed(name: str, old: Dimension | None) -> Dimension | None:
-            return replace(old, value=float(values[name])) if old is not None and name in values else old
+            return None if old is None else always(name, old)
 
         def always(name: str, old: Dimension) -> Dimension:
-            return replace(old, value=float(values[name])) if name in values else old
+            if name not in values or values[name] == old.value:
+                return old
+            return replace(old, value=float(values[name]), tolerance=None)
 
         hole_names = _hole_names(self.layers)
         layers = tuple(

@@ -102,6 +102,7 @@ def reduce(
     start: ReducedModel | None = None,
     first: int = 4,
     limit: int = 40,
+    depth: int = DEPTH,
     progress: Callable[[float], None] | None = None,
 ) -> ReducedModel:
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
@@ -109,6 +110,7 @@ def reduce(
     Full solves are added where the estimate is largest, until the full solve at the worst frequency confirms the
     tolerance. With `start`, a model made for other parameter values is enriched for these. The basis holds the
     derivatives of the states by the parameters named in `tangents` too, so that it keeps serving when these change.
+    Each factorisation gives `depth` vectors, tangents apart.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
@@ -138,7 +140,7 @@ def reduce(
                 charge, squared, floor = growing.respond()
                 spread = squared / np.abs(charge)
                 index = index if index >= 0 else int(np.argmax(spread))
-            states, residual = growing.system.krylov(float(frequencies[index]), DEPTH, tangents=tangents)
+            states, residual = growing.system.krylov(float(frequencies[index]), depth, tangents=tangents)
             if growing.basis.shape[1]:
                 error = abs(charge[index] / growing.charge(states[:, 0], index) - 1.0)
                 # The first nodes say what to expect of a basis that is still poor; later ones are the better judges.
@@ -155,10 +157,34 @@ def reduce(
         if effectivity == 0.0:
             effectivity = growing.effectivity_of_less(states[:, 0], index)
         # Directions for other parameter values are there to be used later.
-        basis = growing.basis if tangents else growing.compressed()
-        sketch = operators.project(basis, growing.test)
-        reduced = operators.reduced(basis)
+        if tangents:
+            basis = growing.basis
+            matrices, sketch = _extended(operators, basis, growing.test, start)
+        else:
+            basis = growing.compressed()
+            matrices, sketch = _extended(operators, basis, growing.test, None)
+    reduced = ReducedOperators(operators.integrals, matrices)
     return ReducedModel(operators, reduced, basis, sketch, growing.weights, effectivity, tolerance, solves, largest)
+
+
+def _extended(
+    operators: FullOperators, basis: Real, test: Real, known: ReducedModel | None
+) -> tuple[Real, Real]:
+    """Matrices (integrals, r, r) and sketch (integrals, PROJECTIONS, r) on `basis`.
+
+    Of the basis of `known`, with which `basis` begins but for the lift at the end, they are taken over.
+    """
+    rank = basis.shape[1]
+    old = np.zeros(0, dtype=int) if known is None else np.append(np.arange(known.basis.shape[1] - 1), rank - 1)
+    new = np.setdiff1d(np.arange(rank), old)
+    images = operators.project(basis[:, new], np.column_stack([basis, test]))
+    matrices = np.zeros((len(operators.integrals), rank, rank))
+    sketch = np.zeros((len(operators.integrals), test.shape[1], rank))
+    if known is not None:
+        matrices[:, old[:, None], old], sketch[:, :, old] = known.operators.matrices, known.sketch
+    matrices[:, :, new], sketch[:, :, new] = images[:, :rank], images[:, rank:]
+    matrices[:, new] = images[:, :rank].transpose(0, 2, 1)
+    return matrices, sketch
 
 
 class _Growing:
@@ -266,8 +292,9 @@ def _test_vectors(weights: Real) -> Real:
 def projected(model: ReducedModel, operators: FullOperators, basis: Real | None = None) -> ReducedModel:
     """`model` on other full operators of the same unknowns (a stretched mesh), or on another `basis`, or both."""
     basis = model.basis if basis is None else basis
-    sketch = operators.project(basis, _test_vectors(model.weights))
-    return replace(model, full=operators, operators=operators.reduced(basis), basis=basis, sketch=sketch)
+    matrices, sketch = _extended(operators, basis, _test_vectors(model.weights), None)
+    return replace(model, full=operators, operators=ReducedOperators(operators.integrals, matrices), basis=basis,
+                   sketch=sketch)
 
 
 def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[ReducedModel, Real]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from workbench.operators import FullOperators, Operators, ReducedOperators, coefficients, frequency_groups
 from workbench.physics.term import Values
@@ -124,10 +124,16 @@ class Solution:
         return 0.5 * self.admittance.real
 
 
+@cache
+def _threads() -> ThreadpoolController:
+    """The BLAS libraries in use; looking for them takes a hundred times as long as limiting them."""
+    return ThreadpoolController()
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """One BLAS thread: two made sparse factorisations up to 300 times slower on a busy two-core machine."""
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _threads().limit(limits=1, user_api="blas"):
         yield
 
 
@@ -312,23 +318,56 @@ def solve_dense(factors: Complex, matrices: Complex) -> tuple[Complex, Real]:
     return np.concatenate([x[:, :, 0], np.ones((len(x), 1))], axis=1).T, residual
 
 
+def reduced_tangents(solution: Solution, values: Values, names: tuple[str, ...]) -> Complex:
+    """Derivatives -A^-1 (dA) x of reduced states by complex parameters: (len(names), r, n), e^{-i w t}."""
+    operators = solution.operators
+    assert isinstance(operators, ReducedOperators)
+    slopes = np.array([[integral.coefficient.derivative(solution.omega, values, name) for integral in
+                        operators.integrals] for name in names])
+    images = np.einsum("qij,jn->qin", operators.matrices[:, :-1], solution.states, optimize=True)
+    right = -np.einsum("kqn,qin->kin", slopes, images, optimize=True)
+    groups = frequency_groups(operators.integrals, solution.omega, values)
+    factors = np.stack([h for h, _ in groups])
+    matrices = np.stack([np.tensordot(constants, operators.matrices, axes=1) for _, constants in groups])
+    with one_thread():
+        if len(groups) == 2:
+            pencil = Pencil(matrices, factors[1] / factors[0])
+            found = np.stack([pencil.solve(each / factors[0]) for each in right])
+        else:
+            inner = np.einsum("gn,gij->nij", factors, matrices[:, :-1, :-1], optimize=True)
+            found = np.linalg.solve(inner, right.transpose(2, 1, 0)).transpose(2, 1, 0)
+    return np.concatenate([found, np.zeros((len(names), 1, solution.frequency.size))], axis=1)
+
+
 def _solve_pencil(ratio: Complex, matrices: Complex) -> tuple[Complex, Real]:
-    """x (r - 1, n) of (K + t M) x = -(k + t m) at every t of `ratio` (n,), once refined, and scaled residuals (n,).
+    """x (r - 1, n) of (K + t M) x = -(k + t m) at every t of `ratio` (n,), once refined, and scaled residuals (n,)."""
+    pencil = Pencil(matrices, ratio)
+    right = -(matrices[0, :-1, -1:] + ratio * matrices[1, :-1, -1:])
+    x = pencil.solve(right)
+    x = x + pencil.solve(right - pencil.product(x))
+    return x, np.linalg.norm(right - pencil.product(x), axis=0) / np.linalg.norm(right, axis=0)
+
+
+class Pencil:
+    """K + t M at every t of `ratio` (n,), the last row and column of `matrices` (2, r, r) left out, diagonalised once.
 
     With S = (K + t0 M)^-1 M = V L V^-1, (K + t M)^-1 = V (1 + (t - t0) L)^-1 V^-1 (K + t0 M)^-1.
     """
-    (stiffness, mass), (k, m) = matrices[:, :-1, :-1], matrices[:, :-1, -1:]
-    middle = np.median(ratio.real)
-    factor = scipy.linalg.lu_factor(stiffness + middle * mass)
-    roots, vectors = np.linalg.eig(scipy.linalg.lu_solve(factor, mass))
-    back = np.linalg.inv(vectors)
-    damped = 1.0 / (1.0 + np.outer(roots, ratio - middle))
 
-    def solved(right: Complex) -> Complex:
-        return np.asarray(vectors @ (damped * (back @ scipy.linalg.lu_solve(factor, right))))
+    def __init__(self, matrices: Complex, ratio: Complex) -> None:
+        self._stiffness, self._mass = matrices[:, :-1, :-1]
+        self._ratio = ratio
+        middle = np.median(ratio.real)
+        self._factor = scipy.linalg.lu_factor(self._stiffness + middle * self._mass)
+        roots, self._vectors = np.linalg.eig(scipy.linalg.lu_solve(self._factor, self._mass))
+        self._back = np.linalg.inv(self._vectors)
+        self._damped = 1.0 / (1.0 + np.outer(roots, ratio - middle))
 
-    right = -(k + ratio * m)
-    x = solved(right)
-    x = x + solved(right - (stiffness @ x + (mass @ x) * ratio))
-    remainder = right - (stiffness @ x + (mass @ x) * ratio)
-    return x, np.linalg.norm(remainder, axis=0) / np.linalg.norm(right, axis=0)
+    def solve(self, right: Complex) -> Complex:
+        """x (r - 1, n) with (K + t M) x = right (r - 1, n)."""
+        return np.asarray(self._vectors @ (
+            self._damped * (self._back @ scipy.linalg.lu_solve(self._factor, right))))
+
+    def product(self, x: Complex) -> Complex:
+        """(K + t M) x (r - 1, n)."""
+        return np.asarray(self._stiffness @ x + (self._mass @ x) * self._ratio)

@@ -105,7 +105,7 @@ class Settings:
     elements_per_wavelength: float = 10.0
     algorithm: str = "joint"
     starts: tuple[str, ...] = ()
-    draws: int = 2
+    draws: int = 8
     force: bool = False
     gel_thicknesses: tuple[float, ...] = ()
 

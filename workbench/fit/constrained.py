@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 Real = NDArray[np.float64]
 
@@ -144,9 +145,15 @@ def _step(
     lower = np.maximum(-radius, (low - x) / scale)
     upper = np.minimum(radius, (high - x) / scale)
     step = np.zeros(x.size)
-    slopes = [inequality.slopes * scale[:, None, None] for inequality in inequalities]
-    constants = [inequality(x) for inequality in inequalities]
+    # All inequalities as one of block diagonal matrices; (k k, p), so that a combination is one small product.
+    constant = block_diag(*(inequality(x) for inequality in inequalities)) if inequalities else np.zeros((0, 0))
+    slopes = np.array([block_diag(*(inequality.slopes[i] * scale[i] for inequality in inequalities))
+                       if inequalities else constant for i in range(x.size)])
+    flat = slopes.reshape(x.size, -1).T
     ridge = 1e-12 * np.trace(hessian) / x.size + 1e-300
+
+    def matrix(d: Real) -> Real:
+        return np.asarray(constant + (flat @ d).reshape(constant.shape))
 
     def barrier(d: Real) -> float:
         """Minus the logarithm of all margins; infinite outside."""
@@ -154,29 +161,28 @@ def _step(
         if below.min() <= 0.0 or above.min() <= 0.0:
             return np.inf
         value = -float(np.log(below).sum() + np.log(above).sum())
-        for constant, change in zip(constants, slopes, strict=True):
-            try:
-                triangle = np.linalg.cholesky(constant + np.tensordot(d, change, axes=1))
-            except np.linalg.LinAlgError:
-                return np.inf
-            value -= 2.0 * float(np.log(np.diag(triangle)).sum())
-        return value
+        try:
+            triangle = np.linalg.cholesky(matrix(d))
+        except np.linalg.LinAlgError:
+            return np.inf
+        return value - 2.0 * float(np.log(triangle.diagonal()).sum())
 
     def model(d: Real) -> float:
         return float(0.5 * d @ hessian @ d + slope @ d)
 
+    free = _free_step(hessian, slope, ridge)
+    if free is not None and np.isfinite(barrier(free / INTERIOR)):
+        return free * scale, -model(free)
     for weight in BARRIER:
         mu = weight * max(cost, 1e-12)
         value = model(step) + mu * barrier(step)
         for _ in range(30):
             gradient = hessian @ step + slope + mu * (1.0 / (upper - step) - 1.0 / (step - lower))
             curvature = hessian + np.diag(mu * ((upper - step) ** -2.0 + (step - lower) ** -2.0) + ridge)
-            for constant, change in zip(constants, slopes, strict=True):
-                inverse = np.linalg.pinv(constant + np.tensordot(step, change, axes=1), hermitian=True)
-                images = inverse @ change
-                gradient -= mu * np.trace(images, axis1=1, axis2=2)
-                curvature += mu * np.einsum("aij,bji->ab", images, images)
             try:
+                images = np.linalg.inv(matrix(step)) @ slopes
+                gradient -= mu * np.trace(images, axis1=1, axis2=2)
+                curvature += mu * (images.reshape(x.size, -1) @ images.transpose(0, 2, 1).reshape(x.size, -1).T)
                 direction = -np.linalg.solve(curvature, gradient)
             except np.linalg.LinAlgError:
                 break  # nothing to gain along a direction that the rounding cannot tell from none
@@ -194,3 +200,11 @@ def _step(
                 break
             step, value = trial, now
     return step * scale, -model(step)
+
+
+def _free_step(hessian: Real, slope: Real, ridge: float) -> Real | None:
+    """The best step of the linearised problem without any condition; None if rounding cannot tell one."""
+    try:
+        return np.asarray(-np.linalg.solve(hessian + ridge * np.eye(slope.size), slope))
+    except np.linalg.LinAlgError:
+        return None

@@ -6,12 +6,12 @@ Acevedo-Espinosa et al. (RP-UEIS), section 4.3: nothing is fitted again, only th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from geometry.chip import Chip, Dimension
+from geometry.chip import Chip
 from inputs import InputError
 from materials.registry import Registry
 from workbench.compare import Comparison, compare
@@ -38,16 +38,14 @@ class GelCase:
 
 
 def with_gel(chip: Chip, thickness: float) -> Chip:
-    """The chip with another thickness (m) of its gel, which its old tolerance says nothing of.
+    """The chip with another thickness (m) of its gel.
 
     Raises:
         InputError: the chip has no couplant, or is none with that thickness.
     """
     if COUPLANT not in chip.regions:
         raise InputError(chip.file, "layers", ", ".join(chip.regions), f"a layer with role {COUPLANT!r}")
-    exact = tuple(replace(layer, thickness=Dimension(layer.thickness.value)) if layer.region == COUPLANT else layer
-                  for layer in chip.layers)
-    return replace(chip, layers=exact).with_dimensions({f"{COUPLANT}.thickness": thickness})
+    return chip.with_dimensions({f"{COUPLANT}.thickness": thickness})
 
 
 def gel_study(

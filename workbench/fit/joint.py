@@ -1,11 +1,12 @@
 """The workbench's own fit: all free parameters together, exact gradients, physical bounds, several starts.
 
 1. Every start is taken down a sequence of smoothed problems (see `objective`) on a coarse mesh. With the overtones
-   smoothed away there is one way to lay the model on the recording; as the smoothing is let down, each overtone falls
-   on its own neighbour.
+   smoothed away there are few ways to lay the model on the recording; as the smoothing is let down, each overtone
+   falls on its own neighbour.
 2. An overtone laid on the wrong neighbour leaves a residual of several per cent that is not white. While that is so,
-   the best end is left for its neighbours: stiffnesses that rule radial and shear overtones are moved by about one
-   overtone, together and apart, and followed down again, until no neighbour is better.
+   the best end is left: for its neighbours, in which the stiffnesses that rule radial and shear overtones are moved by
+   about one overtone, together and apart, and for starts drawn from the prior. Each is followed down for as long as
+   it keeps up with the best, until none is better.
 3. The best is refined on the mesh asked for, and once more with the noise that the residual shows.
 4. What the data say of every parameter is worked out at the minimum (see `certainty`), and the reduced model is
    checked against full solves there.
@@ -35,17 +36,14 @@ Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 #: Half widths of the smoothing, relative to the middle of the band, from far to none.
-WIDTHS = (0.1, 0.03, 0.01, 0.003, 0.0)
-
-#: Losses are held where more than this is smoothed: they cannot be seen there, but could be used to smooth even more.
-LOSSES_HIDDEN = 0.005
+WIDTHS = (0.03, 0.01, 0.003, 0.0)
 
 #: Relative deviation that a point is given during exploration. It stands for all that the model leaves out, and lets
 #: the prior hold what the smoothed spectra cannot see.
 EXPLORATION = 0.05
 
 #: Relative error of the reduced model while exploring, and at the end.
-COARSE, FINE = 5e-3, 2e-5
+COARSE, FINE = 2e-2, 2e-5
 
 #: A recording is searched on at most about so many of its points.
 SEARCHED_POINTS = 241
@@ -53,15 +51,21 @@ SEARCHED_POINTS = 241
 #: An end of the search is left for its neighbours if more than this rms of |ln ratio| remains and it is not white.
 UNEXPLAINED = 0.01
 
-#: What moves the overtones of a body by about one of some ten: factors of stiffnesses, by the first letters of names.
+#: Stiffnesses that rule one family of overtones each, and what moves it by so many overtones of some ten.
 LEVERS: tuple[tuple[str, ...], ...] = (("c11", "c12"), ("c44",), ("shear_modulus", "bulk_modulus"))
-HOPS = (1.0, 0.88, 1.13)
+HOPS = {0: 1.0, -1: 0.88, 1: 1.13, -2: 0.78, 2: 1.27}
+
+#: What the labels of neighbours and of starts drawn from the prior begin with.
+HOP, DRAW = "hop", "draw"
 
 #: A neighbour is better if it costs less than this share of the best.
 BETTER = 0.9
 
-#: A way down is given up where its data cost more than this many times what they cost the best at the same smoothing.
+#: A way down is given up where it costs more than this many times what the best cost at the same smoothing.
 WORSE = 2.0
+
+#: Steps at one smoothing. A way down that has not ended by then is in a valley that says little, or in none.
+STEPS = 20
 
 #: Two ends are the same optimum if every parameter agrees within this many standard errors of either, or within this
 #: share of its prior, whichever is larger: a flat direction of the data may be anywhere along it.
@@ -134,17 +138,6 @@ class FitResult:
         deviation = np.sqrt(np.diag(self.covariance))
         return np.asarray(self.covariance / np.outer(deviation, deviation))
 
-    def estimate(self, name: str) -> Fitted:
-        """The estimate of a parameter by its full name or by the part after the material.
-
-        Raises:
-            KeyError: no such parameter.
-        """
-        for found in self.estimates:
-            if name in (found.parameter.name, found.parameter.name.split(".", 1)[-1]):
-                return found
-        raise KeyError(name)
-
 
 @dataclass(frozen=True, eq=False)
 class _Weighted:
@@ -157,9 +150,13 @@ class _Weighted:
 
 @dataclass(frozen=True, eq=False)
 class Descent(Minimum):
-    """The end of a way down through the smoothed problems, with the misfit of the data at every width passed."""
+    """The end of a way down through the smoothed problems.
 
-    misfits: tuple[float, ...]
+    ``costs`` by the number of the width, as far as it was followed; ``ended`` is whether that was to no smoothing.
+    """
+
+    costs: Mapping[int, float]
+    ended: bool
 
 
 class Search:
@@ -180,21 +177,21 @@ class Search:
             else inequalities(problems, self.parameters, poisson=poisson))
 
     def evaluate(
-        self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0, centre: Real | None = None
+        self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0
     ) -> _Weighted:
-        """Data and prior at x (p,); the prior is about `centre`, by default the parameters' own starts."""
+        """Data and prior, about the parameters' own starts, at x (p,)."""
         data = self.objective(x, deviation=deviation, smoothing=smoothing)
-        vector = np.concatenate([data.vector, (x - (self.centre if centre is None else centre)) * self.precision])
+        vector = np.concatenate([data.vector, (x - self.centre) * self.precision])
         return _Weighted(vector, np.vstack([data.jacobian, np.diag(self.precision)]), data)
 
     def minimise(
         self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,
-        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (), centre: Real | None = None,
+        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (),
     ) -> Minimum:
         """The least cost near x; the parameters of the indices `fixed` stay where they are."""
         if not fixed:
             return minimise(
-                lambda y: self.evaluate(y, deviation, smoothing, centre), x, low=self.low, high=self.high,
+                lambda y: self.evaluate(y, deviation, smoothing), x, low=self.low, high=self.high,
                 scale=self.scale, inequalities=self.inequalities, radius=radius, tolerance=tolerance, limit=limit,
                 refused=REFUSED)
         free = np.setdiff1d(np.arange(x.size), fixed)
@@ -205,7 +202,7 @@ class Search:
             return result
 
         def reduced(y: Real) -> _Weighted:
-            full = self.evaluate(whole(y), deviation, smoothing, centre)
+            full = self.evaluate(whole(y), deviation, smoothing)
             return _Weighted(full.vector, full.jacobian[:, free], full.data)
 
         held = x.copy()
@@ -216,29 +213,28 @@ class Search:
         return Minimum(whole(found.x), found.residual, found.cost, found.converged, found.iterations, found.reason)
 
     def descend(
-        self, x: Real, progress: Callable[[], None], *, centre: Real | None = None, rival: Descent | None = None
+        self, x: Real, progress: Callable[[], None], *, first: int = 0, rival: Descent | None = None
     ) -> Descent:
-        """From a start through the smoothed problems to the recordings themselves.
+        """From a start through the smoothed problems, from number `first` on, to the recordings themselves.
 
-        What the smoothed spectra cannot see is held by the prior, meanwhile about `centre`: it decides which overtone
-        falls on which. The way is not followed to its end once it is clearly worse than `rival` was at the same width.
+        What the smoothed spectra cannot see is held by the prior. The way is not followed to its end once it is
+        clearly worse than `rival` was at the same width.
         """
-        steps, misfits = 0, []
-        losses = tuple(i for i, p in enumerate(self.parameters) if p.is_loss)
-        hidden = LOSSES_HIDDEN * self.widths()[0] / WIDTHS[0]
-        for width in self.widths():
+        steps, costs, ended = 0, {}, True
+        widths = self.widths()
+        for number in range(min(first, len(widths) - 1), len(widths)):
+            width = widths[number]
             # A smoothed spectrum has as many independent points as widths fit into the band.
             deviation = [EXPLORATION * np.sqrt(max(1.0, width / float(np.median(np.diff(r.measured.frequency)))))
                          for r in self.objective.recordings]
-            found = self.minimise(x, deviation, smoothing=width, limit=30, tolerance=1e-4,
-                                  centre=centre if width else None, fixed=losses if width > hidden else ())
+            found = self.minimise(x, deviation, smoothing=width, limit=STEPS, tolerance=1e-4)
             x, steps = found.x, steps + found.iterations
-            misfits.append(found.residual.data.cost)  # type: ignore[attr-defined]
+            costs[number] = found.cost
             progress()
-            # The widest smoothing says little: everything fits.
-            if rival is not None and len(misfits) > 1 and misfits[-1] > WORSE * rival.misfits[len(misfits) - 1]:
+            ended = width == 0.0
+            if not ended and rival is not None and found.cost > WORSE * rival.costs.get(number, np.inf):
                 break
-        return Descent(x, found.residual, found.cost, found.converged, steps, found.reason, tuple(misfits))
+        return Descent(x, found.residual, found.cost, found.converged, steps, found.reason, costs, ended)
 
     def widths(self) -> list[float]:
         """Half widths (Hz) of the smoothed problems: those that a recording's points can show, then none."""
@@ -253,8 +249,7 @@ def fit(
     *,
     coarse: Sequence[Recording] | None = None,
     starts: Mapping[str, Real] | None = None,
-    draws: int = 2,
-    spread: float = 0.1,
+    draws: int = 8,
     seed: int = 0,
     poisson: tuple[float, float] | None = None,
     profiles: bool = True,
@@ -268,7 +263,7 @@ def fit(
         parameters: what may move, with prior and bounds; see `parameter.parameters`.
         coarse: the same recordings on coarser meshes, for the search; the recordings themselves if None.
         starts: further starts by label, vectors (p,) in SI; the parameters' own start is always the first.
-        draws: further starts drawn within `spread` (relative; losses within a factor of two) of the first.
+        draws: how many starts to draw from the prior at most, where those before leave the recordings unexplained.
         poisson: bounds of Poisson's ratio of isotropic solids (default `admissible.POISSON_RATIO`).
         profiles: profile likelihoods where the quadratic approximation misjudges.
         bands: parts of the band to leave out in turn and predict; 0 for none.
@@ -282,27 +277,22 @@ def fit(
     show = progress or (lambda _text, _fraction: None)
     searched = [_thinned(r) for r in coarse or recordings]
     scout = Search(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
-    begins = _starts(scout, starts or {}, draws, spread, seed)
+    begins = [("start", scout.centre), *(starts or {}).items()]
     stages = len(begins) * len(scout.widths())
     done = 0
 
     def stage() -> None:
         nonlocal done
         done += 1
-        show("searching", 0.6 * done / stages)
+        show("searching", 0.6 * done / max(stages, done))
 
-    found: list[tuple[str, Real, Descent | None, str]] = []
-    for label, begin in begins:
-        try:
-            found.append((label, begin, scout.descend(begin, stage), ""))
-        except REFUSED as error:
-            found.append((label, begin, None, f"{type(error).__name__}: {error}"))
-            done = len(found) * len(scout.widths())
-    ends = [(label, begin, end) for label, begin, end, _ in found if end is not None]
+    found = [_tried(scout, label, np.asarray(begin, dtype=float), stage) for label, begin in begins]
+    ends = [trial.end for trial in found if trial.end is not None]
     if not ends:
-        raise FitError("no start could be predicted: " + found[0][3])
-    best = min((end for _, _, end in ends), key=lambda end: end.cost)
-    best, tried = _left(scout, best, lambda count: show(f"searching, neighbour {count}", 0.6))
+        raise FitError("no start could be predicted: " + found[0].reason)
+    best = min(ends, key=lambda end: end.cost)
+    best, tried = _left(scout, best, _drawn(scout, draws, seed),
+                        lambda label: show(f"searching, {label}", 0.6))
     found += tried
     search = Search(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
     show("refining", 0.6)
@@ -333,36 +323,76 @@ def _thinned(recording: Recording) -> Recording:
     return replace(recording, measured=thin)
 
 
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """One way down: from where, to where, and why not where it has no end."""
+
+    label: str
+    begin: Real
+    end: Descent | None
+    reason: str = ""
+
+
+def _tried(
+    search: Search, label: str, begin: Real, progress: Callable[[], None], rival: Descent | None = None
+) -> _Trial:
+    """The way down from `begin`, moved to where it is admissible.
+
+    The widest smoothing would undo a hop.
+    """
+    try:
+        begin = interior(begin, search.low, search.high, search.inequalities)
+        return _Trial(label, begin, search.descend(
+            begin, progress, first=1 if label.startswith(HOP) else 0, rival=rival))
+    except NO_END as error:
+        return _Trial(label, begin, None, f"{type(error).__name__}: {error}")
+
+
 def _left(
-    search: Search, best: Descent, progress: Callable[[int], None]
-) -> tuple[Descent, list[tuple[str, Real, Descent | None, str]]]:
-    """The best end reached by hops of about one overtone from `best`, and every hop tried."""
-    tried: list[tuple[str, Real, Descent | None, str]] = []
+    search: Search, best: Descent, drawn: Sequence[tuple[str, Real]], progress: Callable[[str], None]
+) -> tuple[Descent, list[_Trial]]:
+    """The best end reached from neighbours of `best` and from the starts `drawn`, and every way tried."""
+    tried: list[_Trial] = []
+    waiting = [*_neighbours(search, best.x), *drawn]
+    while waiting and _unexplained(best):
+        label, begin = waiting.pop(0)
+        progress(label)
+        trial = _tried(search, label, begin, lambda: None, rival=best)
+        tried.append(trial)
+        end = trial.end
+        if end is not None and end.ended and end.cost < BETTER * best.cost:
+            best = end
+            waiting = [*_neighbours(search, best.x), *(other for other in waiting if other[0].startswith(DRAW))]
+    return best, tried
+
+
+def _neighbours(search: Search, x: Real) -> list[tuple[str, Real]]:
+    """Starts one and two overtones from x (p,), nearest first."""
     groups = [[i for i, p in enumerate(search.parameters) if not p.is_loss and p.coefficient.split(".")[-1] in lever]
               for lever in LEVERS]
     groups = [group for group in groups if group]
-    improved = True
-    while improved and _unexplained(best):
-        improved = False
-        for hop in itertools.product(HOPS, repeat=len(groups)):
-            if all(factor == 1.0 for factor in hop):
-                continue
-            begin = best.x.copy()
-            for group, factor in zip(groups, hop, strict=True):
-                begin[group] *= factor
-            label = "hop " + ", ".join(f"{search.parameters[g[0]].name.split('.')[-1]} x {f:g}"
-                                       for g, f in zip(groups, hop, strict=True) if f != 1.0)
-            try:
-                begin = interior(begin, search.low, search.high, search.inequalities)
-                end = search.descend(begin, lambda: progress(len(tried) + 1), centre=begin, rival=best)
-            except NO_END as error:
-                tried.append((label, begin, None, f"{type(error).__name__}: {error}"))
-                continue
-            tried.append((label, begin, end, ""))
-            if len(end.misfits) == len(best.misfits) and end.cost < BETTER * best.cost:
-                best, improved = end, True
-                break
-    return best, tried
+    result = []
+    hops = sorted(itertools.product(HOPS, repeat=len(groups)), key=lambda hop: sum(map(abs, hop)))
+    for hop in hops[1:]:
+        begin, words = x.copy(), []
+        for group, overtones in zip(groups, hop, strict=True):
+            begin[group] *= HOPS[overtones]
+            if overtones:
+                words.append(f"{search.parameters[group[0]].coefficient.split('.')[-1]} x {HOPS[overtones]:g}")
+        result.append((f"{HOP} " + ", ".join(words), begin))
+    return result
+
+
+def _drawn(search: Search, count: int, seed: int) -> list[tuple[str, Real]]:
+    """Starts drawn from the prior; losses, whose prior is wide, within a factor of two of the start."""
+    random = np.random.default_rng(seed)
+    loss = np.array([p.is_loss for p in search.parameters])
+    result = []
+    for number in range(count):
+        factor = np.exp(np.log(2.0) * random.uniform(-1.0, 1.0, loss.size))
+        offset = search.scale * random.standard_normal(loss.size)
+        result.append((f"{DRAW} {number + 1}", np.where(loss, search.centre * factor, search.centre + offset)))
+    return result
 
 
 def _unexplained(end: Minimum) -> bool:
@@ -413,35 +443,16 @@ def refine(search: Search, x: Real) -> tuple[Minimum, tuple[Noise, ...]]:
 
 
 def _check(recordings: Sequence[Recording], parameters: Sequence[Parameter]) -> None:
-    data = sum(2 * r.measured.frequency.size for r in recordings)
+    points = sum(r.measured.frequency.size for r in recordings)
     if not parameters:
         raise FitError("there is nothing to fit: no parameter is free")
-    if data < len(parameters):
-        raise FitError(f"{data} real data cannot determine {len(parameters)} parameters; "
+    if points < len(parameters):
+        raise FitError(f"{points} points cannot determine {len(parameters)} parameters; "
                        "free fewer or record more points")
 
 
-def _starts(
-    search: Search, starts: Mapping[str, Real], draws: int, spread: float, seed: int
-) -> list[tuple[str, Real]]:
-    """The parameters' own start, those given, and draws about the first."""
-    random = np.random.default_rng(seed)
-    result = [("start", search.centre), *starts.items()]
-    for number in range(draws):
-        factor = 1.0 + spread * random.uniform(-1.0, 1.0, search.centre.size)
-        drawn = search.centre * factor
-        for i, parameter in enumerate(search.parameters):
-            if parameter.is_loss:
-                drawn[i] = search.centre[i] * np.exp(np.log(2.0) * random.uniform(-1.0, 1.0))
-            elif not parameter.is_material:
-                drawn[i] = search.centre[i] + parameter.scale * random.uniform(-1.0, 1.0)
-        result.append((f"draw {number + 1}", drawn))
-    return [(label, interior(np.asarray(x, dtype=float), search.low, search.high, search.inequalities))
-            for label, x in result]
-
-
 def _judged_starts(
-    found: Sequence[tuple[str, Real, Descent | None, str]], best: Minimum, search: Search, noise: Sequence[Noise]
+    found: Sequence[_Trial], best: Minimum, search: Search, noise: Sequence[Noise]
 ) -> tuple[Start, ...]:
     """Every start with where it ended, seen from the best end."""
     jacobian = best.residual.jacobian
@@ -450,17 +461,22 @@ def _judged_starts(
     resolved = spread * max(float(np.mean(n.deviation)) for n in noise) / EXPLORATION
     allowed = np.maximum(SAME_ERRORS * resolved, SAME_SHARE * search.scale)
     result = []
-    for label, begin, end, reason in found:
+    for trial in found:
+        end = trial.end
         if end is None:
-            result.append(Start(label, begin, begin, np.inf, f"failed: {reason}", 0))
+            result.append(Start(trial.label, trial.begin, trial.begin, np.inf, f"failed: {trial.reason}", 0))
             continue
         data: Residual = end.residual.data  # type: ignore[attr-defined]
         rms = float(np.sqrt(np.mean(np.abs(np.concatenate(data.log_ratio)) ** 2)))
         off = np.abs(end.x - best.x) / allowed
         worst = int(np.argmax(off))
-        outcome = "same optimum" if off[worst] <= 1.0 else (
-            f"another optimum: {search.parameters[worst].name} differs most")
-        result.append(Start(label, begin, end.x, rms, outcome, end.iterations))
+        if off[worst] <= 1.0:
+            outcome = "same optimum"
+        elif not end.ended:
+            outcome = "given up: worse than the best while still smoothed"
+        else:
+            outcome = f"another optimum: {search.parameters[worst].name} differs most"
+        result.append(Start(trial.label, trial.begin, end.x, rms, outcome, end.iterations))
     return tuple(result)
 
 

@@ -12,8 +12,9 @@ the one broad resonance that every parameter set has. The width is then let down
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +89,19 @@ class Objective:
     @property
     def solves(self) -> int:
         return sum(p.solves for p in self.predictors)
+
+    def measured_as(self, spectra: Sequence[Spectrum]) -> Objective:
+        """The same with other spectra at the same frequencies, sharing what the predictors have learnt.
+
+        Raises:
+            ValueError: other frequencies.
+        """
+        for recording, spectrum in zip(self.recordings, spectra, strict=True):
+            if not np.array_equal(recording.measured.frequency, spectrum.frequency):
+                raise ValueError(f"{recording.name}: other frequencies than those the predictor was made for")
+        other = copy.copy(self)
+        other.recordings = tuple(replace(r, measured=m) for r, m in zip(self.recordings, spectra, strict=True))
+        return other
 
     def _of(self, recording: Recording) -> list[Parameter]:
         return [p for p in self.parameters if not p.recordings or recording.name in p.recordings]

@@ -10,9 +10,18 @@ Where the printed text leaves a choice or errs:
 - C_ref is set before any window is chosen. It is the cost in the window of the later iterations, to which section 3.4
   restricts all data. The cost of the first iteration, in its narrow window, is compared with it as printed, so the 5 %
   rule can only mean what it says from the third iteration on.
-- ln|Y| = -ln|Z|: the impedance metric of blocks A and B and the admittance metric of block C are the same cost.
+- The metric of block B is not named: that of block A. ln|Y| = -ln|Z|, so that the impedance metric of blocks A and B
+  and the admittance metric of block C and of polymers are the same cost anyway (eq. 26).
+- Eq. 13 is imposed in block C only. Blocks A and B have no constraint at all: nothing holds a parameter that the window
+  says little of, and it may run off while the cost still falls (:attr:`PaperFit.strayed`).
+- The loss of c13 has no sign of its own. It starts positive, as Table 3 prints it; the other two start negative.
+- No limit of iterations is printed; there is one here.
+- The window of a polymer is +-10 % (section 3.5 and Table 4; section 4.3 says 12 %) about f0. Table 4 has it "centered
+  at 1.033 MHz", the resonance of the disc alone; here it is the resonance of the recording that is fitted, as in
+  Algorithm 2, to which section 3.5 refers.
 - The text wants all moduli of a polymer "strictly positive"; with e^{-i w t}, and in Table 4, a loss is negative.
-- Poisson's ratio is to be "within a realistic range", which is not given: `admissible.POISSON_RATIO` is used.
+- Poisson's ratio, the real part of the complex one, is to be "within a realistic range", which is not given:
+  `admissible.POISSON_RATIO` is used. Neither are the moduli given that the fit starts from: those of the problem are.
 """
 
 from __future__ import annotations
@@ -27,21 +36,24 @@ from scipy.optimize import minimize
 
 from geometry.names import TRANSDUCER
 from inputs import InputError, nearest_names
+from materials.conversions import young_and_poisson
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.fit.admissible import POISSON_RATIO, inequalities
-from workbench.fit.constrained import Inequality
 from workbench.fit.objective import Recording
 from workbench.fit.parameter import CERAMIC_LOSS, LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters
-from workbench.fit.predict import Predictor
+from workbench.operators import assemble
 from workbench.problem import Problem
-from workbench.reduce import NotEnriched, ReducedModel
-from workbench.solve import NotConverged
+from workbench.reduce import NotEnriched, ReducedModel, narrowed, reduce
+from workbench.solve import NotConverged, Solution
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Called with what is being done and the best cost so far.
 Progress = Callable[[str, float], None]
+
+#: The first constraint that values by full name break, in words; empty if they keep all.
+Broken = Callable[[Mapping[str, float]], str]
 
 #: Blocks of Algorithm 2.
 BLOCKS: Mapping[str, tuple[str, ...]] = {
@@ -58,12 +70,16 @@ STOP = 0.05
 #: variable.
 SIMPLEX, SIMPLEX_AT_ZERO, TOLERANCE, STEPS = 0.05, 0.00025, 1e-4, 200
 
-#: Spectra in a row without a full solve after which the reduced model is narrowed to the neighbourhood they lay in: a
-#: simplex that shrinks needs ever less of it.
-RECENT = 12
+#: Spectra in a row from one reduced model after which it is narrowed to the neighbourhood they lay in: a simplex that
+#: shrinks needs ever less of it.
+RECENT = 8
 
-#: Places of enrichment that a basis keeps serving.
-PLACES = 15
+#: A basis of more columns is narrowed to so many of the last places of enrichment, without the directions of which all
+#: their states need less than this (relative). The error of the impedance is of second order in what is left out.
+WIDE, PLACES, UNNEEDED = 120, 24, 1e-6
+
+#: Real parts that end farther than this (relative) from where they started have run off: no data sheet is so wrong.
+STRAYED = 0.5
 
 #: How far below zero (relative) rounding may put the eigenvalue of a matrix that is zero.
 ROUNDING = 1e-12
@@ -113,6 +129,12 @@ class PaperFit:
     converged: bool
     reason: str
 
+    @property
+    def strayed(self) -> tuple[str, ...]:
+        """Real parts that ended more than :data:`STRAYED` from their start."""
+        return tuple(name for name, value in self.values.items() if not name.endswith(LOSS)
+                     and abs(value - self.start[name]) > STRAYED * abs(self.start[name]))
+
 
 def fit_transducer(
     recording: Recording,
@@ -126,13 +148,13 @@ def fit_transducer(
 
     Args:
         start: real numbers by name (``c33``, ``c33.loss``) in place of those of the problem's material. A loss that is
-            not known starts at a thousandth of the real part (section 4.2).
+            not known, that is zero, starts at a thousandth of the real part (section 4.2).
         tolerance: of the reduced model, relative error of the impedance.
         limit: iterations; the paper sets none.
         progress: may raise KeyboardInterrupt.
 
     All losses but the three of block C are set to zero, all other real parts stay as they are in the problem. Ctrl-C
-    ends the fit with the best point so far; ``reason`` says so.
+    ends the fit with the best point so far, once there is one; ``reason`` says so.
 
     Raises:
         InputError: the problem has no transducer, the recording shows no resonance or too few points about it, or the
@@ -150,11 +172,10 @@ def fit_transducer(
     begin = _started(free, material, start or {})
     coupling = f"{material}.c13"
     if begin[coupling + LOSS] == 0.0:
-        # The other losses start negative; Table 3 starts this one positive.
+        # `parameter` knows no sign for it.
         begin[coupling + LOSS] = CERAMIC_LOSS * begin[coupling]
     losses = [p for p in free if p.name.endswith(LOSS)]
-    search = _Search(recording, lossless, begin, _Admissible(losses, inequalities([lossless], losses), ()), tolerance,
-                     progress)
+    search = _Search(recording, lossless, begin, _passive(lossless, losses), tolerance, progress)
     costs: list[float] = []
     changes: list[float] = []
     reason, converged = f"the limit of {limit} iterations was reached", False
@@ -171,6 +192,8 @@ def fit_transducer(
                 reason, converged = f"the cost changed by {100.0 * changes[-1]:.2g} %, less than 5 %", True
                 break
     except KeyboardInterrupt:
+        if not costs:
+            raise
         reason = f"stopped by the user, {search.place}"
     except (NotEnriched, NotConverged) as error:
         if not costs:
@@ -193,7 +216,7 @@ def fit_polymer(
     Args:
         material: full name of the sample's material.
         start: real numbers by name (``bulk_modulus``, ``shear_modulus.loss``) in place of those of the problem.
-        poisson: bounds of Poisson's ratio of the real moduli.
+        poisson: bounds of the real part of Poisson's ratio.
         tolerance, progress: see :func:`fit_transducer`, also for Ctrl-C.
 
     Raises:
@@ -211,8 +234,7 @@ def fit_polymer(
         raise InputError("fit", "Poisson's ratio", f"{poisson[0]:g} to {poisson[1]:g}", "a range between -1 and 0.5")
     free = parameters(problem, None, material, POLYMER_FOUR)
     begin = _started(free, material, start or {})
-    admissible = _Admissible(free, inequalities([problem], free, poisson=poisson), tuple(begin))
-    search = _Search(recording, problem, begin, admissible, tolerance, progress)
+    search = _Search(recording, problem, begin, _realistic(material, poisson), tolerance, progress)
     costs: list[float] = []
     reason, converged = "", False
     try:
@@ -222,6 +244,8 @@ def fit_polymer(
         costs.append(block.cost)
         reason, converged = block.reason, block.reason == CONVERGED
     except KeyboardInterrupt:
+        if not costs:
+            raise
         reason = f"stopped by the user, {search.place}"
     return search.result(costs, [], converged, reason)
 
@@ -237,53 +261,118 @@ def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float
     return {p.name: float(start.get(name, p.start)) for name, p in known.items()}
 
 
-class _Remembering(Predictor):
-    """A predictor that narrows its basis to all the places it was enriched at.
+class _Spectra:
+    """Spectra of a problem at fixed frequencies (n,) Hz, wherever a simplex goes.
 
-    A simplex of 5 % comes back to where it has been, which is farther off than a predictor prepares for by itself:
-    without this, every other vertex of the first steps costs two or three full solves over again.
+    A narrow model of where it has lately been; behind it a wide one of all places it was enriched at, since a simplex
+    of 5 % comes back to where it was at the start of the next block; behind that full solves. ``solves`` counts these.
     """
 
     def __init__(self, problem: Problem, frequencies: Real, *, tangents: tuple[str, ...], tolerance: float) -> None:
-        super().__init__(problem, frequencies, tangents=tangents, tolerance=tolerance)
-        self._places: list[Mapping[str, complex]] = []
+        self.operators, self.frequencies = assemble(problem.mesh, problem.terms), frequencies
+        self.tangents, self.tolerance = tangents, tolerance
+        self._models: tuple[ReducedModel, ...] = ()
+        self._places: list[Real] = []
+        self._recent: list[Complex] = []
+        self._served: ReducedModel | None = None
 
-    def _states_around(self, model: ReducedModel, values: Mapping[str, complex]) -> Complex:
-        self._places = [*self._places, values][-PLACES:]
-        return np.concatenate([model.solve(self.frequencies, place).states for place in self._places], axis=1)
+    @property
+    def solves(self) -> int:
+        return self._models[0].solves if self._models else 0
+
+    def __call__(self, values: Mapping[str, complex]) -> Complex:
+        """The impedance (n,), e^{+j w t}, at complex parameters, e^{-i w t}.
+
+        Raises:
+            NotEnriched, NotConverged: there is none to be had.
+        """
+        for model in reversed(self._models):
+            solution = self._of(model, values)
+            if solution is not None:
+                break
+        else:
+            model = self._enriched(values)
+            solution = model.solve(self.frequencies, values)
+        self._settle(model, solution.states)
+        return np.conj(solution.impedance)
+
+    def _of(self, model: ReducedModel, values: Mapping[str, complex]) -> Solution | None:
+        """What a model gives, None if that is not good enough."""
+        solution = model.solve(self.frequencies, values)
+        return solution if model.error(solution).max() <= self.tolerance else None
+
+    def _enriched(self, values: Mapping[str, complex]) -> ReducedModel:
+        model = reduce(self.operators, self.frequencies, values, tolerance=0.5 * self.tolerance,
+                       tangents=self.tangents, start=self._models[0] if self._models else None)
+        # The old basis comes first in the new one, and the lift last in both.
+        padding = model.basis.shape[1] - (self._models[0].basis.shape[1] if self._models else 0)
+        old = [np.insert(place, [len(place) - 1] * padding, 0.0, axis=0) for place in self._places]
+        self._places = [*old, _spanned(model.solve(self.frequencies, values).states)][-PLACES:]
+        if model.basis.shape[1] > WIDE:
+            narrow, within = narrowed(model, np.concatenate(self._places, axis=1), UNNEEDED)
+            if self._of(narrow, values) is not None:
+                model, self._places = narrow, [within.T @ place for place in self._places]
+        self._models = (model,)
+        return model
+
+    def _settle(self, model: ReducedModel, states: Complex) -> None:
+        """Narrow the model that has given the last :data:`RECENT` spectra in a row to what these need."""
+        self._recent = [*self._recent, states] if model is self._served else [states]
+        self._served = model
+        if len(self._recent) == RECENT:
+            narrow, _ = narrowed(model, np.concatenate(self._recent, axis=1), UNNEEDED)
+            self._models, self._recent = (self._models[0], narrow), []
 
 
-@dataclass(frozen=True, eq=False)
-class _Admissible:
-    """The constraints of a fit: matrix inequalities in `free`, and the parameters that must have their printed sign."""
+def _spanned(states: Complex) -> Real:
+    """Fewer columns (r, k) than reduced `states` (r, n) that are as large in every direction, their last row zero."""
+    coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
+    directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
+    kept = singular > UNNEEDED**2 * singular[0]
+    return np.vstack([directions[:, kept] * singular[kept], np.zeros((1, int(kept.sum())))])
 
-    free: Sequence[Parameter]
-    inequalities: Sequence[Inequality]
-    signed: Sequence[str]
 
-    def broken(self, values: Mapping[str, float]) -> str:
-        """The first constraint that `values` break, in words; empty if they keep all."""
-        for name in self.signed:
+def _passive(problem: Problem, losses: Sequence[Parameter]) -> Broken:
+    """Eq. 13, as the condition that the loss matrices have no negative eigenvalue."""
+    conditions = inequalities([problem], losses)
+
+    def broken(values: Mapping[str, float]) -> str:
+        x = np.array([values[p.name] for p in losses])
+        return next((c.name for c in conditions if c.margin(x) < -ROUNDING), "")
+
+    return broken
+
+
+def _realistic(material: str, poisson: tuple[float, float]) -> Broken:
+    """The constraints of section 3.5: moduli above zero, their losses below it, and Poisson's ratio within bounds."""
+    names = [f"{material}.{name}" for name in POLYMER_FOUR]
+
+    def broken(values: Mapping[str, float]) -> str:
+        for name in names:
             if not (values[name] < 0.0 if name.endswith(LOSS) else values[name] > 0.0):
                 return f"{name} {'below' if name.endswith(LOSS) else 'above'} zero"
-        x = np.array([values[p.name] for p in self.free])
-        return next((i.name for i in self.inequalities if i.margin(x) < -ROUNDING), "")
+        bulk, shear = (complex(values[name], values[name + LOSS]) for name in names if not name.endswith(LOSS))
+        ratio = young_and_poisson(bulk, shear)[1].real
+        if ratio < poisson[0]:
+            return f"Poisson's ratio above {poisson[0]:g}"
+        return f"Poisson's ratio below {poisson[1]:g}" if ratio > poisson[1] else ""
+
+    return broken
 
 
 class _Search:
     """The point the algorithm is at, the window it looks through, and what has been spent."""
 
     def __init__(
-        self, recording: Recording, problem: Problem, start: Mapping[str, float], admissible: _Admissible,
+        self, recording: Recording, problem: Problem, start: Mapping[str, float], broken: Broken,
         tolerance: float, progress: Progress | None,
     ) -> None:
         self.began = time.perf_counter()
         self.problem, self.measured = problem, recording.measured
-        self.start, self.admissible, self.tolerance, self.progress = dict(start), admissible, tolerance, progress
-        broken = admissible.broken(start)
-        if broken:
+        self.start, self.broken, self.tolerance, self.progress = dict(start), broken, tolerance, progress
+        if why := broken(start):
             raise InputError("fit", "start", ", ".join(f"{k} = {v:.4g}" for k, v in start.items()),
-                             f"admissible values: {broken}")
+                             f"admissible values: {why}")
         magnitude = np.abs(self.measured.impedance)
         lowest = int(np.argmin(magnitude))
         self.resonance = float(self.measured.frequency[lowest])
@@ -294,9 +383,8 @@ class _Search:
         self.spectra = self.inadmissible = self.unpredicted = 0
         self.blocks: list[Block] = []
         self.place = "before the first block"
-        self._predictors: dict[float, _Remembering] = {}
+        self._models: dict[float, _Spectra] = {}
         self._window = 0.0
-        self._recent: list[Mapping[str, complex]] = []
         self._seen: tuple[Real, Complex] | None = None
 
     def look_at(self, window: float) -> None:
@@ -305,15 +393,14 @@ class _Search:
         Raises:
             InputError: there are fewer of them than parameters.
         """
-        self._window, self._recent = window, []
-        if window not in self._predictors:
+        self._window = window
+        if window not in self._models:
             frequency = self.measured.frequency[self._points]
             if frequency.size < len(self.start):
                 raise InputError("fit", "recording", f"{frequency.size} points within {100.0 * window:g} % of "
                                  f"{self.resonance:.6g} Hz", f"at least as many as parameters, {len(self.start)}")
             moved = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in self.start))
-            self._predictors[window] = _Remembering(self.problem, frequency, tangents=moved,
-                                                      tolerance=self.tolerance)
+            self._models[window] = _Spectra(self.problem, frequency, tangents=moved, tolerance=self.tolerance)
 
     @property
     def _points(self) -> NDArray[np.bool_]:
@@ -326,13 +413,7 @@ class _Search:
             coefficient = name.removesuffix(LOSS)
             old = whole[coefficient]
             whole[coefficient] = complex(old.real, value) if name.endswith(LOSS) else complex(value, old.imag)
-        predictor = self._predictors[self._window]
-        solves = predictor.solves
-        impedance = predictor(whole).impedance
-        self._recent = [*self._recent, whole] if predictor.solves == solves else [whole]
-        if len(self._recent) == RECENT:
-            predictor.settle([(values, {}) for values in self._recent])
-        return impedance
+        return self._models[self._window](whole)
 
     def cost(self) -> float:
         """Eq. 28 at the present values."""
@@ -356,7 +437,7 @@ class _Search:
         def function(x: Real) -> float:
             nonlocal best
             values = {**base, **dict(zip(names, map(float, x * unit), strict=True))}
-            if self.admissible.broken(values):
+            if self.broken(values):
                 self.inadmissible += 1
                 return np.inf
             self.spectra += 1
@@ -391,7 +472,7 @@ class _Search:
         mape = 100.0 * float(np.mean(np.abs(ratio - 1.0))) if frequency.size else np.nan
         return PaperFit(
             self.values, self.start, self.resonance, frequency, impedance, mape, tuple(self.blocks), tuple(costs),
-            tuple(changes), self.spectra, sum(p.solves for p in self._predictors.values()), self.inadmissible,
+            tuple(changes), self.spectra, sum(m.solves for m in self._models.values()), self.inadmissible,
             self.unpredicted, time.perf_counter() - self.began, converged, reason)
 
 

@@ -18,7 +18,7 @@ from geometry.stretch import stretch
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
 from workbench.reduce import ReducedModel, narrowed, projected, reduce
-from workbench.solve import Solution, solve_full
+from workbench.solve import Solution, reduced_tangents, solve_full
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -26,8 +26,15 @@ Complex = NDArray[np.complex128]
 #: Reach, relative, of the quadratic expansion of the reduced matrices in a dimension: what it leaves out is the cube.
 REACH = 5e-3
 
+#: Vectors from each factorisation, less than a model that is made once takes: the tangents say much of the same, and
+#: what they cost is projecting them.
+DEPTH = 6
+
 #: Directions of the basis that no state within reach of the fit needs more than this (relative) are dropped.
 UNNEEDED = 1e-6
+
+#: How far, relative, a parameter is expected to move before the basis is made again.
+MOVED = 0.1
 
 #: The same at the end of a fit, where the states wanted are all close to each other.
 NEGLIGIBLE = 1e-8
@@ -195,18 +202,18 @@ class Predictor:
                 start = projected(start, operators)
         before = 0 if start is None else start.solves
         model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance, tangents=self.tangents,
-                       start=start)
+                       start=start, depth=DEPTH)
         self.solves += model.solves - before
         if model.basis.shape[1] > WIDE:
             model, _ = narrowed(model, self._states_around(model, values), UNNEEDED)
         return self._expanded(model, lengths)
 
     def _states_around(self, model: ReducedModel, values: Mapping[str, complex]) -> Complex:
-        """Reduced states at these parameters and with each parameter about to be moved changed by a tenth."""
-        states = [model.solve(self.frequencies, values).states]
-        for name in self.tangents:
-            states.append(model.solve(self.frequencies, {**values, name: 1.1 * values[name]}).states - states[0])
-        return np.concatenate(states, axis=1)
+        """Reduced states at these parameters, and what each parameter about to be moved changes them by."""
+        solution = model.solve(self.frequencies, values)
+        tangents = reduced_tangents(solution, values, self.tangents)
+        changes = [MOVED * abs(values[name]) * each for name, each in zip(self.tangents, tangents, strict=True)]
+        return np.concatenate([solution.states, *changes], axis=1)
 
     def _expanded(self, model: ReducedModel, lengths: Real) -> _Expansion:
         """`model`, whose operators are those of `lengths`, with its expansion about them."""

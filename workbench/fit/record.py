@@ -97,6 +97,8 @@ def paper_result(found: PaperFit, prepared: Prepared) -> FitResult:
                 f"{found.spectra} spectra; the algorithm gives no intervals.",
                 f"{recording.name}: MAPE of |Z| {found.mape_percent:.3g} % from {found.frequency[0] / 1e3:.1f} to "
                 f"{found.frequency[-1] / 1e3:.1f} kHz."]
+    if found.strayed:
+        findings.append(f"Ended more than half of its start away from it: {', '.join(found.strayed)}.")
     return FitResult(
         "paper", (Match(recording.name, measured, start, fitted_spectrum, before, after,
                         Noise(after.rms_log_residual / math.sqrt(2.0), 1.0, False, 1.0)),),
