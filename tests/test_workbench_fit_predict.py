@@ -209,6 +209,15 @@ def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip
     for lengths in ({THICKNESS: 1.9e-3}, {THICKNESS: 2.1e-3, "transducer.radius": 2.9e-3}):
         assert off(predictor, {}, lengths) < OPTIMISM * TOLERANCE
     assert predictor({}, lengths).dimensions == lengths
+    # Also where the basis is good enough, which is to say always.
+    predictor.tolerance = np.inf
+    solves = predictor.solves
+    predictor({}, {THICKNESS: 2.09e-3, "transducer.radius": 2.9e-3})
+    assert predictor._expansion is not None
+    assert predictor._expansion.centre == pytest.approx([2.1e-3, 2.9e-3])
+    predictor({}, {THICKNESS: 2.08e-3, "transducer.radius": 2.9e-3})
+    assert predictor._expansion.centre == pytest.approx([2.08e-3, 2.9e-3])
+    assert predictor.solves == solves
 
 
 def test_a_stretched_mesh_predicts_what_a_new_one_does(
@@ -229,7 +238,7 @@ def test_a_stretched_mesh_predicts_what_a_new_one_does(
 
 def test_the_slope_by_a_dimension_is_that_of_full_solves(stack: Problem, chip: Chip) -> None:
     names = (THICKNESS, "transducer.radius")
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=names, tolerance=1e-7)
+    predictor = Predictor(stack, GRID, chip=chip, dimensions=names, tolerance=1e-10)
     centre, few = {THICKNESS: 2e-3, "transducer.radius": 3e-3}, SOME[::2]
     predictor({}, centre)
     for lengths in (centre, {THICKNESS: 2.006e-3, "transducer.radius": 2.99e-3}):
@@ -240,9 +249,28 @@ def test_the_slope_by_a_dimension_is_that_of_full_solves(stack: Problem, chip: C
                              for sign in (1.0, -1.0))
             exact = np.log(ahead / behind) / (2.0 * step)
             found = np.conj(prediction.logarithmic_slope(name))[few]
-            # Away from the centre a quadratic's slope is off by the square of the step, (3e-3)^2 here, times the
-            # third derivative of the matrices (of order one, relative) and the quality of the resonance.
-            assert np.abs(found - exact).max() < 3e-3 * np.abs(exact).max()
+            # The slope of a parabola through points h = 5e-3 apart is off by h^2 / 6 times the third derivative, 6 of
+            # 1 / length and 6^2 times that where the radius moves into the half millimetre beside it; as much again
+            # away from the centre, where the slope itself has changed by 6e-3.
+            assert np.abs(found - exact).max() < 1.5e-3 * np.abs(exact).max()
+
+
+def test_the_slope_of_the_expansion_is_its_own_derivative(stack: Problem, chip: Chip) -> None:
+    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, "transducer.radius"), tolerance=TOLERANCE)
+    predictor({})
+    expansion = predictor._expansion
+    assert expansion is not None
+    lengths = expansion.centre * [1.0 + 0.6 * REACH, 1.0 - 0.4 * REACH]
+    for index in range(2):
+        step = np.zeros(2)
+        step[index] = 0.3 * REACH * expansion.centre[index]
+        ahead, behind = (expansion.at(lengths + sign * step).operators.matrices for sign in (1.0, -1.0))
+        exact = (ahead - behind) / (2.0 * step[index])  # of a parabola, whatever the step
+        found = expansion.slope(index, lengths)
+        # Rounding of 1e-15 over steps of 1.5e-3.
+        size = np.abs(exact).max(axis=(1, 2), keepdims=True) + np.abs(ahead).max(axis=(1, 2), keepdims=True)
+        assert (np.abs(found - exact) <= 1e-9 * size / expansion.centre[index]).all()
+        assert np.abs(found - expansion.slope(index, expansion.centre)).max() > 1e-3 * np.abs(found).max()
 
 
 def test_dimensions_need_a_chip(stack: Problem) -> None:

@@ -103,6 +103,7 @@ def reduce(
     first: int = 4,
     limit: int = 40,
     depth: int = DEPTH,
+    confirmed: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> ReducedModel:
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
@@ -110,7 +111,8 @@ def reduce(
     Full solves are added where the estimate is largest, until the full solve at the worst frequency confirms the
     tolerance. With `start`, a model made for other parameter values is enriched for these. The basis holds the
     derivatives of the states by the parameters named in `tangents` too, so that it keeps serving when these change.
-    Each factorisation gives `depth` vectors, tangents apart.
+    Each factorisation gives `depth` vectors, tangents apart. Unless `confirmed`, the estimate is believed once a full
+    solve for these parameter values has calibrated it, and the last one is saved.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
@@ -140,6 +142,8 @@ def reduce(
                 charge, squared, floor = growing.respond()
                 spread = squared / np.abs(charge)
                 index = index if index >= 0 else int(np.argmax(spread))
+                if not confirmed and step > nodes.size and effectivity * spread[index] <= tolerance:
+                    break
             states, residual = growing.system.krylov(float(frequencies[index]), depth, tangents=tangents)
             if growing.basis.shape[1]:
                 error = abs(charge[index] / growing.charge(states[:, 0], index) - 1.0)

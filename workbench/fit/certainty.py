@@ -15,7 +15,6 @@ from inputs import InputError
 from workbench.compare import Comparison
 from workbench.fit.objective import log_ratio, through_bench
 from workbench.fit.parameter import Parameter
-from workbench.fit.predict import Predictor
 from workbench.reduce import NotEnriched
 from workbench.solve import NotConverged
 from workbench.spectrum import Spectrum
@@ -23,7 +22,7 @@ from workbench.spectrum import Spectrum
 if TYPE_CHECKING:
     from workbench.fit.constrained import Minimum
     from workbench.fit.joint import Search
-    from workbench.fit.objective import Objective, Recording
+    from workbench.fit.objective import Objective
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -164,12 +163,12 @@ def judge(
     noise: Sequence[Noise],
     *,
     profiles: bool,
-    coarser: Sequence[Recording] | None = None,
+    coarser: Objective | None = None,
 ) -> Verdict:
     """Intervals, correlations and undetermined directions at a minimum.
 
     The information of the data, J^T J / correlation, and of the prior add up; the covariance is the inverse of the sum.
-    What the spectrum at the minimum differs by on the meshes of `coarser` recordings tells what the mesh's own error
+    What the spectrum at the minimum differs by on the meshes of `coarser` tells what the mesh's own error
     moves the parameters by (Richardson); it is added to the covariance.
 
     Where an inequality holds a value, the interval also covers where the data alone would put it: a loss constant
@@ -232,22 +231,24 @@ def _settle(search: Search, x: Real, covariance: Real) -> None:
         predictor.settle([search.objective.settings(y, recording)[:2] for y in around])
 
 
-def _mesh_error(search: Search, coarser: Sequence[Recording], x: Real, deviation: Sequence[Real]) -> Real:
+def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence[Real]) -> Real:
     """Estimated weighted error (2 n,) of the predictions for the mesh of `search`, from that of `coarser`."""
     objective = search.objective
     result = []
-    for index, (recording, other) in enumerate(zip(objective.recordings, coarser, strict=True)):
-        settings = objective.settings(x, recording)
+    for index, (recording, other) in enumerate(zip(objective.recordings, coarser.recordings, strict=True)):
         fine = objective.predict(x, index)[0]
-        predictor = Predictor(other.problem, recording.measured.frequency, chip=other.chip,
-                              dimensions=tuple(settings[1]), tolerance=objective.predictors[index].tolerance)
-        prediction = predictor(settings[0], settings[1])
-        coarse = through_bench(prediction.impedance, prediction.solution.omega, settings[2])[0]
-        objective.predictors[index].solves += predictor.solves
+        coarse = unrefined(coarser, x, index, recording.measured.frequency, objective.predictors[index].tolerance)
         cells, fewer = (r.problem.mesh.mesh.t.shape[1] for r in (recording, other))
         error = log_ratio(coarse, fine) / (np.sqrt(cells / fewer) ** MESH_ORDER - 1.0) / deviation[index]
         result += [error.real, error.imag]
     return np.concatenate(result)
+
+
+def unrefined(coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float) -> Complex:
+    """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz)."""
+    values, lengths, bench = coarser.settings(x, coarser.recordings[index])
+    prediction = coarser.predictors[index].elsewhere(frequency, tolerance, values, lengths)
+    return through_bench(prediction.impedance, prediction.solution.omega, bench)[0]
 
 
 def deviations(search: Search, noise: Sequence[Noise]) -> list[Real]:

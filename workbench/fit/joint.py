@@ -27,9 +27,8 @@ from workbench.fit import certainty
 from workbench.fit.admissible import inequalities
 from workbench.fit.certainty import REFUSED, BandLeftOut, Direction, Fitted, Noise
 from workbench.fit.constrained import Inequality, Minimum, interior, minimise
-from workbench.fit.objective import Objective, Recording, Residual, through_bench
+from workbench.fit.objective import Objective, Recording, Residual
 from workbench.fit.parameter import Parameter
-from workbench.fit.predict import Predictor
 from workbench.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
@@ -43,7 +42,7 @@ WIDTHS = (0.03, 0.01, 0.003, 0.0)
 EXPLORATION = 0.05
 
 #: Relative error of the reduced model while exploring, and at the end.
-COARSE, FINE = 2e-2, 2e-5
+COARSE, FINE = 2e-2, 3e-4
 
 #: A recording is searched on at most about so many of its points.
 SEARCHED_POINTS = 241
@@ -277,6 +276,7 @@ def fit(
     show = progress or (lambda _text, _fraction: None)
     searched = [_thinned(r) for r in coarse or recordings]
     scout = Search(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
+    before = _start_spectra(scout, recordings)
     begins = [("start", scout.centre), *(starts or {}).items()]
     stages = len(begins) * len(scout.widths())
     done = 0
@@ -298,10 +298,11 @@ def fit(
     show("refining", 0.6)
     minimum, noise = refine(search, best.x)
     show("judging", 0.85)
-    verdict = certainty.judge(search, minimum, noise, profiles=profiles, coarser=coarse)
+    verdict = certainty.judge(search, minimum, noise, profiles=profiles,
+                              coarser=None if coarse is None else scout.objective)
     left_out = certainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
     check = certainty.check(search.objective, minimum.x)
-    matches = _matches(recordings, _start_spectra(coarse or recordings, parameters), minimum, noise)
+    matches = _matches(recordings, before, minimum, noise)
     listed = _judged_starts(found, best, scout, noise)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
     solves = search.objective.solves + scout.objective.solves
@@ -402,18 +403,10 @@ def _unexplained(end: Minimum) -> bool:
                for log in data.log_ratio)
 
 
-def _start_spectra(recordings: Sequence[Recording], parameters: Sequence[Parameter]) -> list[NDArray[np.complex128]]:
-    """The impedance of every recording's start, as it would be recorded."""
-    meaning = Objective(recordings, parameters, tolerance=COARSE)
-    x = np.array([p.start for p in parameters])
-    result = []
-    for recording in recordings:
-        values, lengths, bench = meaning.settings(x, recording)
-        predictor = Predictor(recording.problem, recording.measured.frequency, chip=recording.chip,
-                              dimensions=tuple(lengths), tolerance=COARSE)
-        prediction = predictor(values, lengths)
-        result.append(through_bench(prediction.impedance, prediction.solution.omega, bench)[0])
-    return result
+def _start_spectra(scout: Search, recordings: Sequence[Recording]) -> list[NDArray[np.complex128]]:
+    """The impedance of every recording's start, as it would be recorded, on the mesh of the search."""
+    return [certainty.unrefined(scout.objective, scout.centre, index, recording.measured.frequency, COARSE)
+            for index, recording in enumerate(recordings)]
 
 
 def refine(search: Search, x: Real) -> tuple[Minimum, tuple[Noise, ...]]:

@@ -7,6 +7,7 @@ grows along the path of the fit and serves every later one.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,12 +27,12 @@ Complex = NDArray[np.complex128]
 #: Reach, relative, of the quadratic expansion of the reduced matrices in a dimension: what it leaves out is the cube.
 REACH = 5e-3
 
-#: Vectors from each factorisation, less than a model that is made once takes: the tangents say much of the same, and
-#: what they cost is projecting them.
-DEPTH = 6
+#: Vectors from each factorisation: for the first model, and when it is enriched, where less is new.
+FIRST_DEPTH, DEPTH = 12, 6
 
-#: Directions of the basis that no state within reach of the fit needs more than this (relative) are dropped.
-UNNEEDED = 1e-6
+#: Directions of the basis that no state within reach of the fit needs more than this are dropped; relative, and per
+#: tolerance of the impedance, whose error is of second order in that of the states.
+UNNEEDED = 1e-2
 
 #: How far, relative, a parameter is expected to move before the basis is made again.
 MOVED = 0.1
@@ -167,6 +168,16 @@ class Predictor:
         self._expansion = expansion
         return prediction
 
+    def elsewhere(
+        self, frequencies: Real, tolerance: float, values: Mapping[str, complex], dimensions: Mapping[str, float]
+    ) -> Prediction:
+        """A prediction at other frequencies (n,) Hz and to another tolerance; what it takes is kept."""
+        other = copy.copy(self)
+        other.frequencies, other.tolerance = np.asarray(frequencies, dtype=float), tolerance
+        prediction = other(values, dimensions)
+        self._expansion, self.solves = other._expansion, other.solves
+        return prediction
+
     def settle(self, settings: Sequence[tuple[Mapping[str, complex], Mapping[str, float]]]) -> None:
         """Narrow the basis to what the spectra at these (values, dimensions) need: a neighbourhood to be searched.
 
@@ -202,10 +213,10 @@ class Predictor:
                 start = projected(start, operators)
         before = 0 if start is None else start.solves
         model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance, tangents=self.tangents,
-                       start=start, depth=DEPTH)
+                       start=start, depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False)
         self.solves += model.solves - before
         if model.basis.shape[1] > WIDE:
-            model, _ = narrowed(model, self._states_around(model, values), UNNEEDED)
+            model, _ = narrowed(model, self._states_around(model, values), UNNEEDED * self.tolerance)
         return self._expanded(model, lengths)
 
     def _states_around(self, model: ReducedModel, values: Mapping[str, complex]) -> Complex:
