@@ -255,7 +255,6 @@ def test_a_fit_that_is_not_better_than_its_start_says_so(disc: Problem, chip: Ch
     assert "The fit is not better than its start." in found.findings
 
 
-@pytest.mark.xfail(strict=True, reason="at a residual of rounding alone, steps too short count as no convergence")
 def test_a_start_without_any_residual_has_converged(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c44", "c33"])
     start = {p.name: p.start for p in free}
@@ -292,7 +291,6 @@ def test_an_overtone_laid_on_its_neighbour_is_left(shear: tuple[Chip, Problem], 
 
 
 @pytest.mark.parametrize(("points", "factor"), [(81, 0.8), (161, 1.2)])
-@pytest.mark.xfail(strict=True, reason="on so coarse a grid the residual of sharp overtones passes for white noise")
 def test_a_residual_of_a_hundred_per_cent_is_never_explained(
     shear: tuple[Chip, Problem], points: int, factor: float
 ) -> None:

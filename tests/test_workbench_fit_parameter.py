@@ -169,7 +169,6 @@ def test_a_dimension_without_tolerance_was_measured_somehow(chip: Chip) -> None:
     assert wide.low == pytest.approx(5e-6, rel=1e-9)  # a length stays one
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="a tolerance of zero, which a chip may have, is no prior")
 def test_a_dimension_stated_as_exact_is_answered_in_the_users_words(chip: Chip) -> None:
     exact = replace(chip.layers[1], thickness=Dimension(50e-6, 0.0))
     with pytest.raises(InputError):

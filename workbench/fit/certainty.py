@@ -197,7 +197,7 @@ def judge(
             method = "profile"
         if bounds[i] and not held:
             low, high = (min(low, alone[i] - DEVIATIONS * errors[i]), max(high, alone[i] + DEVIATIONS * errors[i]))
-        narrowing = errors[i] * search.precision[i] if search.precision[i] > 0.0 else 0.0
+        narrowing = errors[i] / search.scale[i]
         estimates.append(Fitted(
             parameter, float(minimum.x[i]), float(errors[i]), float(abs(shift[i])), float(max(low, parameter.low)),
             float(min(high, parameter.high)), method, bounds[i], bool(narrowing * NARROWED <= 1.0), float(narrowing)))
@@ -214,10 +214,10 @@ def judge(
 
 
 def _inverse(information: Real, search: Search) -> Real:
-    """Covariance (p, p) of data and prior together."""
+    """Covariance (p, p) of data and prior together; what has no prior is known to a fifth of its admitted range."""
     # Inverted in units of the scales: in SI the entries span forty orders of magnitude.
     scale = np.outer(search.scale, search.scale)
-    return np.asarray(np.linalg.pinv((information + np.diag(search.precision**2)) * scale, rcond=1e-14) * scale)
+    return np.asarray(np.linalg.inv(information * scale + np.eye(search.scale.size)) * scale)
 
 
 def _settle(search: Search, x: Real, covariance: Real) -> None:
@@ -237,9 +237,12 @@ def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence
     result = []
     for index, (recording, other) in enumerate(zip(objective.recordings, coarser.recordings, strict=True)):
         fine = objective.predict(x, index)[0]
-        coarse = unrefined(coarser, x, index, recording.measured.frequency, objective.predictors[index].tolerance)
         cells, fewer = (r.problem.mesh.mesh.t.shape[1] for r in (recording, other))
-        error = log_ratio(coarse, fine) / (np.sqrt(cells / fewer) ** MESH_ORDER - 1.0) / deviation[index]
+        ratio = np.sqrt(cells / fewer) ** MESH_ORDER - 1.0
+        # An error of the coarse reduced model is divided by the ratio too.
+        tolerance = max(1.0, ratio) * objective.predictors[index].tolerance
+        coarse = unrefined(coarser, x, index, recording.measured.frequency, tolerance)
+        error = log_ratio(coarse, fine) / ratio / deviation[index]
         result += [error.real, error.imag]
     return np.concatenate(result)
 
@@ -332,6 +335,7 @@ def profile(
                         inside, outside = (inside, guess) if height > CHI_SQUARE else (guess, outside)
             else:
                 inside, x, last = float(trial), other, height
+                value = inside
                 if abs(trial - bound) <= 2e-6 * (search.high[index] - search.low[index]):
                     break
             value = inside

@@ -21,6 +21,12 @@ Real = NDArray[np.float64]
 #: Share of the distance to the boundary that a barrier step may use.
 INTERIOR = 0.99
 
+#: Smallest relative margin of a start, and the first step towards it as a share of the way to the bounds.
+STRICT, EASED = 1e-9, 1e-7
+
+#: Cost, half a chi-square, below which nothing is left to be gained.
+NOTHING = 1e-6
+
 #: Barrier weights of one trust-region step, relative to the cost; the last one times the number of inequalities bounds
 #: what the step loses to the barrier.
 BARRIER = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
@@ -94,15 +100,17 @@ def minimise(
     at = function(x)
     cost = 0.5 * float(at.vector @ at.vector)
     reason = f"the limit of {limit} steps was reached"
+    refusing = False
     for iteration in range(1, limit + 1):
         step, promised = _step(at, x, cost, low, high, scale, inequalities, radius)
-        if promised <= tolerance * max(cost, 1e-12):
+        held = refusing and float(np.abs(step / scale).max()) > 0.9 * radius
+        if promised <= tolerance * max(cost, NOTHING) and not held:
             return Minimum(x, at, cost, True, iteration, "no step promises a decrease")
         try:
             trial = function(x + step)
-            now = 0.5 * float(trial.vector @ trial.vector)
+            now, refusing = 0.5 * float(trial.vector @ trial.vector), False
         except refused:
-            trial, now = at, np.inf
+            trial, now, refusing = at, np.inf, True
         gain = (cost - now) / promised
         length = float(np.abs(step / scale).max())
         if gain > 0.0:
@@ -117,22 +125,28 @@ def minimise(
 
 
 def interior(start: Real, low: Real, high: Real, inequalities: Sequence[Inequality]) -> Real:
-    """`start`, or the point nearest to it on a line to the middle of the bounds that is strictly admissible."""
+    """`start`, or a point near it that is strictly admissible: the worst condition is eased by growing steps.
+
+    Raises:
+        ValueError: none was found.
+    """
     width = high - low
     x = np.clip(start, low + 1e-6 * width, high - 1e-6 * width)
-    for inequality in inequalities:
-        for shrink in range(60):
-            if inequality.margin(x) > 1e-9:
-                break
-            # Off-diagonal entries towards zero, diagonal ones away from it: both along the slopes of the margin.
-            _, vectors = np.linalg.eigh(inequality(x))
-            slope = np.einsum("i,pij,j->p", vectors[:, 0], inequality.slopes, vectors[:, 0])
-            direction = np.where(slope > 0.0, high - x, x - low) * np.sign(slope)
-            x = x + 0.02 * 1.1**shrink * direction
-            x = np.clip(x, low + 1e-6 * width, high - 1e-6 * width)
-        else:
-            raise ValueError(f"no admissible point near the start: {inequality.name} cannot be met within the bounds")
-    return np.asarray(x)
+    if not inequalities:
+        return np.asarray(x)
+    step = EASED
+    for _ in range(200):
+        margins = [inequality.margin(x) for inequality in inequalities]
+        worst = inequalities[int(np.argmin(margins))]
+        if min(margins) > STRICT:
+            return np.asarray(x)
+        # Off-diagonal entries towards zero, diagonal ones away from it: both along the slopes of the margin.
+        _, vectors = np.linalg.eigh(worst(x))
+        slope = np.einsum("i,pij,j->p", vectors[:, 0], worst.slopes, vectors[:, 0])
+        direction = np.where(slope > 0.0, high - x, x - low) * np.sign(slope)
+        x = np.clip(x + min(step, 0.1) * direction, low + 1e-6 * width, high - 1e-6 * width)
+        step *= 1.2
+    raise ValueError(f"no admissible point near the start: {worst.name} cannot be met within the bounds")
 
 
 def _step(

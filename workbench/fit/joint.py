@@ -42,13 +42,14 @@ WIDTHS = (0.03, 0.01, 0.003, 0.0)
 EXPLORATION = 0.05
 
 #: Relative error of the reduced model while exploring, and at the end.
-COARSE, FINE = 2e-2, 3e-4
+COARSE, FINE = 5e-2, 3e-4
 
 #: A recording is searched on at most about so many of its points.
 SEARCHED_POINTS = 241
 
-#: An end of the search is left for its neighbours if more than this rms of |ln ratio| remains and it is not white.
-UNEXPLAINED = 0.01
+#: An end of the search is left for its neighbours if more than the first rms of |ln ratio| remains and it is not white,
+#: or more than the second: on a sparse grid sharp overtones that miss each other look white.
+UNEXPLAINED, NO_NOISE = 0.01, 0.1
 
 #: Stiffnesses that rule one family of overtones each, and what moves it by so many overtones of some ten.
 LEVERS: tuple[tuple[str, ...], ...] = (("c11", "c12"), ("c44",), ("shear_modulus", "bulk_modulus"))
@@ -397,10 +398,13 @@ def _drawn(search: Search, count: int, seed: int) -> list[tuple[str, Real]]:
 
 
 def _unexplained(end: Minimum) -> bool:
-    """Whether what an end leaves is large and systematic."""
+    """Whether what an end leaves is more than noise: large and systematic, or too large for any noise."""
     data: Residual = end.residual.data  # type: ignore[attr-defined]
-    return any(np.sqrt(np.mean(np.abs(log) ** 2)) > UNEXPLAINED and certainty.correlation_length(log) > 1.0
-               for log in data.log_ratio)
+    for log in data.log_ratio:
+        rms = np.sqrt(np.mean(np.abs(log) ** 2))
+        if rms > NO_NOISE or (rms > UNEXPLAINED and certainty.correlation_length(log) > 1.0):
+            return True
+    return False
 
 
 def _start_spectra(scout: Search, recordings: Sequence[Recording]) -> list[NDArray[np.complex128]]:

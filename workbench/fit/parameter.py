@@ -193,13 +193,16 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
     """A dimension of a chip: within three tolerances of its value, the tolerance read as the limits of a uniform law.
 
     Raises:
-        InputError: the chip has no such dimension.
+        InputError: the chip has no such dimension, or states it as exact.
     """
     known = chip.dimensions()
     if name not in known:
         raise InputError(chip.file, "free", name, f"a dimension of the chip: {', '.join(known)}",
                          nearest_names(name, known))
     found = known[name]
+    if found.tolerance == 0.0:
+        raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
+                         "free")
     prior = MEASURED * found.value if found.tolerance is None else found.tolerance / np.sqrt(3.0)
     reach = min(max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value), 0.9 * found.value)
     return Parameter(name, found.value, found.value - reach, found.value + reach, float(prior), "m")
