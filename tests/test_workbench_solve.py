@@ -11,7 +11,18 @@ from scipy import sparse
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
 from workbench.reduce import reduce
-from workbench.solve import RESIDUAL_LIMIT, Factor, NotConverged, System, factorise, solve_full, solve_reduced, sweep
+from workbench.solve import (
+    RESIDUAL_LIMIT,
+    Factor,
+    NotConverged,
+    Pencil,
+    System,
+    factorise,
+    solve_dense,
+    solve_full,
+    solve_reduced,
+    sweep,
+)
 
 FREQUENCY = np.linspace(300e3, 400e3, 5)
 
@@ -160,3 +171,25 @@ def test_a_parameter_the_problem_lacks_is_named(small_disc: Problem) -> None:
     values = {name: value for name, value in small_disc.values.items() if name != "pzt.e33"}
     with pytest.raises(KeyError, match=r"pzt\.e33"):
         solve_full(operators, FREQUENCY, values)
+
+
+@pytest.mark.parametrize(("powers", "makes_one"), [
+    ((0, 2), True),  # stiffness and mass
+    ((0, 2, -2), True), ((-2, 0, 2), True), ((2, -2, 0), True), ((0, 1, 2), True),  # and a fluid, in any order
+    ((0, 2, 3), False), ((0, 2, -2, 1), False),  # no such progression: every frequency is factorised
+])
+def test_groups_in_geometric_progression_are_diagonalised_once(powers: tuple[int, ...], makes_one: bool) -> None:
+    random = np.random.default_rng(3)
+    size, omega = 12, np.linspace(0.9, 1.1, 31)
+    matrices = random.standard_normal((len(powers), size, size)) + 0.01j * random.standard_normal(
+        (len(powers), size, size))
+    matrices = matrices + matrices.transpose(0, 2, 1)
+    factors = np.stack([(0.5 + 0.3j * k) * omega.astype(complex) ** power for k, power in enumerate(powers, 1)])
+    assert (Pencil.of(factors, matrices) is not None) == makes_one
+    states, residual = solve_dense(factors, matrices)
+    whole = np.einsum("gn,gij->nij", factors, matrices)
+    expected = np.linalg.solve(whole[:, :-1, :-1], -whole[:, :-1, -1:])[:, :, 0].T
+    # Rounding times the condition of the worst of the 31 matrices, which is below 1e4 here.
+    assert np.abs(states[:-1] - expected).max() < 1e-11 * np.abs(expected).max()
+    assert (states[-1] == 1.0).all()
+    assert residual.max() < 1e-11

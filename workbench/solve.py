@@ -7,7 +7,7 @@ form of the same x: dQ = -x^T (dA) x. No adjoint solve, no finite difference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -302,20 +302,23 @@ def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values
 def solve_dense(factors: Complex, matrices: Complex) -> tuple[Complex, Real]:
     """States (r, n), last entry 1, of sum_g factors_g(w) matrices_g (groups, r, r) for n frequencies, and residuals.
 
-    Two groups make a pencil K + t M, as stiffness and mass of a stack without fluid do: it is diagonalised once for
-    all frequencies, which at 160 unknowns and 481 frequencies is seven times faster than factorising at each.
+    Where the groups make a :class:`Pencil` it is diagonalised once for all frequencies, which at 160 unknowns and 481
+    frequencies is seven times faster than factorising at each.
     """
     with one_thread():
-        if len(matrices) == 2:
-            x, residual = _solve_pencil(factors[1] / factors[0], matrices)
+        pencil = Pencil.of(factors, matrices[:, :-1, :-1])
+        right = -np.einsum("gn,gi->in", factors, matrices[:, :-1, -1])
+        norm = np.linalg.norm(right, axis=0)
+        if pencil is not None:
+            x = pencil.solve(right)
+            x = x + pencil.solve(right - pencil.product(x))
+            residual = np.linalg.norm(right - pencil.product(x), axis=0) / norm
             if residual.max() <= PENCIL_RESIDUAL:
                 return np.vstack([x, np.ones(x.shape[1])]), residual
-        whole = np.einsum("gn,gij->nij", factors, matrices, optimize=True)
-        inner, right = whole[:, :-1, :-1], -whole[:, :-1, -1:]
-        x = np.linalg.solve(inner, right)
-        remainder = (inner @ x - right)[:, :, 0]
-    residual = np.linalg.norm(remainder, axis=1) / np.linalg.norm(right[:, :, 0], axis=1)
-    return np.concatenate([x[:, :, 0], np.ones((len(x), 1))], axis=1).T, residual
+        inner = np.einsum("gn,gij->nij", factors, matrices[:, :-1, :-1], optimize=True)
+        x = np.linalg.solve(inner, right.T[:, :, None])
+        remainder = (inner @ x)[:, :, 0].T - right
+    return np.vstack([x[:, :, 0].T, np.ones(x.shape[0])]), np.linalg.norm(remainder, axis=0) / norm
 
 
 def reduced_tangents(solution: Solution, values: Values, names: tuple[str, ...]) -> Complex:
@@ -328,46 +331,64 @@ def reduced_tangents(solution: Solution, values: Values, names: tuple[str, ...])
     right = -np.einsum("kqn,qin->kin", slopes, images, optimize=True)
     groups = frequency_groups(operators.integrals, solution.omega, values)
     factors = np.stack([h for h, _ in groups])
-    matrices = np.stack([np.tensordot(constants, operators.matrices, axes=1) for _, constants in groups])
+    matrices = np.stack([np.tensordot(constants, operators.matrices[:, :-1, :-1], axes=1) for _, constants in groups])
     with one_thread():
-        if len(groups) == 2:
-            pencil = Pencil(matrices, factors[1] / factors[0])
-            found = np.stack([pencil.solve(each / factors[0]) for each in right])
+        pencil = Pencil.of(factors, matrices)
+        if pencil is not None:
+            found = np.stack([pencil.solve(each) for each in right])
         else:
-            inner = np.einsum("gn,gij->nij", factors, matrices[:, :-1, :-1], optimize=True)
+            inner = np.einsum("gn,gij->nij", factors, matrices, optimize=True)
             found = np.linalg.solve(inner, right.transpose(2, 1, 0)).transpose(2, 1, 0)
     return np.concatenate([found, np.zeros((len(names), 1, solution.frequency.size))], axis=1)
 
 
-def _solve_pencil(ratio: Complex, matrices: Complex) -> tuple[Complex, Real]:
-    """x (r - 1, n) of (K + t M) x = -(k + t m) at every t of `ratio` (n,), once refined, and scaled residuals (n,)."""
-    pencil = Pencil(matrices, ratio)
-    right = -(matrices[0, :-1, -1:] + ratio * matrices[1, :-1, -1:])
-    x = pencil.solve(right)
-    x = x + pencil.solve(right - pencil.product(x))
-    return x, np.linalg.norm(right - pencil.product(x), axis=0) / np.linalg.norm(right, axis=0)
-
-
 class Pencil:
-    """K + t M at every t of `ratio` (n,), the last row and column of `matrices` (2, r, r) left out, diagonalised once.
+    """h(w) (B_0 + t B_1 + t^2 B_2) at n values of t: stiffness and mass, and what a fluid adds, with t = w^2.
 
-    With S = (K + t0 M)^-1 M = V L V^-1, (K + t M)^-1 = V (1 + (t - t0) L)^-1 V^-1 (K + t0 M)^-1.
+    With t = t0 (1 + s) it is P_0 + s P_1 + s^2 P_2; with y = s x its inverse follows from that of 1 + s S,
+    S = [[P_0^-1 P_1, P_0^-1 P_2], [-1, 0]] = V L V^-1, or S = P_0^-1 P_1 where there is no P_2, diagonalised once.
     """
 
-    def __init__(self, matrices: Complex, ratio: Complex) -> None:
-        self._stiffness, self._mass = matrices[:, :-1, :-1]
-        self._ratio = ratio
+    def __init__(self, scale: Complex, ratio: Complex, parts: Sequence[Complex]) -> None:
+        """`scale` h (n,), `ratio` t (n,) and two or three matrices B (r, r)."""
+        self._scale, self._parts = scale, parts
+        self._powers = [np.ones(ratio.size), ratio, ratio**2][: len(parts)]
         middle = np.median(ratio.real)
-        self._factor = scipy.linalg.lu_factor(self._stiffness + middle * self._mass)
-        roots, self._vectors = np.linalg.eig(scipy.linalg.lu_solve(self._factor, self._mass))
-        self._back = np.linalg.inv(self._vectors)
-        self._damped = 1.0 / (1.0 + np.outer(roots, ratio - middle))
+        self._shift = ratio / middle - 1.0
+        first, second = parts[0] + middle * parts[1], middle * parts[1]
+        if len(parts) == 3:
+            last = middle**2 * parts[2]
+            first, second = first + last, np.hstack([second + 2.0 * last, last])
+        self._factor = scipy.linalg.lu_factor(first)
+        size = len(first)
+        whole = np.vstack([scipy.linalg.lu_solve(self._factor, second),
+                           -np.eye(size * (len(parts) - 2), size * (len(parts) - 1))])
+        roots, self._vectors = np.linalg.eig(whole)
+        self._back = np.linalg.inv(self._vectors)[:, :size]
+        self._vectors = self._vectors[:size]
+        self._damped = 1.0 / (1.0 + np.outer(roots, self._shift))
+
+    @classmethod
+    def of(cls, factors: Complex, matrices: Complex) -> Pencil | None:
+        """The pencil that sum_g factors_g (groups, n) matrices_g (groups, r, r) is; None if it is none."""
+        if len(matrices) == 2:
+            return cls(factors[0], factors[1] / factors[0], list(matrices))
+        if len(matrices) != 3:
+            return None
+        for a, b, c in ((0, 1, 2), (1, 0, 2), (0, 2, 1)):
+            constant = factors[b] ** 2 / (factors[a] * factors[c])
+            if np.ptp(constant.real) + np.ptp(constant.imag) < 1e-12 * np.abs(constant).max():
+                parts = [matrices[a], matrices[b], matrices[c] / constant[0]]
+                return cls(factors[a], factors[b] / factors[a], parts)
+        return None
 
     def solve(self, right: Complex) -> Complex:
-        """x (r - 1, n) with (K + t M) x = right (r - 1, n)."""
-        return np.asarray(self._vectors @ (
-            self._damped * (self._back @ scipy.linalg.lu_solve(self._factor, right))))
+        """x (r, n) with the pencil times x = right (r, n)."""
+        loads = scipy.linalg.lu_solve(self._factor, right / self._scale)
+        return np.asarray(self._vectors @ (self._damped * (self._back @ loads)))
 
     def product(self, x: Complex) -> Complex:
-        """(K + t M) x (r - 1, n)."""
-        return np.asarray(self._stiffness @ x + (self._mass @ x) * self._ratio)
+        """The pencil times x (r, n)."""
+        return np.asarray(self._scale * sum(
+            (part @ x) * power for part, power in zip(self._parts, self._powers, strict=True)))
+
