@@ -46,7 +46,7 @@ thickness = "1 mm"
 radius = "3 mm"
 """
 MATERIAL = "pzt4/acevedo_2026_initial"
-SMALL = ["--elements-per-wavelength", "3", "--draws", "0"]
+SMALL = ["--elements-per-wavelength", "3", "--tries", "0"]
 
 
 def record_of(path: Path, changes: dict[str, float], name: str, *, points: int = 41) -> Path:
@@ -173,7 +173,7 @@ def test_a_sample_is_fitted_with_its_gel(folder: Path, tmp_path: Path, capsys: p
         (["disc", "--from", "1 MHz", "--to", "2 MHz"], "2 points or more"),
         (["disc", "--save", "pzt4"], "material/name"),
         (["disc", "--gel-study", "5um"], "unrecognized arguments"),
-        (["disc", "--draws", "-1"], "0 for none"),
+        (["disc", "--tries", "-1"], "0 for none"),
         (["ten_times_thicker"], "this recording is not of this device"),
         (["ten_times_wider"], "this recording is not of this device"),
     ],

@@ -113,7 +113,7 @@ def told() -> list[tuple[str, float]]:
 def result(
     disc: Problem, chip: Chip, begun: tuple[Parameter, ...], truth: dict[str, float], told: list[tuple[str, float]]
 ) -> FitResult:
-    return fit([recorded(disc, chip, truth)], begun, draws=0, bands=2,
+    return fit([recorded(disc, chip, truth)], begun, tries=0, bands=2,
                progress=lambda text, share: told.append((text, share)))
 
 
@@ -175,7 +175,7 @@ def test_a_dimension_and_the_bench_are_recovered(disc: Problem, chip: Chip) -> N
     free = parameters(disc, chip, PZT, ["c11", "transducer.thickness", "bench.series_resistance", "bench.gain"])
     truth = {f"{PZT}.c11": 1.05 * free[0].start, "transducer.thickness": 2.02e-3, "bench.series_resistance": 1.5,
              "bench.gain": 0.04}
-    found = fit([recorded(disc, chip, truth)], free, draws=0, bands=0)
+    found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0)
     off = offsets(found, truth)
     print(f"off by {np.round(off, 1)} standard errors")
     # The thickness is known to 0.5 % before and 1 % off: two priors, of which the data leave a small share.
@@ -196,13 +196,13 @@ def test_two_recordings_determine_what_they_share(
     one = recorded(disc, chip, {**shared, "bench.gain": 0.03})
     other = recorded(meshed(thin, filling, elements_per_wavelength=2.0), thin, {**shared, "bench.gain": -0.05},
                      name="thin", seed=2)
-    found = fit([one, other], free, draws=0, bands=0)
+    found = fit([one, other], free, tries=0, bands=0)
     assert [m.name for m in found.recordings] == ["disc", "thin"]
     assert [e.parameter.recordings for e in found.estimates] == [(), (), ("disc",), ("thin",)]
     exact = [*shared.values(), 0.03, -0.05]
     off = [(e.value - number) / e.standard_error for e, number in zip(found.estimates, exact, strict=True)]
     assert np.abs(off).max() < FAR
-    alone = fit([one], free[:3], draws=0, bands=0)
+    alone = fit([one], free[:3], tries=0, bands=0)
     gains = [both.standard_error / single.standard_error
              for both, single in zip(found.estimates[:2], alone.estimates[:2], strict=True)]
     print(f"errors of both over those of one: {np.round(gains, 2)}")
@@ -218,7 +218,7 @@ def test_coarser_meshes_are_searched_first_and_tell_the_error_of_the_mesh(
     one = recorded(disc, chip, truth)
     coarse = [replace(one, problem=meshed(chip, filling, elements_per_wavelength=1.0))]
     assert coarse[0].problem.mesh.mesh.t.shape[1] < disc.mesh.mesh.t.shape[1]
-    found = fit([one], free, coarse=coarse, draws=0, bands=0)
+    found = fit([one], free, coarse=coarse, tries=0, bands=0)
     assert np.abs(offsets(found, truth)).max() < FAR
     assert all(e.numerical > 0.0 and e.standard_error > e.numerical for e in found.estimates)
     assert not any("error of the mesh" in line for line in found.findings)
@@ -233,9 +233,9 @@ def test_coarser_meshes_are_searched_first_and_tell_the_error_of_the_mesh(
 def test_at_the_truth_there_is_nothing_to_gain(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c33"])
     start = {p.name: p.start for p in free}
-    clean = fit([recorded(disc, chip, start, noise=0.0)], free, draws=0, bands=0)
+    clean = fit([recorded(disc, chip, start, noise=0.0)], free, tries=0, bands=0)
     assert [e.value for e in clean.estimates] == pytest.approx(list(start.values()), rel=1e-6)
-    noisy = fit([recorded(disc, chip, start)], free, draws=0, bands=0)
+    noisy = fit([recorded(disc, chip, start)], free, tries=0, bands=0)
     assert noisy.converged
     assert np.abs(offsets(noisy, start)).max() < FAR
 
@@ -248,7 +248,7 @@ def test_a_fit_that_is_not_better_than_its_start_says_so(disc: Problem, chip: Ch
     exact = np.arange(GRID.size) % 6 == 0
     impedance = np.where(exact, other.measured.impedance, start.measured.impedance)
     uncertainty = np.where(exact, 1e-4, 0.5) * np.abs(impedance)
-    found = fit([replace(start, measured=Spectrum(GRID, impedance, uncertainty))], free, draws=0, bands=0)
+    found = fit([replace(start, measured=Spectrum(GRID, impedance, uncertainty))], free, tries=0, bands=0)
     assert found.recordings[0].noise.stated
     assert found.estimates[0].value == pytest.approx(1.03 * free[0].start, rel=1e-3)
     assert not found.improved
@@ -258,7 +258,7 @@ def test_a_fit_that_is_not_better_than_its_start_says_so(disc: Problem, chip: Ch
 def test_a_start_without_any_residual_has_converged(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c44", "c33"])
     start = {p.name: p.start for p in free}
-    assert fit([recorded(disc, chip, start, noise=0.0)], free, draws=0, bands=0, profiles=False).converged
+    assert fit([recorded(disc, chip, start, noise=0.0)], free, tries=0, bands=0, profiles=False).converged
 
 
 @pytest.fixture(scope="module")
@@ -274,7 +274,7 @@ def test_an_overtone_laid_on_its_neighbour_is_left(shear: tuple[Chip, Problem], 
     begun = parameters(problem, None, PZT, ["c11", "c44"])
     truth = {p.name: p.start for p in begun}
     one = recorded(problem, wide, truth, frequency=np.linspace(500e3, 1000e3, 161))
-    found = fit([one], started(begun, c44=factor), draws=0, bands=0, profiles=False)
+    found = fit([one], started(begun, c44=factor), tries=24, bands=0, profiles=False)
     ends = {s.label: s for s in found.starts}
     for label, each in ends.items():
         print(f"{label}: c44 x {each.end[1] / truth[f'{PZT}.c44']:.3f}, rms {each.rms:.3f}, {each.outcome}")
@@ -297,7 +297,7 @@ def test_a_residual_of_a_hundred_per_cent_is_never_explained(
     wide, problem = shear
     begun = parameters(problem, None, PZT, ["c11", "c44"])
     one = recorded(problem, wide, {p.name: p.start for p in begun}, frequency=np.linspace(500e3, 1000e3, points))
-    found = fit([one], started(begun, c44=factor), draws=0, bands=0, profiles=False)
+    found = fit([one], started(begun, c44=factor), tries=24, bands=0, profiles=False)
     assert found.recordings[0].after.rms_log_residual < 0.5 or len(found.starts) > 1
 
 
@@ -307,10 +307,10 @@ def test_starts_drawn_from_the_prior_are_only_followed_where_needed(
     wide, problem = shear
     begun = parameters(problem, None, PZT, ["c11", "c44"])
     one = recorded(problem, wide, {p.name: p.start for p in begun}, frequency=np.linspace(500e3, 1000e3, 161))
-    assert [s.label for s in fit([one], begun, draws=3, bands=0, profiles=False).starts] == ["start"]
+    assert [s.label for s in fit([one], begun, tries=3, bands=0, profiles=False).starts] == ["start"]
     # Without neighbours, the draws are all there is.
     monkeypatch.setattr(joint, "HOPS", {0: 1.0})
-    found = fit([one], started(begun, c44=0.8), draws=1, seed=3, bands=0, profiles=False)
+    found = fit([one], started(begun, c44=0.8), tries=1, seed=3, bands=0, profiles=False)
     assert [s.label for s in found.starts] == ["start", "draw 1"]
 
 
@@ -349,7 +349,7 @@ def test_every_start_is_told_by_its_label(disc: Problem, chip: Chip, monkeypatch
 
     monkeypatch.setattr(Search, "descend", picky)
     starts = {"sister": start * [1.02, 0.98, 1.5], "poor": start * [0.97, 1.0, 1.0], "impossible": impossible}
-    found = fit([recorded(disc, chip, truth)], free, draws=0, bands=0, profiles=False, starts=starts)
+    found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False, starts=starts)
     listed = {s.label: s for s in found.starts}
     assert list(listed) == ["start", "sister", "poor", "impossible"]
     assert listed["sister"].outcome == "same optimum"
@@ -360,7 +360,7 @@ def test_every_start_is_told_by_its_label(disc: Problem, chip: Chip, monkeypatch
     assert any(line.startswith("1 of 4 starts ended elsewhere: poor") for line in found.findings)
     monkeypatch.setattr(Search, "descend", refusing)
     with pytest.raises(FitError, match="no start could be predicted: NotEnriched"):
-        fit([recorded(disc, chip, truth)], free, draws=0)
+        fit([recorded(disc, chip, truth)], free, tries=0)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -375,7 +375,7 @@ def test_a_search_that_was_cut_off_says_so(disc: Problem, chip: Chip, monkeypatc
         return minimise(*arguments, **{**named, "limit": 1})
 
     monkeypatch.setattr(joint, "minimise", short)
-    found = fit([recorded(disc, chip, truth)], free, draws=0, bands=0, profiles=False)
+    found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False)
     assert not found.converged
     assert "The search did not converge: the limit of 1 steps was reached." in found.findings
 
@@ -384,7 +384,7 @@ def test_a_recording_of_another_device_is_seen_in_what_remains(disc: Problem, ch
     # A density that the parameters cannot make up for, within the few that are free.
     other = disc.with_values({f"{PZT}.density": 9000.0, f"{PZT}.eps33": 1.3 * disc.values[f"{PZT}.eps33"]})
     one = replace(recorded(other, chip, {}), problem=disc)
-    found = fit([one], parameters(disc, None, PZT, ["c33.loss", "c11.loss"]), draws=0, bands=0, profiles=False)
+    found = fit([one], parameters(disc, None, PZT, ["c33.loss", "c11.loss"]), tries=0, bands=0, profiles=False)
     (match,) = found.recordings
     assert match.after.rms_log_residual > 0.1
     assert match.noise.correlation > 1.0

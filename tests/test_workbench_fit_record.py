@@ -89,7 +89,7 @@ def prepared(chip: Chip, recorded: Spectrum) -> Prepared:
 
 @pytest.fixture(scope="module")
 def result(prepared: Prepared) -> FitResult:
-    return fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, draws=0, bands=2)
+    return fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, tries=0, bands=2)
 
 
 @pytest.fixture(scope="module")

@@ -52,10 +52,10 @@ def run(options: argparse.Namespace, console: Console) -> int:
     count = options.elements_per_wavelength
     if not (math.isfinite(count) and count > 0.0):
         raise InputError("command line", "--elements-per-wavelength", count, "a number above zero; 10 is usual")
-    if options.draws < 0:
-        raise InputError("command line", "--draws", options.draws, "a number of starts, 0 for none")
+    if options.tries < 0:
+        raise InputError("command line", "--tries", options.tries, "a number of ways down, 0 for none")
     settings = Settings(materials=tuple(options.materials), elements_per_wavelength=count, algorithm=options.algorithm,
-                        starts=tuple(options.start), draws=options.draws, force=options.force)
+                        starts=tuple(options.start), tries=options.tries, force=options.force)
     if options.kind == "batch":
         return _batch(options, console, settings)
     settings = dataclasses.replace(settings, gel_thicknesses=_thicknesses(options.gel_study))
@@ -178,7 +178,7 @@ def _one_of_batch(job: Job, settings: Settings, folder: Path, console: Console) 
 def _command(options: argparse.Namespace, name: str) -> list[str]:
     """This command again, for one of its jobs."""
     command = [sys.executable, "-P", "-m", "workbench.cli", "fit", "batch", str(options.file), "--only", name,
-               "--output", str(options.output), "--algorithm", options.algorithm, "--draws", str(options.draws),
+               "--output", str(options.output), "--algorithm", options.algorithm, "--tries", str(options.tries),
                "--elements-per-wavelength", repr(options.elements_per_wavelength)]
     for material in options.start:
         command += ["--start", material]

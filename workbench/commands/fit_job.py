@@ -74,7 +74,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     match settings.algorithm:
         case "joint":
             result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, starts=starts,
-                         draws=settings.draws, progress=progress)
+                         tries=settings.tries, progress=progress)
         case _:
             result = _as_published(prepared, starts, progress)
     progress("writing", 0.95)

@@ -105,7 +105,7 @@ class Settings:
     elements_per_wavelength: float = 10.0
     algorithm: str = "joint"
     starts: tuple[str, ...] = ()
-    draws: int = 8
+    tries: int = 32
     force: bool = False
     gel_thicknesses: tuple[float, ...] = ()
 
@@ -244,7 +244,7 @@ def content_key(job: Job, settings: Settings, filling: Sequence[Mapping[str, obj
              for m in job.members]
     members = [(m.name, m.kind, m.state, m.material, m.region, m.free, m.band, m.format, m.correction)
                for m in job.members]
-    options = (settings.elements_per_wavelength, settings.algorithm, settings.starts, settings.draws,
+    options = (settings.elements_per_wavelength, settings.algorithm, settings.starts, settings.tries,
                settings.gel_thicknesses)
     values = [sorted((region, repr(material)) for region, material in one.items()) for one in filling]
     deciding = repr((files, members, job.name, job.own, job.save, options, values, software()))

@@ -58,6 +58,9 @@ HOPS = {0: 1.0, -1: 0.88, 1: 1.13, -2: 0.78, 2: 1.27}
 #: What the labels of neighbours and of starts drawn from the prior begin with.
 HOP, DRAW = "hop", "draw"
 
+#: Starts drawn from the prior where neighbours did not help.
+DRAWN = 8
+
 #: A neighbour is better if it costs less than this share of the best.
 BETTER = 0.9
 
@@ -74,6 +77,9 @@ SAME_ERRORS, SAME_SHARE = 2.0, 0.02
 class FitError(RuntimeError):
     """A fit that cannot be made: what is wrong with recording, geometry or parameters, in words."""
 
+
+#: How a start may have ended.
+SAME, GIVEN_UP = "same optimum", "given up: worse than the best while still smoothed"
 
 #: What may end one start of several: nothing can be predicted, or nothing there is admissible.
 NO_END: tuple[type[Exception], ...] = (*REFUSED, ValueError)
@@ -249,7 +255,7 @@ def fit(
     *,
     coarse: Sequence[Recording] | None = None,
     starts: Mapping[str, Real] | None = None,
-    draws: int = 8,
+    tries: int = 32,
     seed: int = 0,
     poisson: tuple[float, float] | None = None,
     profiles: bool = True,
@@ -263,7 +269,8 @@ def fit(
         parameters: what may move, with prior and bounds; see `parameter.parameters`.
         coarse: the same recordings on coarser meshes, for the search; the recordings themselves if None.
         starts: further starts by label, vectors (p,) in SI; the parameters' own start is always the first.
-        draws: how many starts to draw from the prior at most, where those before leave the recordings unexplained.
+        tries: how many further ways down at most, where the recordings stay unexplained: from neighbours of the best
+            end first, then from starts drawn from the prior.
         poisson: bounds of Poisson's ratio of isotropic solids (default `admissible.POISSON_RATIO`).
         profiles: profile likelihoods where the quadratic approximation misjudges.
         bands: parts of the band to leave out in turn and predict; 0 for none.
@@ -292,7 +299,7 @@ def fit(
     if not ends:
         raise FitError("no start could be predicted: " + found[0].reason)
     best = min(ends, key=lambda end: end.cost)
-    best, tried = _left(scout, best, _drawn(scout, draws, seed),
+    best, tried = _left(scout, best, _drawn(scout, DRAWN, seed), tries,
                         lambda label: show(f"searching, {label}", 0.6))
     found += tried
     search = Search(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
@@ -351,12 +358,12 @@ def _tried(
 
 
 def _left(
-    search: Search, best: Descent, drawn: Sequence[tuple[str, Real]], progress: Callable[[str], None]
+    search: Search, best: Descent, drawn: Sequence[tuple[str, Real]], tries: int, progress: Callable[[str], None]
 ) -> tuple[Descent, list[_Trial]]:
     """The best end reached from neighbours of `best` and from the starts `drawn`, and every way tried."""
     tried: list[_Trial] = []
     waiting = [*_neighbours(search, best.x), *drawn]
-    while waiting and _unexplained(best):
+    while waiting and len(tried) < tries and _unexplained(best):
         label, begin = waiting.pop(0)
         progress(label)
         trial = _tried(search, label, begin, lambda: None, rival=best)
@@ -468,9 +475,9 @@ def _judged_starts(
         off = np.abs(end.x - best.x) / allowed
         worst = int(np.argmax(off))
         if off[worst] <= 1.0:
-            outcome = "same optimum"
+            outcome = SAME
         elif not end.ended:
-            outcome = "given up: worse than the best while still smoothed"
+            outcome = GIVEN_UP
         else:
             outcome = f"another optimum: {search.parameters[worst].name} differs most"
         result.append(Start(trial.label, trial.begin, end.x, rms, outcome, end.iterations))
@@ -499,12 +506,7 @@ def _findings(
         result.append(f"The search did not converge: {minimum.reason}.")
     if not improved:
         result.append("The fit is not better than its start.")
-    others = [s for s in starts if s.outcome != "same optimum"]
-    if others:
-        result.append(f"{len(others)} of {len(starts)} starts ended elsewhere: " + "; ".join(
-            f"{s.label} at an rms of {s.rms:.3g} ({s.outcome})" for s in others) + ".")
-    else:
-        result.append(f"All {len(starts)} starts reached the same optimum.")
+    result.append(_ends(starts))
     for match in matches:
         result += certainty.residual_findings(match.name, match.after, match.noise)
     for band in bands:
@@ -515,3 +517,17 @@ def _findings(
     if check[0] > 10.0 * FINE:
         result.append(f"The reduced model is {check[0]:.1e} off a full solve at {check[1] / 1e3:.1f} kHz.")
     return result
+
+
+def _ends(starts: Sequence[Start]) -> str:
+    """Where all ways down ended, in one sentence."""
+    same = sum(s.outcome == SAME for s in starts)
+    text = f"{same} of {len(starts)} ways down reached the same optimum"
+    given_up = sum(s.outcome == GIVEN_UP for s in starts)
+    if given_up:
+        text += f", {given_up} were {GIVEN_UP}"
+    others = sorted((s for s in starts if s.outcome not in (SAME, GIVEN_UP)), key=lambda s: s.rms)
+    if others:
+        text += f", {len(others)} ended elsewhere, the best of them: " + "; ".join(
+            f"{s.label} at an rms of {s.rms:.3g} ({s.outcome})" for s in others[:3])
+    return text + "."
