@@ -40,7 +40,7 @@ from workbench.solve import sweep  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
 
 #: Data sheets the real disc is fitted from. The first is the registry entry that the priors are centred on.
-DATA_SHEETS = ("pzt4/acevedo_2026_initial", "pzt5a/erturk_2011", "pic255/lahmer_2008", "pzt5h/erturk_2011")
+DATA_SHEETS = ("pzt4/acevedo_2026_initial", "pzt5a/erturk_2011", "pic255/plutho", "pzt5h/erturk_2011")
 
 #: All real constants, and the losses that a disc with electrodes on its faces can show.
 SIXTEEN = ("c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33",
