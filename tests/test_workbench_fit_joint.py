@@ -168,7 +168,7 @@ def test_the_only_start_reached_the_optimum(result: FitResult, begun: tuple[Para
     assert (start.label, start.outcome) == ("start", "same optimum")
     assert start.begin == pytest.approx([p.start for p in begun], rel=1e-12)
     assert start.steps > 0
-    assert "All 1 starts reached the same optimum." in result.findings
+    assert "1 of 1 ways down reached the same optimum." in result.findings
 
 
 def test_a_dimension_and_the_bench_are_recovered(disc: Problem, chip: Chip) -> None:
@@ -287,7 +287,8 @@ def test_an_overtone_laid_on_its_neighbour_is_left(shear: tuple[Chip, Problem], 
     assert ends[saved].rms < 0.02
     # The prior is about the wrong start, and what it weighs against the data are two of its standard deviations.
     assert np.abs(offsets(found, truth)).max() < FAR + 2.0 * max(e.narrowing for e in found.estimates)
-    assert any(f"of {len(ends)} starts ended elsewhere" in line for line in found.findings)
+    assert any(f"of {len(ends)} ways down reached the same optimum" in line and "ended elsewhere" in line
+               for line in found.findings)
 
 
 @pytest.mark.parametrize(("points", "factor"), [(81, 0.8), (161, 1.2)])
@@ -357,7 +358,8 @@ def test_every_start_is_told_by_its_label(disc: Problem, chip: Chip, monkeypatch
     assert listed["poor"].outcome.startswith("failed: NotEnriched: the reduced model is at")
     assert listed["poor"].rms == np.inf
     assert listed["impossible"].begin[0] > listed["impossible"].begin[1]
-    assert any(line.startswith("1 of 4 starts ended elsewhere: poor") for line in found.findings)
+    assert any(line.startswith("3 of 4 ways down reached the same optimum, 1 failed, the first of them: poor")
+               for line in found.findings)
     monkeypatch.setattr(Search, "descend", refusing)
     with pytest.raises(FitError, match="no start could be predicted: NotEnriched"):
         fit([recorded(disc, chip, truth)], free, tries=0)

@@ -526,8 +526,12 @@ def _ends(starts: Sequence[Start]) -> str:
     given_up = sum(s.outcome == GIVEN_UP for s in starts)
     if given_up:
         text += f", {given_up} were {GIVEN_UP}"
-    others = sorted((s for s in starts if s.outcome not in (SAME, GIVEN_UP)), key=lambda s: s.rms)
+    failed = [s for s in starts if not np.isfinite(s.rms)]
+    others = sorted((s for s in starts if np.isfinite(s.rms) and s.outcome not in (SAME, GIVEN_UP)),
+                    key=lambda s: s.rms)
     if others:
         text += f", {len(others)} ended elsewhere, the best of them: " + "; ".join(
             f"{s.label} at an rms of {s.rms:.3g} ({s.outcome})" for s in others[:3])
+    if failed:
+        text += f", {len(failed)} failed, the first of them: {failed[0].label} ({failed[0].outcome})"
     return text + "."
