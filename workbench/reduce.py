@@ -44,10 +44,6 @@ UNUSED = 1e-9
 #: A relative error of the charge, or a residual against the load, at which rounding and not the basis is what is seen.
 ROUNDING = 1e-10
 
-#: A relative error of the charge that tells how error and residual go together, whatever the tolerance. Smaller ones
-#: do so where they are a thousandth of the tolerance; below that it may be rounding that is compared.
-TELLING = 1e-7
-
 #: The estimate is this many times the largest ratio of true error to squared residual seen.
 SAFETY = 4.0
 
@@ -129,7 +125,6 @@ def reduce(
         nodes = nodes[:0]
     effectivity = 0.0 if start is None else start.effectivity
     largest = 0.0 if start is None else start.residual
-    least = float(np.clip(1e-3 * tolerance, ROUNDING, TELLING))
     solves = 0 if start is None else start.solves
 
     def report() -> None:
@@ -153,7 +148,7 @@ def reduce(
             if growing.basis.shape[1]:
                 error = abs(charge[index] / growing.charge(states[:, 0], index) - 1.0)
                 # The first nodes say what to expect of a basis that is still poor; later ones are the better judges.
-                if error > least and squared[index] > floor[index]:
+                if error > ROUNDING and squared[index] > floor[index]:
                     learned = SAFETY * error / spread[index]
                     effectivity = learned if step < nodes.size else max(effectivity, learned)
             solves, largest = solves + 1, max(largest, residual)
@@ -164,7 +159,7 @@ def reduce(
             if solves - (0 if start is None else start.solves) >= limit:
                 raise NotEnriched(error, tolerance, solves)
         if effectivity == 0.0:
-            effectivity = growing.effectivity_of_less(states[:, 0], index, least)
+            effectivity = growing.effectivity_of_less(states[:, 0], index)
         # Directions for other parameter values are there to be used later.
         if tangents:
             basis = growing.basis
@@ -266,13 +261,13 @@ class _Growing:
         floor = np.mean(np.abs(ROUNDING * load) ** 2, axis=0)
         return -np.sum(states * whole, axis=0), np.mean(np.abs(residual) ** 2, axis=0), floor
 
-    def effectivity_of_less(self, state: Complex, index: int, least: float) -> float:
-        """SAFETY times charge error per squared residual of the richest poorer basis that is off by `least` or more."""
+    def effectivity_of_less(self, state: Complex, index: int) -> float:
+        """SAFETY times charge error per squared residual of the richest poorer basis that is not exact to rounding."""
         exact = self.charge(state, index)
         for columns in range(self.basis.shape[1] - 2, 0, -1):
             charge, squared, floor = self.respond(columns=columns)
             error = abs(charge[index] - exact)
-            if error > least * abs(exact) and squared[index] > floor[index]:
+            if error > ROUNDING * abs(exact) and squared[index] > floor[index]:
                 return SAFETY * error / float(squared[index])
         raise RuntimeError("even a basis of one column is exact: nothing can be said of the error of this model")
 
