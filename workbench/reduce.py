@@ -220,16 +220,7 @@ class _Growing:
         """Take the real and imaginary parts of `states` (size, n), the first at unit voltage, into the basis."""
         if self.basis.shape[1] == 0:
             self._extend(states[:, 0].real[:, None])
-        lift = self.basis[:, -1]
-        parts = [states[:, 0].real - lift, states[:, 0].imag, states[:, 1:].real, states[:, 1:].imag]
-        new = self.weights[:, None] * np.column_stack(parts)
-        length = np.linalg.norm(new, axis=0)
-        new = new[:, length > 0.0] / length[length > 0.0]
-        scaled = self.weights[:, None] * self.basis[:, :-1]
-        for _ in range(2):
-            new = new - scaled @ (scaled.T @ new)
-        new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True)
-        self._extend(new[:, np.abs(np.diag(triangle)) > DEPENDENT] / self.weights[:, None])
+        self._extend(new_directions(self.basis, states, self.weights))
 
     def _extend(self, new: Real) -> None:
         """Add columns before the last one (the lift), or the lift itself to an empty basis."""
@@ -280,10 +271,43 @@ class _Growing:
         """The basis without the directions the response does not use anywhere in the band, lift last."""
         band = np.linspace(self.frequencies.min(), self.frequencies.max(), max(241, self.frequencies.size))
         states, _ = solve_dense(self.system.factors(band), self.projected)
-        coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
-        directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
-        kept = directions[:, singular > UNUSED * singular[0]]
-        return np.column_stack([self.basis[:, :-1] @ kept, self.basis[:, -1]])
+        return np.asarray(self.basis @ needed(states, UNUSED))
+
+
+def new_directions(basis: Real, states: Complex, weights: Real) -> Real:
+    """What `states` (size, n), the first at unit voltage, add to a basis (size, r) with its lift last: (size, k).
+
+    Their real and imaginary parts, orthonormal in the norm of `weights` (size,).
+    """
+    lift = basis[:, -1]
+    parts = [states[:, 0].real - lift, states[:, 0].imag, states[:, 1:].real, states[:, 1:].imag]
+    new = weights[:, None] * np.column_stack(parts)
+    length = np.linalg.norm(new, axis=0)
+    new = new[:, length > 0.0] / length[length > 0.0]
+    scaled = weights[:, None] * basis[:, :-1]
+    for _ in range(2):
+        new = new - scaled @ (scaled.T @ new)
+    new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True)
+    return np.asarray(new[:, np.abs(np.diag(triangle)) > DEPENDENT] / weights[:, None])
+
+
+def spanned(states: Complex, tolerance: float) -> tuple[Real, Real]:
+    """Directions (r - 1, k) that reduced `states` (r, n) lie in, their lift apart, and their sizes (k,).
+
+    Those below `tolerance`, relative to the largest, are left out.
+    """
+    coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
+    directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
+    kept = singular > tolerance * singular[0]
+    return directions[:, kept], singular[kept]
+
+
+def needed(states: Complex, tolerance: float) -> Real:
+    """The part of a basis that reduced `states` (r, n) need, in that basis: (r, k), its lift last."""
+    directions, _ = spanned(states, tolerance)
+    result = np.zeros((len(states), directions.shape[1] + 1))
+    result[:-1, :-1], result[-1, -1] = directions, 1.0
+    return result
 
 
 def _test_vectors(weights: Real) -> Real:
@@ -307,11 +331,7 @@ def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[Re
     Returns:
         the model, and its basis in the old one (old rank, rank).
     """
-    coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
-    directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
-    rank, kept = model.basis.shape[1], int(np.count_nonzero(singular > tolerance * singular[0]))
-    within = np.zeros((rank, kept + 1))
-    within[:-1, :-1], within[-1, -1] = directions[:, :kept], 1.0
+    within = needed(states, tolerance)
     matrices = within.T @ model.operators.matrices @ within
     model = replace(model, operators=replace(model.operators, matrices=matrices), basis=model.basis @ within,
                     sketch=model.sketch @ within)

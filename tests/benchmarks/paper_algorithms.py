@@ -33,7 +33,7 @@ from materials.registry import Registry  # noqa: E402
 from workbench.commands.terminal import Show, progress_bars  # noqa: E402
 from workbench.fit.joint import fit  # noqa: E402
 from workbench.fit.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
-from workbench.fit.parameter import LOSS, POLYMER_FOUR, TRANSDUCER_TEN, started_at  # noqa: E402
+from workbench.fit.parameter import LOSS, POLYMER_FOUR, TRANSDUCER_TEN, part, started_at  # noqa: E402
 from workbench.fit.prepare import Prepared, material_starts, prepare  # noqa: E402
 from workbench.fit.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
@@ -79,8 +79,7 @@ def disc_of(chip: Chip, material: str, density: float | None = None) -> Chip:
 def parts(material: str, names: tuple[str, ...]) -> dict[str, float]:
     """Real numbers of the registry by parameter name."""
     values = Registry().load(material).parameters()
-    return {name: complex(values[name.removesuffix(LOSS)]).imag if name.endswith(LOSS) else complex(values[name]).real
-            for name in names}
+    return {name: part(values, name) for name in names}
 
 
 def free_disc(density: float, arguments: argparse.Namespace) -> Problem:

@@ -14,7 +14,7 @@ import pytest
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
 from workbench.fit.joint import FitResult, fit
-from workbench.fit.parameter import started_at
+from workbench.fit.parameter import part, started_at
 from workbench.fit.prepare import material_starts, prepare
 from workbench.readers import read
 
@@ -37,8 +37,7 @@ def disc_of(chip: Chip, material: str, density: float | None = None) -> Chip:
 
 
 def truth(material: str, name: str) -> float:
-    value = complex(Registry().load(material).parameters()[name.removesuffix(".loss")])
-    return value.imag if name.endswith(".loss") else value.real
+    return part(Registry().load(material).parameters(), name)
 
 
 def named(result: FitResult) -> dict[str, float]:

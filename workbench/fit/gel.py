@@ -16,6 +16,7 @@ from inputs import InputError
 from materials.registry import Registry
 from workbench.compare import Comparison, compare
 from workbench.fit.objective import through_bench
+from workbench.fit.parameter import placed
 from workbench.fit.prepare import Prepared
 from workbench.operators import assemble
 from workbench.problem import build
@@ -65,12 +66,7 @@ def gel_study(
     recording = prepared.recordings[0]
     chip = prepared.chip.with_dimensions({p.name: numbers[p.name] for p in prepared.parameters if p.is_dimension})
     bench = {p.name: numbers[p.name] for p in prepared.parameters if p.is_bench}
-    values = dict(recording.problem.values)
-    for p in prepared.parameters:
-        if p.is_material:
-            old = complex(values[p.coefficient])
-            values[p.coefficient] = (complex(old.real, numbers[p.name]) if p.is_loss
-                                     else complex(numbers[p.name], old.imag))
+    values = placed(recording.problem.values, {p.name: numbers[p.name] for p in prepared.parameters if p.is_material})
     frequency = recording.measured.frequency
     cases = []
     for thickness in thicknesses:

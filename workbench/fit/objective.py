@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from workbench.fit.parameter import BENCH, Parameter
+from workbench.fit.parameter import BENCH, LOSS, Parameter, placed
 from workbench.fit.predict import Prediction, Predictor
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
@@ -108,21 +108,21 @@ class Objective:
 
     def settings(self, x: Real, recording: Recording) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:
         """Complex values, dimensions and bench elements that the vector x (p,) means for a recording."""
-        values: dict[str, complex] = {}
+        numbers: dict[str, float] = {}
         lengths: dict[str, float] = {}
         bench: dict[str, float] = {}
         for number, parameter in zip(x, self.parameters, strict=True):
             if parameter not in self._of(recording):
                 continue
-            name = parameter.coefficient
             if parameter.is_bench:
                 bench[parameter.name] = float(number)
             elif parameter.is_dimension:
                 lengths[parameter.name] = float(number)
-            elif name in recording.problem.values:
-                old = values.get(name, complex(recording.problem.values[name]))
-                values[name] = complex(old.real, number) if parameter.is_loss else complex(number, old.imag)
-        return values, lengths, bench
+            elif parameter.coefficient in recording.problem.values:
+                numbers[parameter.name] = float(number)
+        moved = {name.removesuffix(LOSS) for name in numbers}
+        known = {name: complex(value) for name, value in recording.problem.values.items() if name in moved}
+        return placed(known, numbers), lengths, bench
 
     def predict(self, x: Real, index: int) -> tuple[Complex, Complex, Prediction]:
         """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them."""

@@ -40,10 +40,10 @@ from materials.conversions import young_and_poisson
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.fit.admissible import POISSON_RATIO, inequalities
 from workbench.fit.objective import Recording
-from workbench.fit.parameter import CERAMIC_LOSS, LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters
+from workbench.fit.parameter import CERAMIC_LOSS, LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters, placed
 from workbench.operators import assemble
 from workbench.problem import Problem
-from workbench.reduce import NotEnriched, ReducedModel, narrowed, reduce
+from workbench.reduce import NotEnriched, ReducedModel, narrowed, reduce, spanned
 from workbench.solve import NotConverged, Solution
 
 Real = NDArray[np.float64]
@@ -326,10 +326,8 @@ class _Spectra:
 
 def _spanned(states: Complex) -> Real:
     """Fewer columns (r, k) than reduced `states` (r, n) that are as large in every direction, their last row zero."""
-    coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
-    directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
-    kept = singular > UNNEEDED**2 * singular[0]
-    return np.vstack([directions[:, kept] * singular[kept], np.zeros((1, int(kept.sum())))])
+    directions, sizes = spanned(states, UNNEEDED**2)
+    return np.vstack([directions * sizes, np.zeros((1, sizes.size))])
 
 
 def _passive(problem: Problem, losses: Sequence[Parameter]) -> Broken:
@@ -408,12 +406,7 @@ class _Search:
 
     def spectrum(self, values: Mapping[str, float]) -> Complex:
         """The impedance (n,) at the points of the window."""
-        whole = {name: complex(value) for name, value in self.problem.values.items()}
-        for name, value in values.items():
-            coefficient = name.removesuffix(LOSS)
-            old = whole[coefficient]
-            whole[coefficient] = complex(old.real, value) if name.endswith(LOSS) else complex(value, old.imag)
-        return self._models[self._window](whole)
+        return self._models[self._window](placed(self.problem.values, values))
 
     def cost(self) -> float:
         """Eq. 28 at the present values."""

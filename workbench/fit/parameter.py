@@ -261,6 +261,22 @@ def _own_or_none(problem: Problem, chip: Chip | None, material: str, name: str) 
                      f"{', '.join(known)}", nearest_names(name, known))
 
 
+def part(values: Mapping[str, complex], name: str) -> float:
+    """The number called `name` among complex `values`: a real part, or with ``.loss`` an imaginary one."""
+    value = complex(values[name.removesuffix(LOSS)])
+    return value.imag if name.endswith(LOSS) else value.real
+
+
+def placed(values: Mapping[str, complex], numbers: Mapping[str, float]) -> dict[str, complex]:
+    """Complex `values` with real `numbers`, by parameter name, in the place of the parts they are."""
+    result = dict(values)
+    for name, number in numbers.items():
+        key = name.removesuffix(LOSS)
+        old = complex(result[key])
+        result[key] = complex(old.real, number) if name.endswith(LOSS) else complex(number, old.imag)
+    return result
+
+
 def started_at(parameter: Parameter, start: float) -> Parameter:
     """The same parameter with another start, moved into its bounds."""
     return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))

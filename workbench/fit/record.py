@@ -27,7 +27,7 @@ from workbench.fit.certainty import CONFIDENCE, Fitted, Noise
 from workbench.fit.derived import Derived, derived, moduli_of
 from workbench.fit.joint import FitResult, Match, Start
 from workbench.fit.paper import PaperFit
-from workbench.fit.parameter import LOSS
+from workbench.fit.parameter import LOSS, placed
 from workbench.fit.prepare import Prepared
 from workbench.merit import NoResonance, figures
 from workbench.operators import assemble
@@ -79,10 +79,7 @@ def paper_result(found: PaperFit, prepared: Prepared) -> FitResult:
     if prepared.kind == "pzt":
         # The algorithm knows no losses but its own.
         values |= {f"{material.name}.{key}": complex(number.real) for key, number in material.parameters().items()}
-    for name, number in found.start.items():
-        old = values[name.removesuffix(LOSS)]
-        values[name.removesuffix(LOSS)] = (complex(old.real, number) if name.endswith(LOSS)
-                                           else complex(number, old.imag))
+    values = placed(values, found.start)
     model = reduce(assemble(recording.problem.mesh, recording.problem.terms), found.frequency, values, tolerance=1e-3)
     begin = np.conj(model.solve(found.frequency, values).impedance)
     start, fitted_spectrum = (Spectrum(found.frequency, z, origin=Origin("simulated"))

@@ -30,17 +30,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
 from geometry.names import TRANSDUCER
 from inputs import InputError, nearest_names
 from materials.kinds import Piezoelectric
-from workbench.fit.parameter import LOSS
+from workbench.fit.parameter import LOSS, part, placed
 from workbench.operators import FullOperators, assemble, frequency_groups
 from workbench.problem import Problem
-from workbench.reduce import DEPENDENT, PROJECTIONS, SAFETY, NotEnriched, reduce
+from workbench.reduce import PROJECTIONS, SAFETY, NotEnriched, needed, new_directions, reduce
 from workbench.solve import System, one_thread, solve_dense
 
 Real = NDArray[np.float64]
@@ -186,7 +185,7 @@ def sensitivity(
     nominal = _Nominal(assemble(problem.mesh, problem.terms), frequencies, values, tolerance)
     coefficients = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in full_names))
     gradient = nominal.reference.parameter_gradient(values, coefficients) / nominal.reference.impedance[:, None]
-    parts = np.array([_part(values, name) for name in full_names])
+    parts = np.array([part(values, name) for name in full_names])
     local = np.zeros(parts.size)
     costs = np.zeros((parts.size, scalings))
     # |Z| = 1 / (w |Q|), so that ln|Q| serves for ln|Z|.
@@ -235,11 +234,7 @@ class _Line:
 
     def narrowed(self, states: Complex) -> _Line:
         """On the directions of the basis that `states` (r, n) need."""
-        coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
-        directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
-        count, rank = int(np.count_nonzero(singular > UNNEEDED * singular[0])), len(states)
-        within = np.zeros((rank, count + 1))
-        within[:-1, :-1], within[-1, -1] = directions[:, :count], 1.0
+        within, rank = needed(states, UNNEEDED), len(states)
 
         def inside(matrices: Complex) -> Complex:
             matrices = matrices @ within
@@ -358,21 +353,8 @@ class _Range:
         moving = [None if np.array_equal(there, here) else (far - near) / (scaling - 1.0)
                   for there, here, far, near in zip(system.constants, nominal.system.constants,
                                                     system.group_matrices(), fixed, strict=True)]
-        new = _directions(self.wide.basis, states, nominal.weights[:, None])
+        new = new_directions(self.wide.basis, states, nominal.weights)
         self.wide = replace(self.wide.extended(new, nominal.test, fixed, moving), effectivity=effectivity)
-
-
-def _directions(basis: Real, states: Complex, weights: Real) -> Real:
-    """What real and imaginary parts of `states` (size, k), the first at unit voltage, add to a basis, orthonormal."""
-    parts = [states[:, :1].real - basis[:, -1:], states[:, :1].imag, states[:, 1:].real, states[:, 1:].imag]
-    new = weights * np.concatenate(parts, axis=1)
-    length = np.linalg.norm(new, axis=0)
-    new = new[:, length > 0.0] / length[length > 0.0]
-    old = weights * basis[:, :-1]
-    for _ in range(2):
-        new = new - old @ (old.T @ new)
-    new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True)
-    return np.asarray(new[:, np.abs(np.diag(triangle)) > DEPENDENT] / weights)
 
 
 def _full_names(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
@@ -392,14 +374,6 @@ def _full_names(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{material.name}.{name}" for name in names)
 
 
-def _part(values: Values, name: str) -> float:
-    value = complex(values[name.removesuffix(LOSS)])
-    return value.imag if name.endswith(LOSS) else value.real
-
-
 def _scaled(values: Values, name: str, factor: float) -> Values:
     """`values` with one part at `factor` times itself: eq. 29."""
-    coefficient = name.removesuffix(LOSS)
-    old = complex(values[coefficient])
-    new = complex(old.real, factor * old.imag) if name.endswith(LOSS) else complex(factor * old.real, old.imag)
-    return {**values, coefficient: new}
+    return placed(values, {name: factor * part(values, name)})
