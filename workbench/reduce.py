@@ -206,7 +206,7 @@ class _Growing:
         size, groups = operators.size, len(self.matrices)
         middle = float(np.median(frequencies))
         self.weights = np.sqrt(np.abs(self.system.matrix(middle).diagonal())) if start is None else start.weights
-        self.test = _test_vectors(self.weights)
+        self.test = test_vectors(self.weights)
         self.basis = np.zeros((size, 0))
         self.projected = np.zeros((groups, 0, 0), dtype=complex)
         self.sketch = np.zeros((groups, PROJECTIONS, 0), dtype=complex)
@@ -310,7 +310,7 @@ def needed(states: Complex, tolerance: float) -> Real:
     return result
 
 
-def _test_vectors(weights: Real) -> Real:
+def test_vectors(weights: Real) -> Real:
     """The random vectors (size, PROJECTIONS) that residuals are projected on: the same for equal `weights`."""
     test = np.random.default_rng(0).standard_normal((weights.size, PROJECTIONS)) / weights[:, None]
     test[-1] = 0.0  # the row of the electrode is not an equation
@@ -320,7 +320,7 @@ def _test_vectors(weights: Real) -> Real:
 def projected(model: ReducedModel, operators: FullOperators, basis: Real | None = None) -> ReducedModel:
     """`model` on other full operators of the same unknowns (a stretched mesh), or on another `basis`, or both."""
     basis = model.basis if basis is None else basis
-    matrices, sketch = _extended(operators, basis, _test_vectors(model.weights), None)
+    matrices, sketch = _extended(operators, basis, test_vectors(model.weights), None)
     return replace(model, full=operators, operators=ReducedOperators(operators.integrals, matrices), basis=basis,
                    sketch=sketch)
 

@@ -21,7 +21,7 @@ from workbench.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from workbench.fit.constrained import Minimum
-    from workbench.fit.joint import Search
+    from workbench.fit.joint import Search, Weighted
     from workbench.fit.objective import Objective
 
 Real = NDArray[np.float64]
@@ -179,6 +179,7 @@ def judge(
     information = here.data.jacobian.T @ here.data.jacobian
     covariance = _inverse(information, search)
     _settle(search, minimum.x, covariance)
+    settled = search.evaluate(minimum.x, deviation) if profiles else here
     shift = np.zeros(minimum.x.size)
     if coarser is not None:
         shift = covariance @ (here.data.jacobian.T @ _mesh_error(search, coarser, minimum.x, deviation))
@@ -190,7 +191,7 @@ def judge(
     for i, parameter in enumerate(search.parameters):
         low, high, method = minimum.x[i] - DEVIATIONS * errors[i], minimum.x[i] + DEVIATIONS * errors[i], "quadratic"
         held = "bound" in bounds[i]
-        if profiles and (held or _misjudged(search, minimum, covariance, i, deviation)):
+        if profiles and (held or _misjudged(search, minimum.x, settled, covariance, i, deviation)):
             ends = profile(search, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
             low, high = (minimum.x[i] + sign * np.hypot(end - minimum.x[i], DEVIATIONS * shift[i])
                          for sign, end in zip((-1.0, 1.0), ends, strict=True))
@@ -277,16 +278,20 @@ def _bound(search: Search, x: Real, index: int) -> str:
     return ""
 
 
-def _misjudged(search: Search, minimum: Minimum, covariance: Real, index: int, deviation: Sequence[Real]) -> bool:
-    """Whether the cost at the ends of the quadratic's interval, the others following, is not what it promises."""
-    here = search.evaluate(minimum.x, deviation)
+def _misjudged(
+    search: Search, x: Real, here: Weighted, covariance: Real, index: int, deviation: Sequence[Real]
+) -> bool:
+    """Whether the cost at the ends of the quadratic's interval, the others following, is not what it promises.
+
+    `here` is what `search` says at the minimum x (p,).
+    """
     cost = float(here.vector @ here.vector)
     slope = 2.0 * (here.jacobian.T @ here.vector)
     direction = covariance[:, index] / np.sqrt(covariance[index, index])
     for sign in (-1.0, 1.0):
         step = sign * DEVIATIONS * direction
         try:
-            there = search.evaluate(minimum.x + step, deviation)
+            there = search.evaluate(x + step, deviation)
         except REFUSED:
             return True
         # Where an inequality holds the minimum, the cost has a slope there, which the quadratic knows too.
@@ -314,9 +319,9 @@ def profile(
 
     ends = []
     for sign, bound in ((-1.0, search.low[index]), (1.0, search.high[index])):
-        inside, value, x, last = minimum.x[index], minimum.x[index], minimum.x, 0.0
+        inside, x, last = minimum.x[index], minimum.x, 0.0
         outside: float | None = None
-        step = DEVIATIONS * error
+        step, known = DEVIATIONS * error, False
         for _ in range(12):
             trial = 0.5 * (inside + outside) if outside is not None else inside + sign * step
             if sign * (trial - bound) > 0.0:
@@ -335,14 +340,12 @@ def profile(
                         inside, outside = (inside, guess) if height > CHI_SQUARE else (guess, outside)
             else:
                 inside, x, last = float(trial), other, height
-                value = inside
                 if abs(trial - bound) <= 2e-6 * (search.high[index] - search.low[index]):
                     break
-            value = inside
-            if outside is not None and abs(outside - inside) < 0.05 * abs(outside - minimum.x[index]):
+            known = outside is not None and abs(outside - inside) < 0.05 * abs(outside - minimum.x[index])
+            if known:
                 break
-        ends.append(float(outside if outside is not None and abs(outside - inside) < 0.05 * abs(
-            outside - minimum.x[index]) else value))
+        ends.append(float(outside if outside is not None and known else inside))
     return ends[0], ends[1]
 
 

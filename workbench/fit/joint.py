@@ -146,7 +146,7 @@ class FitResult:
 
 
 @dataclass(frozen=True, eq=False)
-class _Weighted:
+class Weighted:
     """A residual with the prior's rows below: what `minimise` sees."""
 
     vector: Real
@@ -184,22 +184,17 @@ class Search:
 
     def evaluate(
         self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0
-    ) -> _Weighted:
+    ) -> Weighted:
         """Data and prior, about the parameters' own starts, at x (p,)."""
         data = self.objective(x, deviation=deviation, smoothing=smoothing)
         vector = np.concatenate([data.vector, (x - self.centre) * self.precision])
-        return _Weighted(vector, np.vstack([data.jacobian, np.diag(self.precision)]), data)
+        return Weighted(vector, np.vstack([data.jacobian, np.diag(self.precision)]), data)
 
     def minimise(
         self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,
         tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (),
     ) -> Minimum:
         """The least cost near x; the parameters of the indices `fixed` stay where they are."""
-        if not fixed:
-            return minimise(
-                lambda y: self.evaluate(y, deviation, smoothing), x, low=self.low, high=self.high,
-                scale=self.scale, inequalities=self.inequalities, radius=radius, tolerance=tolerance, limit=limit,
-                refused=REFUSED)
         free = np.setdiff1d(np.arange(x.size), fixed)
 
         def whole(y: Real) -> Real:
@@ -207,16 +202,16 @@ class Search:
             result[free] = y
             return result
 
-        def reduced(y: Real) -> _Weighted:
+        def reduced(y: Real) -> Weighted:
             full = self.evaluate(whole(y), deviation, smoothing)
-            return _Weighted(full.vector, full.jacobian[:, free], full.data)
+            return Weighted(full.vector, full.jacobian[:, free], full.data)
 
         held = x.copy()
         held[free] = 0.0
         conditions = [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
         found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
                          inequalities=conditions, radius=radius, tolerance=tolerance, limit=limit, refused=REFUSED)
-        return Minimum(whole(found.x), found.residual, found.cost, found.converged, found.iterations, found.reason)
+        return replace(found, x=whole(found.x))
 
     def descend(
         self, x: Real, progress: Callable[[], None], *, first: int = 0, rival: Descent | None = None

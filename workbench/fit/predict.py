@@ -34,11 +34,11 @@ FIRST_DEPTH, DEPTH = 12, 6
 #: tolerance of the impedance, whose error is of second order in that of the states.
 UNNEEDED = 1e-2
 
+#: The same, but relative only, at the end of a fit, where the states wanted are all close to each other.
+NEGLIGIBLE = 1e-8
+
 #: How far, relative, a parameter is expected to move before the basis is made again.
 MOVED = 0.1
-
-#: The same at the end of a fit, where the states wanted are all close to each other.
-NEGLIGIBLE = 1e-8
 
 #: A basis of more columns is narrowed: the dense algebra grows with their cube.
 WIDE = 200
@@ -205,12 +205,12 @@ class Predictor:
         return Prediction(solution, model.error(solution), values, dict(zip(self.names, lengths, strict=True)), slopes)
 
     def _enriched(self, expansion: _Expansion | None, values: Mapping[str, complex], lengths: Real) -> _Expansion:
-        operators = self._operators(lengths)
         start = None
         if expansion is not None:
             start = expansion.model
-            if self.names:
-                start = projected(start, operators)
+            if not np.array_equal(lengths, expansion.centre):
+                start = projected(start, self._operators(lengths))
+        operators = self._operators(lengths) if start is None else start.full
         before = 0 if start is None else start.solves
         model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance, tangents=self.tangents,
                        start=start, depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False)

@@ -39,7 +39,7 @@ from materials.kinds import Piezoelectric
 from workbench.fit.parameter import LOSS, part, placed
 from workbench.operators import FullOperators, assemble, frequency_groups
 from workbench.problem import Problem
-from workbench.reduce import PROJECTIONS, SAFETY, NotEnriched, needed, new_directions, reduce
+from workbench.reduce import SAFETY, NotEnriched, needed, new_directions, reduce, test_vectors
 from workbench.solve import System, one_thread, solve_dense
 
 Real = NDArray[np.float64]
@@ -278,10 +278,8 @@ class _Nominal:
         self.reference = self.model.solve(frequencies, values)
         self.error = float(self.model.error(self.reference).max())
         self.weights = self.model.weights
-        self.test = np.random.default_rng(1).standard_normal((operators.size, PROJECTIONS)) / self.weights[:, None]
-        self.test[-1] = 0.0  # the row of the electrode is not an equation
-        self._rows = np.concatenate(
-            [self.model.operators.matrices, operators.project(self.model.basis, self.test)], axis=1)
+        self.test = test_vectors(self.weights)
+        self._rows = np.concatenate([self.model.operators.matrices, self.model.sketch], axis=1)
 
     @cached_property
     def system(self) -> System:
