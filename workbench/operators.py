@@ -69,7 +69,8 @@ class Place:
     def factor(self, name: str) -> Real:
         if self.normal is None:
             raise ModelError("an operator with the normal is used inside a region")
-        return self.normal[0 if name == "n_r" else 1]
+        n_r, n_z = self.normal
+        return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name]
 
 
 def _volume_place(mesh: SectionMesh, region: str) -> Place:
@@ -415,7 +416,7 @@ def frequency_groups(
 
     sum_q g_q(w) A_q = sum over pairs of h(w) sum_q constants_q A_q. Monomials with the same power of w share a pair.
     """
-    powers: dict[int, Complex] = {}
+    powers: dict[float, Complex] = {}
     others: list[tuple[Complex, Complex]] = []
     for q, integral in enumerate(integrals):
         if isinstance(integral.coefficient, Monomial):
@@ -425,5 +426,6 @@ def frequency_groups(
             unit = np.zeros(len(integrals), dtype=complex)
             unit[q] = 1.0
             others.append((integral.coefficient(omega, values), unit))
-    grouped = [(omega.astype(complex) ** power, constants) for power, constants in powers.items()]
+    grouped = [(np.asarray(omega.astype(complex) ** power, dtype=np.complex128), constants)
+               for power, constants in powers.items()]
     return tuple(grouped + others)

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 COMPONENTS = ("u_r", "u_z", "phi", "p")
 
 #: One part of an operator: (component, what is taken of it, factor). What is taken: ``value``, ``d_r``, ``d_z`` or
-#: ``over_r`` (value / r). Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z``.
+#: ``over_r`` (value / r). Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent
+#: in the section, ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined.
 Part = tuple[str, str, str]
 
 #: Every operator a term may use, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz).
@@ -42,6 +43,8 @@ OPERATORS: Mapping[str, tuple[Part, ...]] = {
     "grad_p_r": (("p", "d_r", ""),),
     "grad_p_z": (("p", "d_z", ""),),
     "u_n": (("u_r", "value", "n_r"), ("u_z", "value", "n_z")),
+    "u_t": (("u_r", "value", "t_r"), ("u_z", "value", "t_z")),
+    "grad_p_t": (("p", "d_r", "t_r"), ("p", "d_z", "t_z")),
 }
 
 Values = Mapping[str, complex]
@@ -67,13 +70,13 @@ class Monomial:
 
     Args:
         scale: a constant.
-        omega_power: exponent of the angular frequency (rad/s).
+        omega_power: exponent of the angular frequency (rad/s); diffusion brings in half-integers.
         factors: (parameter name, exponent) pairs, each name once.
     """
 
     scale: complex
-    omega_power: int
-    factors: tuple[tuple[str, int], ...] = ()
+    omega_power: float
+    factors: tuple[tuple[str, float], ...] = ()
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -87,7 +90,8 @@ class Monomial:
         return result
 
     def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
-        return self.constant(values) * np.asarray(omega, dtype=float) ** self.omega_power + 0j
+        powers = np.asarray(omega, dtype=float) ** self.omega_power
+        return np.asarray(self.constant(values) * powers, dtype=np.complex128)
 
     def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
         exponent = dict(self.factors).get(name, 0)
@@ -95,6 +99,16 @@ class Monomial:
             return np.zeros(np.shape(omega), dtype=complex)
         lowered = tuple((n, e - 1 if n == name else e) for n, e in self.factors)
         return Monomial(self.scale * exponent, self.omega_power, lowered)(omega, values)
+
+
+@dataclass(frozen=True)
+class Admissible:
+    """What a parameter of an effect can be in a real device: from `lowest` to `highest` in `unit`, and who says so."""
+
+    lowest: float
+    highest: float
+    unit: str
+    source: str
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,44 @@
+"""What pushes back on the outside of a solid: a backing, a holder, the air, as an impedance of its surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
+
+#: Real part of a passive load, along the normal and along the surface. From dry air at 25 degC, 1.184 kg/m^3 times
+#: 346.1 m/s, to a heavily loaded backing; an imaginary part may be anything of that size.
+ADMISSIBLE: Mapping[str, Admissible] = {
+    "normal_impedance": Admissible(
+        409.8, 15e6, "Pa s/m",
+        "air: U.S. Standard Atmosphere, 1976; tungsten in epoxy, 3 to 15 MRayl: Passive materials for high frequency "
+        "piezocomposite ultrasonic transducers, thesis, University of Birmingham, 2009",
+    ),
+    "tangential_impedance": Admissible(
+        0.0, 10e6, "Pa s/m", "from air, which slips, to shear waves in the same backings, slower by a third or more"),
+}
+
+
+@dataclass(frozen=True)
+class SurfaceLoad(Term):
+    """Traction against the velocity of an outer boundary: sigma n = i w (Z_n u_n n + Z_t u_t), e^{-i w t}.
+
+        - i w Z_n u_n v_n - i w Z_t u_t v_t        over the boundary
+
+    A positive real part takes energy away; a mass m per area is Z = -i w m, a stiffness K per area Z = i K / w. Z is
+    constant over the band: a wave that goes out and does not come back (Z = rho c of what is outside; Kinsler et al.,
+    Fundamentals of Acoustics, 2000, section 5.10), or a narrow band. `name` tells loads apart: parameters
+    ``<name>.normal_impedance`` and ``<name>.tangential_impedance`` (Pa s/m; see :data:`ADMISSIBLE`).
+    """
+
+    boundary: str
+    solid: str
+    name: str
+
+    def integrals(self) -> tuple[Integral, ...]:
+        return tuple(
+            Integral(Monomial(-1.0j, 1, ((f"{self.name}.{kind}_impedance", 1),)), self.boundary,
+                     (Product(motion, motion),), self.solid)
+            for kind, motion in (("normal", "u_n"), ("tangential", "u_t"))
+        )
