@@ -29,7 +29,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from geometry.names import AXIS, CAVITY, TRANSDUCER, role_of
+from geometry.names import AXIS, CAVITY, TRANSDUCER, role_of, whole
 from geometry.section import VOID, Section, boundary_name
 from inputs import InputError, nearest_names, write_atomic
 
@@ -456,7 +456,7 @@ def _check_mesh(mesh: skfem.MeshQuad, section: Section) -> None:
         ("regions", mesh.subdomains or {}, section.regions),
         ("boundaries", mesh.boundaries or {}, section.boundary_names()),
     ):
-        filled = {name for name, indices in found.items() if len(indices)}
+        filled = {name for name, indices in found.items() if len(indices) and whole(name) == name}
         if filled != set(expected):
             raise MeshError(
                 f"{kind} missing from the mesh: {sorted(set(expected) - filled)}; not of the section: "

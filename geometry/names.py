@@ -3,8 +3,8 @@
 A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its region is called like its role, with ``_2``,
 ``_3``, ... appended when a role occurs again further up. The holes through the layers together are the region
 :data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
-``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). No other name of a
-place exists anywhere.
+``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of these
+within one layer of the stack is ``<place>@<layer>`` (:func:`part`). No other name of a place exists anywhere.
 """
 
 from __future__ import annotations
@@ -32,6 +32,12 @@ AXIS = "axis"
 ELECTRODE_LIVE = "electrode_live"
 ELECTRODE_GROUND = "electrode_ground"
 OUTSIDE = "outside"
+
+#: Joins a region or boundary and the layer of the stack that a part of it lies in: ``cavity@sidewall``.
+PART = "@"
+
+#: In place of a layer: the part of a boundary that lies in a plane of constant z.
+LEVEL = "level"
 
 #: What a state writes for a cavity with nothing in it: its walls are then traction-free.
 VACUUM = "vacuum"
@@ -61,3 +67,13 @@ def interface(a: str, b: str) -> str:
 def outside(region: str) -> str:
     """Name of the part of the region's boundary beyond which there is nothing (the axis not included)."""
     return f"{region}|{OUTSIDE}"
+
+
+def part(place: str, layer: str) -> str:
+    """Name of the part of a region or boundary within one layer of the stack, or of its parts at :data:`LEVEL`."""
+    return f"{place}{PART}{layer}"
+
+
+def whole(place: str) -> str:
+    """Name of the region or boundary of which `place` is a part, or `place` itself."""
+    return place.split(PART)[0]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import SAME_LENGTH, Chip
 from geometry.mesh import MeshError, SectionMesh
+from geometry.names import LEVEL, part
 from geometry.section import Section, cut_section
 
 
@@ -75,6 +76,32 @@ def velocity(mesh: SectionMesh, chip: Chip, name: str, *together: str) -> NDArra
             np.interp(z, before.z_breaks, rates(before.z_breaks, section.z_breaks)),
         ]
     )
+
+
+def split_by_layers(mesh: SectionMesh, chip: Chip) -> SectionMesh:
+    """The same mesh that also names the parts of every region and boundary within the layers of the stack.
+
+    A region that spans several layers (a cavity through two) has a part for each; of a boundary, the facets along z
+    belong to the layer they stand in and all others to :data:`geometry.names.LEVEL`.
+
+    Raises:
+        MeshError: `mesh` is not of this chip.
+    """
+    if cut_section(chip) != mesh.section:
+        raise MeshError(f"the mesh is not of chip {chip.name!r} with its present dimensions")
+    levels = np.array([layer.z_bottom for layer in chip.layers[1:]])
+    names = [layer.region for layer in chip.layers]
+    z = mesh.mesh.p[1]
+    of_cell = np.searchsorted(levels, z[mesh.mesh.t].mean(axis=0))
+    ends = z[mesh.mesh.facets]
+    of_facet = np.where(ends[0] == ends[1], -1, np.searchsorted(levels, ends.mean(axis=0)))
+    regions, boundaries = dict(mesh.mesh.subdomains), dict(mesh.mesh.boundaries)
+    for places, layers in ((regions, of_cell), (boundaries, of_facet)):
+        for place, indices in list(places.items()):
+            for layer in np.unique(layers[indices]):
+                name = part(place, LEVEL if layer < 0 else names[layer])
+                places[name] = np.asarray(indices)[layers[indices] == layer]
+    return replace(mesh, mesh=mesh.mesh.with_subdomains(regions).with_boundaries(boundaries))
 
 
 def _require_same_topology(old: Section, new: Section) -> None:

@@ -123,7 +123,7 @@ def test_a_residual_is_the_relative_error_over_its_deviation(everything: Objecti
     # The bench stands between the device and what is compared.
     device = Predictor(everything.recordings[0].problem, GRID, chip=everything.recordings[0].chip, tolerance=1e-6,
                        dimensions=tuple(p.name for p in everything.parameters if p.is_dimension))
-    values, lengths, bench = everything.settings(point, everything.recordings[0])
+    values, lengths, bench = everything.settings(point, 0)
     assert bench == REAL_BENCH
     seen = through_bench(device(values, lengths).impedance, 2.0 * np.pi * GRID, bench)[0]
     assert found.impedance[0] == pytest.approx(seen, rel=1e-4)  # ten times the tolerance of the objective
@@ -144,7 +144,7 @@ def test_real_part_and_loss_make_one_complex_value(stack: Problem, chip: Chip) -
     free = parameters(stack, chip, PZT, ["c33.loss", "c33", "c11.loss", "e33", "transducer.thickness", "bench.gain"])
     objective = Objective([recording("stack", stack, chip)], free, tolerance=1e-3)
     x = np.array([-2e8, 1.1e11, -3e8, 14.0, 2.1e-3, 0.2])
-    values, lengths, bench = objective.settings(x, objective.recordings[0])
+    values, lengths, bench = objective.settings(x, 0)
     assert values == {f"{PZT}.c33": 1.1e11 - 2e8j, f"{PZT}.c11": stack.values[f"{PZT}.c11"].real - 3e8j,
                       f"{PZT}.e33": complex(14.0, stack.values[f"{PZT}.e33"].imag)}
     assert lengths == {"transducer.thickness": 2.1e-3}

@@ -17,7 +17,7 @@ from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.operators import assemble
-from workbench.physics import absorption, electrodes, fluid, piezoelectric, solid
+from workbench.physics import absorption, electrode_mass, electrodes, fluid, piezoelectric, solid
 from workbench.problem import GAS_FINER, TRANSDUCER_FINER, Problem, build, chip_materials, mesh_speeds, model, problem
 from workbench.solve import solve_full
 
@@ -139,6 +139,28 @@ def test_values_are_changed_by_name_and_nothing_else_moves(filled: Problem) -> N
     assert (changed.mesh, changed.terms) == (filled.mesh, filled.terms)
     with pytest.raises(KeyError, match=r"pla\.densty.*known: .*pla\.density"):
         filled.with_values({"pla.densty": 1200.0})
+
+
+def test_terms_are_added_with_their_values(filled: Problem) -> None:
+    mass = electrode_mass.ElectrodeMass("electrode_live", "electrode_ground", "transducer")
+    name = "electrodes.surface_density"
+    added = filled.with_terms((mass,), {name: 0.1})
+    assert added.terms == (*filled.terms, mass)
+    assert added.values == {**filled.values, name: 0.1}
+    assert (added.mesh, added.materials, added.band) == (filled.mesh, filled.materials, filled.band)
+    # A parameter that two terms share comes once: the second term finds it there.
+    again = electrode_mass.ElectrodeMass("electrode_ground", "electrode_live", "transducer")
+    assert added.with_terms((again,), {}).values == added.values
+    with pytest.raises(KeyError, match=rf"no value of {name}.*ElectrodeMass"):
+        filled.with_terms((mass,), {})
+    with pytest.raises(KeyError, match=rf"has the parameters electrodes\.mass; theirs: {name}"):
+        filled.with_terms((mass,), {name: 0.1, "electrodes.mass": 0.1})
+    with pytest.raises(ValueError, match=rf"values of {name} already"):
+        added.with_terms((again,), {name: 0.2})
+    with pytest.raises(ValueError, match=r"has the term ElectrodeMass.* already"):
+        added.with_terms((mass,), {})
+    with pytest.raises(ValueError, match=r"has the term ElectrodeMass.* already"):
+        filled.with_terms((mass, mass), {name: 0.1})
 
 
 def test_every_parameter_of_the_terms_has_a_value(filled: Problem) -> None:

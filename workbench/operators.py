@@ -18,7 +18,19 @@ from scipy import sparse
 from skfem import Basis, ElementQuad2, FacetBasis
 
 from geometry.mesh import SectionMesh
-from workbench.physics.term import COMPONENTS, OPERATORS, Condition, Integral, Monomial, Part, Term, Values
+from geometry.names import whole
+from workbench.physics.term import (
+    COMPONENTS,
+    FACING,
+    OPERATORS,
+    Condition,
+    Formula,
+    Integral,
+    Monomial,
+    Part,
+    Term,
+    Values,
+)
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -57,7 +69,8 @@ class Place:
 
     ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``shapes`` maps what
     is taken of a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is
-    set on boundaries. ``elements`` (ne,) are the mesh cells.
+    set on boundaries. ``elements`` (ne,) are the mesh cells. Where another boundary faces it, its functions are among
+    the nb ones, ``shapes`` has what is taken of them under ``value_facing`` and so on, ``facing_normal`` its normal.
     """
 
     dofs: NDArray[np.int64]
@@ -65,33 +78,82 @@ class Place:
     shapes: Mapping[str, Real]
     elements: NDArray[np.int64]
     normal: Real | None = None
+    facing_normal: Real | None = None
 
     def factor(self, name: str) -> Real:
-        if self.normal is None:
+        normal = self.facing_normal if name.endswith(FACING) else self.normal
+        if normal is None:
             raise ModelError("an operator with the normal is used inside a region")
-        n_r, n_z = self.normal
-        return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name]
+        n_r, n_z = normal
+        return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name.removesuffix(FACING)]
 
 
-def _volume_place(mesh: SectionMesh, region: str) -> Place:
-    # Nine Gauss points integrate r times a product of two biquadratic functions exactly (degree 5 per direction).
-    basis = Basis(mesh.mesh, _element(mesh), elements=mesh.mesh.subdomains[region], intorder=2 * mesh.order + 1)
-    return _tabulate(basis, np.asarray(mesh.mesh.subdomains[region]))
-
-
-def _boundary_place(mesh: SectionMesh, integral: Integral) -> Place:
+def _place(mesh: SectionMesh, integral: Integral) -> Place:
+    if not integral.on_boundary:
+        return _volume_place(mesh, integral.place, integral.beyond)
+    if integral.beyond is not None:
+        raise ModelError(f"boundary {integral.place!r} is restricted to radii beyond {integral.beyond:g} m; only a "
+                         "region can be")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
+    if not integral.facing:
+        return _boundary_place(mesh, facets, integral.solid)
+    near, far = _facing_facets(mesh, facets, integral)
+    return _facing_place(_boundary_place(mesh, near, integral.solid), _boundary_place(mesh, far, integral.facing_solid))
+
+
+def _volume_place(mesh: SectionMesh, region: str, beyond: float | None) -> Place:
+    cells = np.asarray(mesh.mesh.subdomains[region])
+    if beyond is not None:
+        radius = mesh.mesh.p[0, mesh.mesh.t[:, cells]].mean(axis=0)
+        cells = cells[radius > beyond]
+        if not cells.size:
+            raise ModelError(f"region {region!r} has no element beyond {beyond:g} m; its outermost one is centred at "
+                             f"{radius.max():g} m")
+    # Nine Gauss points integrate r times a product of two biquadratic functions exactly (degree 5 per direction).
+    basis = Basis(mesh.mesh, _element(mesh), elements=cells, intorder=2 * mesh.order + 1)
+    return _tabulate(basis, cells)
+
+
+def _facing_facets(
+    mesh: SectionMesh, facets: NDArray[np.int64], integral: Integral
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The facets of a boundary and those across the layer, in order of their radius."""
+    both = []
+    for each in (facets, np.asarray(mesh.mesh.boundaries[integral.facing])):
+        radii = mesh.mesh.p[0, mesh.mesh.facets[:, each]]
+        order = np.argsort(radii.mean(axis=0))
+        both.append((each[order], np.sort(radii[:, order], axis=0)))
+    (near, inside), (far, across) = both
+    flat = np.concatenate([np.ptp(radii, axis=0) for radii in (inside, across)]).min() > 0.0
+    if not flat or inside.shape != across.shape or not np.allclose(inside, across, rtol=0.0, atol=1e-9 * across.max()):
+        raise ModelError(f"boundary {integral.place!r} is not faced by {integral.facing!r} at every radius: "
+                         f"{near.size} facets from {inside.min():g} to {inside.max():g} m against {far.size} from "
+                         f"{across.min():g} to {across.max():g} m; both must be horizontal, with the same nodes")
+    return near, far
+
+
+def _facing_place(near: Place, far: Place) -> Place:
+    """Both boundaries as one place, integrated over the first. Points in the same order: their weights agree."""
+    if not np.allclose(near.weights, far.weights, rtol=1e-9, atol=0.0):
+        raise ModelError("the points of two boundaries that face each other are in different order")
+    shapes = {kind: np.concatenate([s, np.zeros_like(far.shapes[kind])], axis=2) for kind, s in near.shapes.items()}
+    shapes |= {kind + FACING: np.concatenate([np.zeros_like(near.shapes[kind]), s], axis=2)
+               for kind, s in far.shapes.items()}
+    return Place(np.concatenate([near.dofs, far.dofs]), near.weights, shapes, near.elements, near.normal, far.normal)
+
+
+def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
     basis = FacetBasis(mesh.mesh, _element(mesh), facets=facets, intorder=2 * mesh.order + 1)
     owners = mesh.mesh.f2t[0, facets]
     solid_cells = np.zeros(mesh.mesh.t.shape[1], dtype=bool)
-    solid_cells[mesh.mesh.subdomains[integral.solid]] = True
+    solid_cells[mesh.mesh.subdomains[solid]] = True
     sign = np.where(solid_cells[owners], 1.0, -1.0)
     place = _tabulate(basis, owners)
     # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
     trace = np.abs(place.shapes["value"]).max(axis=1) > 1e-12
     count = int(trace.sum(axis=1).min())
     if not (trace.sum(axis=1) == count).all():
-        raise ModelError(f"boundary {integral.place!r} mixes facets with different numbers of functions")
+        raise ModelError(f"a boundary of {solid!r} mixes facets with different numbers of functions")
     keep = np.nonzero(trace)[1].reshape(-1, count)
     shapes = {kind: np.take_along_axis(s, keep[:, None, :], axis=2) for kind, s in place.shapes.items()}
     dofs = np.take_along_axis(place.dofs.T, keep, axis=1).T
@@ -120,6 +182,7 @@ def _tabulate(basis: Basis | FacetBasis, elements: NDArray[np.int64]) -> Place:
 class FullOperators:
     """The assembled model on a mesh: basis functions at quadrature points, and the numbering of the unknowns.
 
+    ``places`` are found by the :attr:`~workbench.physics.term.Integral.domain` of an integral.
     ``numbering[component]`` (number of scalar mesh dofs,) is the row of an unknown in the system, or -1 where the
     component does not exist or is held at zero; all points of the live electrode share the last row.
     """
@@ -154,7 +217,7 @@ class FullOperators:
         return np.stack([part.sum(axis=0) for part in parts], axis=-1)
 
     def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
-        """left^T A_q right, element by element of the integral's place: one array (ne, n) for every integral."""
+        """left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
         result: dict[int, Complex] = {}
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
@@ -177,7 +240,7 @@ class FullOperators:
     def _by_place(self) -> dict[str, list[Integral]]:
         groups: dict[str, list[Integral]] = {}
         for integral in self.integrals:
-            groups.setdefault(integral.place, []).append(integral)
+            groups.setdefault(integral.domain, []).append(integral)
         return groups
 
     def project(self, basis: Real, test: Real | None = None) -> Real:
@@ -352,7 +415,8 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     integrals = tuple(integral for term in terms for integral in term.integrals())
     unknowns = {pair for term in terms for pair in term.unknowns}
     conditions = tuple(dict.fromkeys(condition for term in terms for condition in term.conditions()))
-    for place in [i.place for i in integrals] + [r for _, r in unknowns] + [c.boundary for c in conditions]:
+    named = [i.place for i in integrals] + [i.facing for i in integrals if i.facing]
+    for place in named + [r for _, r in unknowns] + [c.boundary for c in conditions]:
         if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
             known = sorted([*mesh.mesh.subdomains, *mesh.mesh.boundaries])
             raise ModelError(f"no region or boundary {place!r} in the mesh; known: {', '.join(known)}")
@@ -360,22 +424,23 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
         raise ModelError("a model needs exactly one live electrode; add one `Electrodes` term")
     for integral in integrals:
         for product in integral.products:
-            for component in {part[0] for name in (product.row, product.column) for part in OPERATORS[name]}:
-                owner = integral.place
+            for component, kind, _ in {part for name in (product.row, product.column) for part in OPERATORS[name]}:
+                owner = whole(integral.place)
+                if kind.endswith(FACING) and not integral.facing:
+                    raise ModelError(f"nothing faces {integral.place!r}, which {product} needs")
                 if integral.on_boundary:
-                    owner = integral.fluid if component == "p" else integral.solid
+                    solid = integral.facing_solid if kind.endswith(FACING) else integral.solid
+                    owner = integral.fluid if component == "p" else solid
                 if (component, owner) not in unknowns:
                     raise ModelError(
                         f"{owner!r} has no unknown {component!r}, which {product} needs on {integral.place!r}")
-    sides = {(i.place, i.solid, i.fluid) for i in integrals if i.on_boundary}
-    if len({place for place, _, _ in sides}) != len(sides):
+    sides = {(i.domain, i.solid, i.fluid, i.facing_solid) for i in integrals if i.on_boundary}
+    if len({domain for domain, *_ in sides}) != len(sides):
         raise ModelError(f"a boundary is used with two different sides: {sorted(sides)}")
     places: dict[str, Place] = {}
     for integral in integrals:
-        if integral.place not in places:
-            places[integral.place] = (
-                _boundary_place(mesh, integral) if integral.on_boundary else _volume_place(mesh, integral.place)
-            )
+        if integral.domain not in places:
+            places[integral.domain] = _place(mesh, integral)
     numbering, size = _number(mesh, unknowns, conditions)
     return FullOperators(mesh, terms, integrals, places, numbering, size)
 
@@ -414,12 +479,12 @@ def frequency_groups(
 ) -> tuple[tuple[Complex, Complex], ...]:
     """The model as few matrices as its frequency dependence allows: pairs of (h(w) (n,), constants (integrals,)).
 
-    sum_q g_q(w) A_q = sum over pairs of h(w) sum_q constants_q A_q. Monomials with the same power of w share a pair.
+    sum_q g_q(w) A_q = sum over pairs of h(w) sum_q constants_q A_q. Those with the same power of w share a pair.
     """
     powers: dict[float, Complex] = {}
     others: list[tuple[Complex, Complex]] = []
     for q, integral in enumerate(integrals):
-        if isinstance(integral.coefficient, Monomial):
+        if isinstance(integral.coefficient, Monomial | Formula):
             constants = powers.setdefault(integral.coefficient.omega_power, np.zeros(len(integrals), dtype=complex))
             constants[q] = integral.coefficient.constant(values)
         else:

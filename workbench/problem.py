@@ -57,6 +57,29 @@ class Problem:
             raise KeyError(f"unknown parameters {', '.join(unknown)}; known: {', '.join(sorted(self.values))}")
         return replace(self, values={**self.values, **values})
 
+    def with_terms(self, terms: tuple[Term, ...], values: Mapping[str, complex]) -> Problem:
+        """The same problem with more terms, and the values of the parameters they bring in.
+
+        Raises:
+            ValueError: a term the problem has already, or a value it has already (:meth:`with_values` changes one).
+            KeyError: a parameter of the terms without a value, or a value that none of them needs.
+        """
+        for term in terms:
+            if term in self.terms or terms.count(term) > 1:
+                raise ValueError(f"the model has the term {term!r} already")
+        known = sorted(set(values) & set(self.values))
+        if known:
+            raise ValueError(f"the problem has values of {', '.join(known)} already; change them by `with_values`")
+        needed = {name for term in terms for i in term.integrals() for name in i.coefficient.parameters}
+        lacking = sorted(needed - set(values) - set(self.values))
+        if lacking:
+            raise KeyError(f"no value of {', '.join(lacking)}, which the terms {', '.join(map(repr, terms))} need")
+        unused = sorted(set(values) - needed)
+        if unused:
+            raise KeyError(f"no term of those added has the parameters {', '.join(unused)}; "
+                           f"theirs: {', '.join(sorted(needed))}")
+        return replace(self, terms=(*self.terms, *terms), values={**self.values, **values})
+
 
 def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Material]:
     """The material of every region of the chip in a state; an evacuated cavity is absent.

@@ -228,8 +228,8 @@ def _settle(search: Search, x: Real, covariance: Real) -> None:
     for value, vector in zip(values, vectors.T, strict=True):
         step = 3.0 * np.sqrt(max(value, 0.0)) * vector * search.scale
         around.append(np.clip(x + step, search.low, search.high))
-    for recording, predictor in zip(search.objective.recordings, search.objective.predictors, strict=True):
-        predictor.settle([search.objective.settings(y, recording)[:2] for y in around])
+    for index, predictor in enumerate(search.objective.predictors):
+        predictor.settle([search.objective.settings(y, index)[:2] for y in around])
 
 
 def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence[Real]) -> Real:
@@ -250,7 +250,7 @@ def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence
 
 def unrefined(coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float) -> Complex:
     """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz)."""
-    values, lengths, bench = coarser.settings(x, coarser.recordings[index])
+    values, lengths, bench = coarser.settings(x, index)
     prediction = coarser.predictors[index].elsewhere(frequency, tolerance, values, lengths)
     return through_bench(prediction.impedance, prediction.solution.omega, bench)[0]
 
@@ -427,8 +427,8 @@ def check(objective: Objective, x: Real, *, count: int = 3) -> tuple[float, floa
     At the smallest and largest |Z| of every recording, where errors are largest, and where the estimate is worst.
     """
     worst, where = 0.0, 0.0
-    for index, (recording, predictor) in enumerate(zip(objective.recordings, objective.predictors, strict=True)):
-        values, lengths, _ = objective.settings(x, recording)
+    for index, predictor in enumerate(objective.predictors):
+        values, lengths, _ = objective.settings(x, index)
         _, _, prediction = objective.predict(x, index)
         size = np.abs(prediction.impedance)
         chosen = sorted({int(np.argmin(size)), int(np.argmax(size)), int(np.argmax(prediction.error))})[:count]

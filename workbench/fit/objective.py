@@ -13,14 +13,14 @@ the one broad resonance that every parameter set has. The width is then let down
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from workbench.fit.parameter import BENCH, LOSS, Parameter, placed
+from workbench.fit.parameter import BENCH, Parameter, part, placed
 from workbench.fit.predict import Prediction, Predictor
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
@@ -61,8 +61,8 @@ class Residual:
 class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
-    ``deviation`` is the relative standard deviation of each recording's points: a number, or None for the
-    uncertainties the spectrum itself carries.
+    A parameter that is among the values of a recording's problem moves these; a dimension that is not stretches the
+    mesh of its chip. The reduced bases prepare for the parameters called `likely` to move (all by default).
     """
 
     def __init__(
@@ -71,19 +71,24 @@ class Objective:
         parameters: Sequence[Parameter],
         *,
         tolerance: float,
+        likely: Collection[str] | None = None,
     ) -> None:
         self.recordings, self.parameters = tuple(recordings), tuple(parameters)
         names = [r.name for r in self.recordings]
         if len(set(names)) < len(names):
             raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
+        self._acting = [[(column, p) for column, p in enumerate(self.parameters)
+                         if not p.recordings or r.name in p.recordings] for r in self.recordings]
+        #: Of every recording, the coefficients that parameters move.
+        self.coefficients = [tuple(dict.fromkeys(p.coefficient for _, p in acting if p.coefficient in r.problem.values))
+                             for r, acting in zip(self.recordings, self._acting, strict=True)]
+        expected = [tuple(dict.fromkeys(p.coefficient for _, p in acting if p.coefficient in coefficients
+                                        and (likely is None or p.name in likely)))
+                    for acting, coefficients in zip(self._acting, self.coefficients, strict=True)]
         self.predictors = tuple(
-            Predictor(
-                r.problem, r.measured.frequency, chip=r.chip, tolerance=tolerance,
-                dimensions=tuple(p.name for p in self._of(r) if p.is_dimension),
-                tangents=tuple(dict.fromkeys(p.coefficient for p in self._of(r)
-                                             if p.is_material and p.coefficient in r.problem.values)),
-            )
-            for r in self.recordings
+            Predictor(r.problem, r.measured.frequency, chip=r.chip, tolerance=tolerance, tangents=tangents,
+                      dimensions=tuple(p.name for _, p in acting if _stretches(p, r.problem)))
+            for r, acting, tangents in zip(self.recordings, self._acting, expected, strict=True)
         )
 
     @property
@@ -103,48 +108,44 @@ class Objective:
         other.recordings = tuple(replace(r, measured=m) for r, m in zip(self.recordings, spectra, strict=True))
         return other
 
-    def _of(self, recording: Recording) -> list[Parameter]:
-        return [p for p in self.parameters if not p.recordings or recording.name in p.recordings]
-
-    def settings(self, x: Real, recording: Recording) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:
-        """Complex values, dimensions and bench elements that the vector x (p,) means for a recording."""
+    def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:
+        """Complex values, dimensions and bench elements that the vector x (p,) means for the recording of that index."""
+        problem = self.recordings[index].problem
         numbers: dict[str, float] = {}
         lengths: dict[str, float] = {}
         bench: dict[str, float] = {}
-        for number, parameter in zip(x, self.parameters, strict=True):
-            if parameter not in self._of(recording):
-                continue
+        for column, parameter in self._acting[index]:
+            number = float(x[column])
             if parameter.is_bench:
-                bench[parameter.name] = float(number)
+                bench[parameter.name] = number
+            elif parameter.coefficient in problem.values:
+                numbers[parameter.name] = number * (part(problem.values, parameter.name) if parameter.relative else 1.0)
             elif parameter.is_dimension:
-                lengths[parameter.name] = float(number)
-            elif parameter.coefficient in recording.problem.values:
-                numbers[parameter.name] = float(number)
-        moved = {name.removesuffix(LOSS) for name in numbers}
-        known = {name: complex(value) for name, value in recording.problem.values.items() if name in moved}
+                lengths[parameter.name] = number
+        known = {name: complex(problem.values[name]) for name in self.coefficients[index]}
         return placed(known, numbers), lengths, bench
 
     def predict(self, x: Real, index: int) -> tuple[Complex, Complex, Prediction]:
         """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them."""
-        recording, predictor = self.recordings[index], self.predictors[index]
-        values, lengths, bench = self.settings(x, recording)
+        problem, predictor, coefficients = (
+            self.recordings[index].problem, self.predictors[index], self.coefficients[index])
+        values, lengths, bench = self.settings(x, index)
         prediction = predictor(values, lengths)
         omega = prediction.solution.omega
         seen, device, elements = through_bench(prediction.impedance, omega, bench)
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
-        slopes = np.conj(prediction.logarithmic_gradient(predictor.tangents)) if predictor.tangents else None
-        for column, parameter in enumerate(self.parameters):
-            if parameter not in self._of(recording):
-                continue
+        slopes = np.conj(prediction.logarithmic_gradient(coefficients)) if coefficients else None
+        for column, parameter in self._acting[index]:
             if parameter.is_bench:
                 gradient[:, column] = elements[parameter.name]
+            elif parameter.coefficient in coefficients:
+                assert slopes is not None
+                slope = slopes[:, coefficients.index(parameter.coefficient)]
+                # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
+                factor = part(problem.values, parameter.name) if parameter.relative else 1.0
+                gradient[:, column] = device * factor * (-1j * slope if parameter.is_loss else slope)
             elif parameter.is_dimension:
                 gradient[:, column] = device * np.conj(prediction.logarithmic_slope(parameter.name))
-            elif parameter.coefficient in predictor.tangents:
-                assert slopes is not None
-                slope = slopes[:, predictor.tangents.index(parameter.coefficient)]
-                # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
-                gradient[:, column] = device * (-1j * slope if parameter.is_loss else slope)
         return seen, gradient, prediction
 
     def __call__(self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0) -> Residual:
@@ -172,6 +173,10 @@ class Objective:
             parts += [ratio.real, ratio.imag]
             rows += [scaled.real, scaled.imag]
         return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), worst)
+
+
+def _stretches(parameter: Parameter, problem: Problem) -> bool:
+    return parameter.is_dimension and parameter.name not in problem.values
 
 
 def log_ratio(model: Complex, measured: Complex) -> Complex:

@@ -24,6 +24,9 @@ from workbench.problem import Problem
 LOSS = ".loss"
 BENCH = "bench."
 
+#: How the name of a dimension of a chip ends (`geometry.chip.Chip.dimensions`).
+LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
+
 #: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
 #: sheets of one class of ceramic differ from each other (the entries pic255, pzt5a, pzt5h of the registry do so).
 DATA_SHEET: Mapping[str, float] = {"c": 0.1, "eps": 0.2, "e": 0.15, "density": 0.01}
@@ -77,7 +80,8 @@ class Parameter:
     """A real number a fit may move.
 
     ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
-    beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all.
+    beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``, the
+    number multiplies the coefficient that each recording's problem has: a fluid at two temperatures.
     """
 
     name: str
@@ -87,6 +91,7 @@ class Parameter:
     prior: float | None
     unit: str
     recordings: tuple[str, ...] = ()
+    relative: bool = False
 
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:
@@ -104,11 +109,11 @@ class Parameter:
 
     @property
     def is_dimension(self) -> bool:
-        return not self.is_bench and not self.is_material
+        return self.name.rpartition(".")[2] in LENGTHS
 
     @property
     def is_loss(self) -> bool:
-        return self.is_material and self.name.endswith(LOSS)
+        return self.name.endswith(LOSS)
 
     @property
     def coefficient(self) -> str:

@@ -12,7 +12,7 @@ the projection on a reduced basis, the derivative of the spectrum, and the map o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,11 +24,12 @@ COMPONENTS = ("u_r", "u_z", "phi", "p")
 
 #: One part of an operator: (component, what is taken of it, factor). What is taken: ``value``, ``d_r``, ``d_z`` or
 #: ``over_r`` (value / r). Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent
-#: in the section, ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined.
+#: in the section, ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_facing``
+#: after both it is taken on the boundary across a thin layer, at the same radius and with that boundary's own tangent.
 Part = tuple[str, str, str]
 
-#: Every operator a term may use, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz).
-OPERATORS: Mapping[str, tuple[Part, ...]] = {
+#: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz).
+_WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "u_r": (("u_r", "value", ""),),
     "u_z": (("u_z", "value", ""),),
     "strain_rr": (("u_r", "d_r", ""),),
@@ -45,6 +46,31 @@ OPERATORS: Mapping[str, tuple[Part, ...]] = {
     "u_n": (("u_r", "value", "n_r"), ("u_z", "value", "n_z")),
     "u_t": (("u_r", "value", "t_r"), ("u_z", "value", "t_z")),
     "grad_p_t": (("p", "d_r", "t_r"), ("p", "d_z", "t_z")),
+    "u_t_facing": (("u_r", "value_facing", "t_r_facing"), ("u_z", "value_facing", "t_z_facing")),
+    "grad_p_t_facing": (("p", "d_r_facing", "t_r_facing"), ("p", "d_z_facing", "t_z_facing")),
+}
+
+#: How the parts of an operator that is taken across a layer end.
+FACING = "_facing"
+
+
+def parts_by_z(operator: str) -> tuple[str, str]:
+    """Names of what `operator` holds of derivatives along z, and of the rest; "" for a part that it does not have."""
+    steep, flat = _by_z(_WRITTEN[operator])
+    if not steep or not flat:
+        return (operator, "") if steep else ("", operator)
+    return f"{operator}, d_z", f"{operator}, no d_z"
+
+
+def _by_z(parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], tuple[Part, ...]]:
+    return tuple(p for p in parts if p[1] == "d_z"), tuple(p for p in parts if p[1] != "d_z")
+
+
+#: Every operator, those of :func:`parts_by_z` included.
+OPERATORS: Mapping[str, tuple[Part, ...]] = {
+    **_WRITTEN,
+    **{name: part for operator, parts in _WRITTEN.items()
+       for name, part in zip(parts_by_z(operator), _by_z(parts), strict=True) if name},
 }
 
 Values = Mapping[str, complex]
@@ -101,6 +127,76 @@ class Monomial:
         return Monomial(self.scale * exponent, self.omega_power, lowered)(omega, values)
 
 
+#: A value and its derivatives by the symbols it depends on, from the values of these symbols.
+ConstantLaw = Callable[[Mapping[str, complex]], tuple[complex, Mapping[str, complex]]]
+
+#: The same of the angular frequencies (n,) too: every result is (n,).
+DispersiveLaw = Callable[
+    [NDArray[np.float64], Mapping[str, complex]],
+    tuple[NDArray[np.complex128], Mapping[str, NDArray[np.complex128]]],
+]
+
+
+@dataclass(frozen=True)
+class Formula:
+    """omega**power * law(theta): a coefficient that is a power of the frequency and no product of its parameters.
+
+    Args:
+        law: a function of the symbols; a module's own function, so that models can be compared, stored and sent.
+        symbols: (symbol of the law, parameter name) pairs, each symbol once.
+        omega_power: exponent of the angular frequency (rad/s).
+    """
+
+    law: ConstantLaw
+    symbols: tuple[tuple[str, str], ...]
+    omega_power: float = 0
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for _, name in self.symbols))
+
+    def constant(self, values: Values) -> complex:
+        """The part that does not depend on frequency."""
+        return complex(self.law({symbol: complex(values[name]) for symbol, name in self.symbols})[0])
+
+    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
+        powers = np.asarray(omega, dtype=float) ** self.omega_power
+        return np.asarray(self.constant(values) * powers, dtype=np.complex128)
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        _, slopes = self.law({symbol: complex(values[parameter]) for symbol, parameter in self.symbols})
+        slope = sum((slopes[symbol] for symbol, parameter in self.symbols if parameter == name), 0j)
+        return np.asarray(slope * np.asarray(omega, dtype=float) ** self.omega_power, dtype=np.complex128)
+
+
+@dataclass(frozen=True)
+class Dispersion:
+    """law(omega, theta): a coefficient that is no power of the frequency. Arguments as those of :class:`Formula`."""
+
+    law: DispersiveLaw
+    symbols: tuple[tuple[str, str], ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for _, name in self.symbols))
+
+    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
+        return self._evaluated(omega, values)[0]
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        found = np.zeros(np.shape(omega), dtype=complex)
+        _, slopes = self._evaluated(omega, values)
+        for symbol, parameter in self.symbols:
+            if parameter == name:
+                found += slopes[symbol]
+        return found
+
+    def _evaluated(
+        self, omega: NDArray[np.float64], values: Values
+    ) -> tuple[NDArray[np.complex128], Mapping[str, NDArray[np.complex128]]]:
+        return self.law(np.asarray(omega, dtype=float), {s: complex(values[name]) for s, name in self.symbols})
+
+
 @dataclass(frozen=True)
 class Admissible:
     """What a parameter of an effect can be in a real device: from `lowest` to `highest` in `unit`, and who says so."""
@@ -125,6 +221,9 @@ class Integral:
     """One g_q A_q: a coefficient, the region or boundary integrated over, and the quadratic form of A_q.
 
     ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
+    ``facing`` names the boundary across a thin layer and ``facing_solid`` the solid there, for the operators that are
+    taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` (metres) restricts a region to
+    its elements whose centre has a larger radius.
     """
 
     coefficient: Coefficient
@@ -132,10 +231,20 @@ class Integral:
     products: tuple[Product, ...]
     solid: str = ""
     fluid: str = ""
+    facing: str = ""
+    facing_solid: str = ""
+    beyond: float | None = None
 
     @property
     def on_boundary(self) -> bool:
         return bool(self.solid)
+
+    @property
+    def domain(self) -> str:
+        """The name of what is integrated over: the place, with what faces or restricts it."""
+        if self.facing:
+            return f"{self.place} facing {self.facing}"
+        return self.place if self.beyond is None else f"{self.place} beyond {self.beyond!r}"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,111 @@
+"""Thicknesses as parameters of the model: the same numbers as a stretched mesh, to rounding."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.chip import Chip, read_chip
+from geometry.mesh import MeshError
+from geometry.stretch import stretch
+from materials.registry import Registry
+from workbench.layers import layered
+from workbench.operators import assemble
+from workbench.physics.boundary_layer import ViscousBoundaryLayer
+from workbench.problem import Problem, build
+from workbench.solve import solve_full
+
+CHIP = """
+[chip]
+name = "two rings"
+band = ["0.4 MHz", "0.6 MHz"]
+[[layers]]
+role = "transducer"
+material = "pic255/plutho"
+thickness = "2 mm"
+radius = "3 mm"
+electrodes = { live = "top" }
+[[layers]]
+role = "couplant"
+material = "coupling_gel/acevedo_2026"
+thickness = "40 um"
+radius = "3 mm"
+[[layers]]
+role = "substrate"
+material = "pla/acevedo_2026"
+thickness = "0.8 mm"
+radius = "3.5 mm"
+[[layers]]
+role = "sidewall"
+material = "pla/acevedo_2026"
+thickness = "0.7 mm"
+radius = "3.5 mm"
+cavity_radius = "1.5 mm"
+[[layers]]
+role = "bond"
+material = "epoxy/acevedo_2026"
+thickness = "60 um"
+radius = "3.5 mm"
+cavity_radius = "2 mm"
+[[layers]]
+role = "superstrate"
+material = "soda_lime_glass"
+thickness = "0.8 mm"
+radius = "3.5 mm"
+[states.filled]
+cavity = "water"
+"""
+
+#: Two rings of different holes: the cavity spans two layers, and its boundary with the bond holds facets both ways.
+LONGER = {"couplant.thickness": 47e-6, "sidewall.thickness": 0.74e-3, "bond.thickness": 50e-6,
+          "transducer.thickness": 1.98e-3}
+FREQUENCIES = np.array([4.3e5, 5.2e5])
+
+
+@pytest.fixture(scope="module")
+def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
+    path = Path(tmp_path_factory.mktemp("chip")) / "chip.toml"
+    path.write_text(CHIP)
+    return read_chip(path)
+
+
+@pytest.fixture(scope="module")
+def problem(chip: Chip) -> Problem:
+    found = build(chip, "filled", Registry(), elements_per_wavelength=3.0)
+    water = found.materials["cavity"]
+    walls = [b for b in found.mesh.section.boundary_names() if "cavity" in b.split("|")]
+    layers = tuple(ViscousBoundaryLayer(wall, next(side for side in wall.split("|") if side != "cavity"), "cavity",
+                                        water.name) for wall in walls)
+    return found.with_terms(layers, {})
+
+
+def test_a_new_thickness_is_that_of_the_stretched_mesh(chip: Chip, problem: Problem) -> None:
+    stretched = assemble(stretch(problem.mesh, chip.with_dimensions(LONGER)), problem.terms)
+    expected = solve_full(stretched, FREQUENCIES, problem.values).impedance
+    flexible = layered(problem, chip)
+    values = {**flexible.values, **{name: complex(value) for name, value in LONGER.items()}}
+    found = solve_full(assemble(flexible.mesh, flexible.terms), FREQUENCIES, values).impedance
+    # Two ways to the same matrices: what is left is rounding, which the resonances magnify.
+    assert np.abs(found / expected - 1.0).max() < 1e-9
+    # and the change is no small matter
+    before = solve_full(assemble(problem.mesh, problem.terms), FREQUENCIES, problem.values).impedance
+    assert np.abs(found / before - 1.0).max() > 0.03
+
+
+def test_the_gradient_by_a_thickness_is_that_of_differences(chip: Chip, problem: Problem) -> None:
+    flexible = layered(problem, chip)
+    operators = assemble(flexible.mesh, flexible.terms)
+    names = tuple(sorted(LONGER))
+    exact = solve_full(operators, FREQUENCIES, flexible.values).parameter_gradient(flexible.values, names)
+    for column, name in enumerate(names):
+        step = 1e-5 * flexible.values[name]
+        ahead, behind = (
+            solve_full(operators, FREQUENCIES, {**flexible.values, name: flexible.values[name] + sign * step}).impedance
+            for sign in (1.0, -1.0))
+        # Central differences: an error of the step squared, 1e-10, times the curvature in units of the thickness.
+        assert exact[:, column] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-5, abs=0.0)
+
+
+def test_a_mesh_of_another_chip_is_refused(chip: Chip, problem: Problem) -> None:
+    with pytest.raises(MeshError, match="not of chip"):
+        layered(problem, chip.with_dimensions({"bond.thickness": 70e-6}))
