@@ -31,6 +31,12 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "viscosity": {"Pa s": 1.0, "mPa s": 1e-3, "uPa s": 1e-6},
     "piezoelectric": {"C/m^2": 1.0},
     "temperature": {"K": 1.0, "degC": 1.0},
+    "inductance": {"H": 1.0, "mH": 1e-3, "uH": 1e-6, "nH": 1e-9},
+    "capacitance": {"F": 1.0, "uF": 1e-6, "nF": 1e-9, "pF": 1e-12},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+    "diffusivity": {"m^2/s": 1.0},
     "dimensionless": {"1": 1.0, "%": 1e-2},
 }
 

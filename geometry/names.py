@@ -3,8 +3,8 @@
 A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its region is called like its role, with ``_2``,
 ``_3``, ... appended when a role occurs again further up. The holes through the layers together are the region
 :data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
-``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of these
-within one layer of the stack is ``<place>@<layer>`` (:func:`part`). No other name of a place exists anywhere.
+``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of
+these within one layer of the stack is ``<place>@<layer>`` (:func:`part`). No other name of a place exists anywhere.
 """
 
 from __future__ import annotations

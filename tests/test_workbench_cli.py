@@ -19,7 +19,7 @@ from workbench.operators import ModelError
 from workbench.options import parser
 from workbench.solve import NotConverged
 
-COMMANDS = ("simulate", "compare", "mesh", "export", "render", "materials")
+COMMANDS = ("simulate", "compare", "mesh", "export", "render", "sensitivity", "materials", "measure", "import", "bench")
 
 
 @pytest.fixture(autouse=True)

@@ -28,7 +28,7 @@ SOME = np.arange(0, GRID.size, 5)
 TOLERANCE = 1e-4
 #: The estimate is a statistical one (tests of workbench.reduce): of a single frequency it may be below the error by
 #: this much.
-OPTIMISM = 5.0
+OPTIMISM = 2.0
 FREE = (*(f"{PZT}.{name}" for name in ("c11", "c13", "c33", "c44", "e33", "eps33")), f"{PLA}.bulk_modulus",
         f"{PLA}.shear_modulus")
 

@@ -9,18 +9,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
 
 from geometry.chip import Chip
 from materials.kinds import Material
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
-from workbench.reduce import DEPTH, NotEnriched, ReducedModel, reduce
-from workbench.solve import solve_full
+from workbench.reduce import (
+    DEPTH,
+    PROJECTIONS,
+    NotEnriched,
+    ReducedModel,
+    energy_matrix,
+    narrowed,
+    reduce,
+)
+from workbench.reduce import (
+    test_vectors as probes,  # or pytest takes it for a test
+)
+from workbench.solve import NotConverged, System, solve_full
 
 TOLERANCE = 1e-5
-#: The estimate is a statistical one: a norm of the residual from a dozen random projections, times a factor learned
-#: elsewhere in the band. It may be below the error of a single frequency by this much, not more.
-OPTIMISM = 5.0
+#: The estimate is a statistical one: the norm of the residual from random projections. Below half of it they are with a
+#: probability of 2 %, which the safety factor of two makes up for; a quarter is improbable for any residual.
+OPTIMISM = 2.0
 
 
 @pytest.fixture(scope="module")
@@ -110,8 +122,6 @@ def test_enrichment_from_a_start_brings_the_error_below_the_tolerance(
               f"error {error.max():.1e}")
         assert (error <= np.maximum(better.error(solution), TOLERANCE)).all()
         assert better.basis.shape[1] > reduced.basis.shape[1]
-        # What was known is kept: the old parameters are still served.
-        assert better.effectivity >= reduced.effectivity
 
 
 def test_a_start_that_suffices_is_confirmed_by_a_single_solve(
@@ -135,6 +145,127 @@ def test_a_model_of_a_coarse_grid_does_not_pretend_to_hold_between_its_points(
     assert (estimate * OPTIMISM > error)[error > TOLERANCE].all()
 
 
+# --------------------------------------------------------------------------------------------------------------------
+# What the estimate is made of, and what it is worth.
+
+
+def test_the_energy_counts_everything_positive(
+    filled: Problem, filled_operators: FullOperators, pencil: Callable[..., dict[int, csc_matrix]],
+    rows: Callable[..., NDArray[np.int64]],
+) -> None:
+    # Solids, fluids and a potential: the system itself has eigenvalues of either sign.
+    frequency = 350e3
+    omega = 2.0 * np.pi * frequency
+    energy = energy_matrix(System(filled_operators, filled.values), frequency)
+    powers = pencil(filled_operators, filled.values)
+    solid = np.unique(np.concatenate([rows(filled_operators, region, "u_r", "u_z")
+                                      for region in ("transducer", "substrate", "sidewall", "bond", "superstrate")]))
+    fluid = np.unique(np.concatenate([rows(filled_operators, region, "p") for region in ("couplant", "cavity")]))
+    electric = rows(filled_operators, "transducer", "phi")
+    # e^{-i w t}, by DESIGN's form of the equations: K - w^2 M; G / w^2 - C; minus the dielectric energy.
+    expected = {
+        "elastic and kinetic": (solid, powers[0], -omega**2 * powers[2]),
+        "acoustic": (fluid, -powers[0], omega**-2 * powers[-2]),
+        "dielectric": (electric, -powers[0], 0.0 * powers[0]),
+    }
+    scale = 1.0 / np.sqrt(energy.diagonal())
+    for name, (members, *parts) in expected.items():
+        exact = sum(parts)[members][:, members].toarray()
+        found = energy[members][:, members].toarray()
+        assert np.abs((found - exact) * np.outer(scale[members], scale[members])).max() < 1e-12, name
+        assert np.linalg.eigvalsh(found * np.outer(scale[members], scale[members])).min() > 0.0, name
+    assert solid.size + fluid.size + electric.size == energy.shape[0]
+    # Nothing couples them.
+    assert abs(energy[solid][:, fluid]).max() == abs(energy[solid][:, electric]).max() == 0.0
+
+
+def test_the_projections_have_the_covariance_of_the_inverse_energy(
+    filled: Problem, filled_operators: FullOperators
+) -> None:
+    system = System(filled_operators, filled.values)
+    energy, vectors = energy_matrix(system, 350e3), probes(system, 350e3)
+    size = energy.shape[0]
+    assert vectors.shape == (size + 1, PROJECTIONS)
+    assert not vectors[-1].any()
+    # t = R^{-1/2} w with white w: t^T R t is a chi-squared of as many degrees as unknowns, with a relative standard
+    # deviation of sqrt(2 / size); products of two have half its variance. 276 of them: four and a half deviations.
+    gram = vectors[:-1].T @ (energy @ vectors[:-1]) / size
+    assert np.abs(np.diag(gram) - 1.0).max() < 4.5 * np.sqrt(2.0 / size)
+    assert np.abs(gram - np.diag(np.diag(gram))).max() < 4.5 * np.sqrt(1.0 / size)
+
+
+def test_an_unknown_without_energy_is_no_model(small_disc: Problem, sharp: FullOperators) -> None:
+    # Without permittivities nothing but the strain holds the potential.
+    values = {name: 0.0 if name.startswith("pzt.eps") else value for name, value in small_disc.values.items()}
+    with pytest.raises(NotConverged, match="the solve at 965000 Hz left a scaled residual of inf"):
+        reduce(sharp, SHARP, values)
+
+
+#: About the strongest resonance of the small disc, on far too coarse a mesh, where a per cent of c11 is much.
+SHARP = np.linspace(850e3, 1080e3, 47)
+
+
+@pytest.fixture(scope="module")
+def sharp(small_disc: Problem) -> FullOperators:
+    return assemble(small_disc.mesh, small_disc.terms)
+
+
+def moved(problem: Problem, random: np.random.Generator, reach: float) -> dict[str, complex]:
+    """All constants of the transducer moved by up to `reach`, relative, and their losses by three times that."""
+    return {name: value if name.endswith("density") else complex(
+        value.real * (1.0 + reach * random.uniform(-1.0, 1.0)),
+        value.imag * (1.0 + reach * random.uniform(-1.0, 1.0)) * (1.0 + 2.0 * reach * random.uniform(-1.0, 1.0)),
+    ) for name, value in problem.values.items()}
+
+
+def test_the_estimate_bounds_the_error_wherever_the_parameters_go(small_disc: Problem, sharp: FullOperators) -> None:
+    # A model as a fit makes it, and the same narrowed to a neighbourhood, which lacks the very modes that come up
+    # where the parameters go next: what an estimate learned at other parameters is most wrong about.
+    random = np.random.default_rng(11)
+    tangents = tuple(name for name in small_disc.values if name.startswith("pzt.c"))
+    model = reduce(sharp, SHARP, small_disc.values, tolerance=1e-3, tangents=tangents, confirmed=False)
+    ratios: list[float] = []
+    largest = 0.0
+    base = dict(small_disc.values)
+    for _ in range(4):
+        around = [model.solve(SHARP, base).states]
+        around += [model.solve(SHARP, {**base, name: 1.002 * base[name]}).states for name in tangents]
+        few, _ = narrowed(model, np.concatenate(around, axis=1), 1e-6)
+        for reach in (0.002, 0.01, 0.05, 0.2):
+            values = moved(small_disc.with_values(base), random, reach)
+            exact = solve_full(sharp, SHARP, values).impedance
+            for each in (model, few):
+                solution = each.solve(SHARP, values)
+                error = np.abs(solution.impedance / exact - 1.0)
+                seen = error > 1e-9
+                ratios += (each.error(solution)[seen] / error[seen]).tolist()
+                largest = max(largest, float(error.max()))
+        base = moved(small_disc, random, 0.2)
+        model = reduce(sharp, SHARP, base, tolerance=1e-3, tangents=tangents, start=model, depth=6, confirmed=False)
+    found = np.array(ratios)
+    print(f"{found.size} points, errors up to {largest:.1e}, estimate / error: least {found.min():.2f}, median "
+          f"{np.median(found):.1f}, below 1 {100.0 * np.mean(found < 1.0):.2f} %")
+    assert largest > 0.1  # or this test says nothing
+    assert found.size > 1000
+    assert np.mean(found < 1.0) < 0.01
+    assert found.min() > 0.5
+    # Nor is it a bound for its own sake: terms of either sign that cancel make some ten of it.
+    assert np.median(found) < 50.0
+
+
+def test_where_only_rounding_is_left_the_estimate_says_nothing_is(small_disc: Problem, sharp: FullOperators) -> None:
+    # An estimate learned from errors of rounding once was 1e8 times too large, and asked for hundreds of solves.
+    exact = reduce(sharp, SHARP, small_disc.values, tolerance=1e-9)
+    assert exact.error(exact.solve(SHARP, small_disc.values)).max() < 1e-9
+    again = reduce(sharp, SHARP, small_disc.values, tolerance=1e-9, start=exact, confirmed=False)
+    assert again.solves == exact.solves
+    # From there on parameters are served with as few solves as from any other model.
+    values = moved(small_disc, np.random.default_rng(2), 0.1)
+    further = reduce(sharp, SHARP, values, tolerance=1e-3, start=again, confirmed=False)
+    anew = reduce(sharp, SHARP, values, tolerance=1e-3, confirmed=False)
+    assert further.solves - again.solves <= anew.solves
+
+
 @pytest.mark.parametrize("first", [2, 4])
 def test_a_basis_that_is_exact_at_its_own_parameters_does_not_vouch_for_others(small_disc: Problem, first: int) -> None:
     # Few states make up this disc, so the confirming solve finds no error at all; that must not read as "no error
@@ -146,11 +277,10 @@ def test_a_basis_that_is_exact_at_its_own_parameters_does_not_vouch_for_others(s
     exact = solve_full(operators, grid, values).impedance
     solution = model.solve(grid, values)
     error, estimate = np.abs(solution.impedance / exact - 1.0), model.error(solution)
-    print(f"exact basis, first={first}: effectivity {model.effectivity:.1e}, error 5 % away {error.max():.1e}, "
-          f"estimate {estimate.max():.1e}")
+    print(f"exact basis, first={first}: error 5 % away {error.max():.1e}, estimate {estimate.max():.1e}")
     assert error.max() > TOLERANCE
     assert estimate.max() > TOLERANCE
-    # Nor may it be a ratio of rounding to rounding: an estimate a thousand times too large is none.
+    # An estimate a thousand times too large is none.
     assert estimate.max() < 1000.0 * error.max()
 
 

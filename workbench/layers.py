@@ -32,13 +32,13 @@ def layered(problem: Problem, chip: Chip) -> Problem:
         for name in places:
             place, part, layer = name.partition(PART)
             if part:
-                found.setdefault(place, []).append((name, layer))
+                found.setdefault(place, []).append((name, "" if layer == LEVEL else layer))
     # A place in one layer only is its own part.
     parts = {place: [(place, pieces[0][1])] if len(pieces) == 1 else pieces for place, pieces in found.items()}
     terms = []
     for term in problem.terms:
         places = tuple(dict.fromkeys(integral.place for integral in term.integrals()))
-        layers = {layer for place in places for _, layer in parts[place]} - {LEVEL}
+        layers = {layer for place in places for _, layer in parts[place]} - {""}
         terms.append(Layered(term, tuple((place, tuple(parts[place])) for place in places),
                              tuple((layer, nominal[layer]) for layer in sorted(layers))))
     values = {**problem.values, **{thickness(layer): complex(value) for layer, value in nominal.items()}}

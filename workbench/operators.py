@@ -23,6 +23,7 @@ from workbench.physics.term import (
     COMPONENTS,
     FACING,
     OPERATORS,
+    Coefficient,
     Condition,
     Formula,
     Integral,
@@ -30,6 +31,7 @@ from workbench.physics.term import (
     Part,
     Term,
     Values,
+    factored,
 )
 
 Real = NDArray[np.float64]
@@ -60,7 +62,17 @@ class Operators(Protocol):
 
 def coefficients(integrals: tuple[Integral, ...], omega: Real, values: Values) -> Complex:
     """g_q(w) of every integral: (number of frequencies, number of integrals). A missing parameter raises KeyError."""
-    return np.stack([integral.coefficient(omega, values) for integral in integrals], axis=1)
+    shapes: dict[Coefficient, Complex] = {}
+    result = np.zeros((omega.size, len(integrals)), dtype=complex)
+    for q, integral in enumerate(integrals):
+        coefficient, factor = factored(integral.coefficient, values)
+        if isinstance(coefficient, Monomial | Formula):
+            result[:, q] = factor * coefficient(omega, values)
+            continue
+        if coefficient not in shapes:
+            shapes[coefficient] = coefficient(omega, values)
+        result[:, q] = factor * shapes[coefficient]
+    return result
 
 
 @dataclass(frozen=True)
@@ -397,8 +409,12 @@ class ReducedOperators:
         return int(self.matrices.shape[1])
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        rows = np.einsum("in,qij->nqj", left, self.matrices, optimize=True)
-        return np.einsum("nqj,jn->nq", rows, right, optimize=True)
+        # The matrices are real: one real product for both parts of the states.
+        count, rank, points = len(self.matrices), right.shape[0], right.shape[1]
+        parts = self.matrices.reshape(count * rank, rank) @ np.hstack([right.real, right.imag])
+        images = parts.reshape(count, rank, 2, points)
+        return np.asarray(np.einsum("in,qin->nq", left, images[:, :, 0])
+                          + 1j * np.einsum("in,qin->nq", left, images[:, :, 1]))
 
 
 def _operators_of(integrals: Iterable[Integral]) -> list[str]:
@@ -479,18 +495,23 @@ def frequency_groups(
 ) -> tuple[tuple[Complex, Complex], ...]:
     """The model as few matrices as its frequency dependence allows: pairs of (h(w) (n,), constants (integrals,)).
 
-    sum_q g_q(w) A_q = sum over pairs of h(w) sum_q constants_q A_q. Those with the same power of w share a pair.
+    sum_q g_q(w) A_q = sum over pairs of h(w) sum_q constants_q A_q. Those with the same power of w share a pair, and
+    those with the same other dependence. What is zero is left out.
     """
     powers: dict[float, Complex] = {}
-    others: list[tuple[Complex, Complex]] = []
+    others: dict[Coefficient, Complex] = {}
+
+    def none() -> Complex:
+        return np.zeros(len(integrals), dtype=complex)
+
     for q, integral in enumerate(integrals):
-        if isinstance(integral.coefficient, Monomial | Formula):
-            constants = powers.setdefault(integral.coefficient.omega_power, np.zeros(len(integrals), dtype=complex))
-            constants[q] = integral.coefficient.constant(values)
+        coefficient, factor = factored(integral.coefficient, values)
+        if isinstance(coefficient, Monomial | Formula):
+            powers.setdefault(coefficient.omega_power, none())[q] = factor * coefficient.constant(values)
         else:
-            unit = np.zeros(len(integrals), dtype=complex)
-            unit[q] = 1.0
-            others.append((integral.coefficient(omega, values), unit))
+            others.setdefault(coefficient, none())[q] = factor
     grouped = [(np.asarray(omega.astype(complex) ** power, dtype=np.complex128), constants)
-               for power, constants in powers.items()]
-    return tuple(grouped + others)
+               for power, constants in powers.items() if constants.any()]
+    # Asked at one frequency, so that the groups are the same at every one: a thick layer underflows at some.
+    kept = [coefficient for coefficient in others if coefficient(np.ones(1), values).any()]
+    return (*grouped, *((coefficient(omega, values), others[coefficient]) for coefficient in kept))

@@ -181,7 +181,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
 
     def with_one(found: argparse.ArgumentParser, region: str) -> None:
         found.add_argument("recording", type=Path, metavar="RECORDING")
-        found.add_argument("--chip", type=Path, required=True, metavar="CHIP.toml")
+        found.add_argument("--chip", type=Path, required=True, metavar="CHIP.toml", help="what was recorded (required)")
         _with_state(found)
         found.add_argument("--material", metavar="NAME", help="what the fit starts from (default: the chip's material)")
         found.add_argument("--region", metavar="NAME", help=f"whose material is fitted (default: {region})")
@@ -216,6 +216,68 @@ def _fit(sub: argparse.ArgumentParser) -> None:
     batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _bench(sub: argparse.ArgumentParser) -> None:
+    actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
+
+    def action(name: str, text: str) -> argparse.ArgumentParser:
+        return actions.add_parser(name, help=text, description=text)
+
+    found = action("list", "the ports of this computer, and what answers at them")
+    found.add_argument("ports", nargs="*", metavar="PORT", help="a further port to ask at, such as a simulated one")
+    found.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS",
+                       help="how long an answer may take (default 1)")
+    check = action("check", "identify both instruments, set and read back, capture once; say what is wrong")
+    check.add_argument("bench", type=Path, metavar="BENCH.toml")
+    served = action("simulate", "serve a simulated bench, two ports that speak the real protocols, until interrupted")
+    served.add_argument("device", type=Path, nargs="?", metavar="DEVICE",
+                        help="what is measured: a CHIP.toml, or a recorded spectrum; not needed with --connect")
+    _with_state(served)
+    _with_model(served)
+    served.add_argument("--ports", type=Path, metavar="DIR", help="folder in which the ports 'generator' and "
+                        "'oscilloscope' appear (default: a temporary one)")
+    served.add_argument("--connect", default="device", metavar="WHAT",
+                        help='device (default), open, short, or a load such as "50 ohm"')
+    served.add_argument("--reference", default="0.5 ohm", metavar="R", help="the reference resistor (default 0.5 ohm)")
+    served.add_argument("--probes", default="10,10", metavar="TOTAL,REFERENCE",
+                        help="factors of the two probes, 1 or 10 each (default 10,10)")
+    served.add_argument("--ideal", action="store_true",
+                        help="no leads, probes without capacitance, exact gains (default: those of a real bench)")
+    served.add_argument("--noise", type=float, default=0.4, metavar="COUNTS",
+                        help="noise of the converter, root mean square (default 0.4)")
+    served.add_argument("--drift", type=float, default=0.0, metavar="RATE",
+                        help="relative change of the device's frequencies per simulated second (default 0)")
+    served.add_argument("--pace", type=float, default=0.0, metavar="N",
+                        help="seconds that pass for a simulated one, 1 for a bench as slow as a real one (default 0)")
+    served.add_argument("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
+    served.add_argument("--fault", action="append", default=[], metavar="INSTRUMENT:KIND@N",
+                        help="let a fault happen at the Nth command, such as generator:silence@120; x3 behind it makes "
+                             "it three times (may be repeated; default none)")
+
+
+def _measure(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("bench", type=Path, metavar="BENCH.toml", help="instruments, resistor, sweep, drive, limits; see "
+                     "workbench/bench/setup.py")
+    sub.add_argument("--resume", action="store_true",
+                     help="go on with a run that was interrupted (default: RUN.h5 must not exist)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="RUN.h5",
+                     help="the run file; RUN.csv, the spectrum, and RUN.html, the report, are written beside it")
+
+
+def _import(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("files", nargs="+", type=Path, metavar="FILE",
+                     help="waveforms, CSV or ISF, in pairs named alike but for CH1 and CH2; or folders of them")
+    sub.add_argument("--total", type=int, default=1, metavar="N",
+                     help="channel across device and reference resistor (default 1)")
+    sub.add_argument("--reference", type=int, default=2, metavar="N",
+                     help="channel across the reference resistor (default 2)")
+    sub.add_argument("--resistance", metavar="R", help='the reference resistor, such as "0.5 ohm" (default: none; only '
+                     "the ratio of the two channels is written)")
+    sub.add_argument("--tolerance", default="0 %", metavar="LIMITS", help='of the resistor, such as "1 %%" (default 0)')
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+    # "import" is a word of the language, and no module can be called so.
+    sub.set_defaults(command="import_waveforms")
+
+
 #: What every command is for, and what adds its options.
 COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
@@ -225,5 +287,8 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "render": ("draw the fields of a chip at one frequency", _render),
     "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),
     "fit": ("find material constants from recordings, with intervals, and save them", _fit),
+    "measure": ("sweep on the bench into a run file that loses nothing, with spectrum and report", _measure),
+    "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
+    "bench": ("the instruments: what is plugged in, whether it works, and a simulated bench", _bench),
     "materials": ("list, show, compare, check, withdraw, export or import materials", _materials),
 }

@@ -4,33 +4,42 @@ The basis is real (real and imaginary parts of the states), so the projected A_q
 reduced model is again affine in the same coefficients. Because the charge is a quadratic form of the state, its error
 is second order in the residual,
 
-    Q - Q_r = -e^T A e = -r^T A^{-1} r ,
+    Q - Q_r = e^T A e = r^T A^{-1} r .
 
-so that the squared norm of the residual, times a constant found where a full solve is at hand, estimates it. The norm
-is taken of a few random projections of the residual, which cost next to nothing for any parameter values (Balabanov
-and Nouy 2019, Adv. Comput. Math. 45, 2969: randomised linear algebra for model order reduction, part I).
+A^{-1} is not at hand, but that of the energy is: R, the sum of elastic, kinetic, dielectric and acoustic energy, each
+counted positive. The basis holds what resonates in the band, and of all other motions |A^{-1}| is about R^{-1}, so that
+
+    |Q - Q_r| < SAFETY r^H R^{-1} r ,
+
+in units of charge, at any frequency and parameter values: there is no factor to be learned. Terms of either sign cancel
+in Q - Q_r, not in the bound, which is often some ten times larger. The norm is that of a few random projections of the
+residual, which cost next to nothing for any parameter values (Balabanov and Nouy 2019, Adv. Comput. Math. 45, 2969:
+randomised linear algebra for model order reduction, part I; Smetana, Zahm and Patera 2019, SIAM J. Sci. Comput. 41,
+A900: randomized residual-based error estimators for parametrized equations).
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from workbench.operators import FullOperators, ReducedOperators
 from workbench.physics.term import Values
-from workbench.solve import Solution, System, one_thread, solve_dense, solve_reduced
+from workbench.solve import NotConverged, Solution, System, one_thread, solve_dense, solve_reduced
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Random projections of the residual. Ten estimate a norm within a factor of two with a probability above 99 %.
-PROJECTIONS = 12
+#: Random projections of the residual: their mean square is below half of its norm's with a probability of 2 %.
+PROJECTIONS = 24
 
 #: Vectors taken from each factorisation (`System.krylov`): a back substitution costs a thirtieth of a factorisation.
 DEPTH = 12
@@ -41,11 +50,8 @@ DEPENDENT = 1e-9
 #: Directions of the basis that the response at all frequencies uses less than this (relative) are dropped at the end.
 UNUSED = 1e-9
 
-#: A relative error of the charge, or a residual against the load, at which rounding and not the basis is what is seen.
-ROUNDING = 1e-10
-
-#: The estimate is this many times the largest ratio of true error to squared residual seen.
-SAFETY = 4.0
+#: The estimate is this many times the squared norm of the residual: for the scatter of its random projections.
+SAFETY = 2.0
 
 
 class NotEnriched(RuntimeError):
@@ -64,17 +70,18 @@ class NotEnriched(RuntimeError):
 class ReducedModel:
     """A reduced model with what it takes to judge and to improve it.
 
-    ``basis`` (size, r), last column with unit electrode voltage and the others with none; ``sketch`` (integrals,
-    PROJECTIONS, r) random projections of A_q basis; ``effectivity`` charge error per squared projected residual;
-    ``solves`` full solves spent, ``residual`` the largest scaled residual among them.
+    ``basis`` (size, r), last column with unit electrode voltage and the others with none; ``weights`` (size,) the unit
+    of every unknown in its norm; ``test`` (size, PROJECTIONS) the vectors that residuals are projected on and
+    ``sketch`` (integrals, PROJECTIONS, r) the projections of A_q basis; ``solves`` full solves spent, ``residual`` the
+    largest scaled residual among them.
     """
 
     full: FullOperators
     operators: ReducedOperators
     basis: Real
-    sketch: Real
     weights: Real
-    effectivity: float
+    test: Real
+    sketch: Real
     tolerance: float
     solves: int
     residual: float
@@ -84,8 +91,13 @@ class ReducedModel:
         return solve_reduced(self.operators, frequencies, values)
 
     def error(self, solution: Solution) -> Real:
-        """Estimated relative error (n,) of the impedance of a reduced solution of this model, any parameter values."""
-        return self.effectivity * _squared_residual(self.sketch, solution) / np.abs(solution.charge)
+        """Estimated relative error (n,) of the impedance of a reduced solution of this model, any parameter values.
+
+        Rounding, some 1e-12, is not in it.
+        """
+        applied = np.tensordot(self.sketch, solution.states, axes=(2, 0))  # (integrals, projections, n)
+        residual = np.einsum("nq,qkn->kn", solution.coefficients, applied, optimize=True)
+        return estimated_error(residual, solution.charge)
 
     def expand(self, solution: Solution) -> Complex:
         """The states (size, n) of the full model that a reduced solution stands for."""
@@ -108,24 +120,24 @@ def reduce(
 ) -> ReducedModel:
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
 
-    Full solves are added where the estimate is largest, until the full solve at the worst frequency confirms the
-    tolerance. With `start`, a model made for other parameter values is enriched for these. The basis holds the
-    derivatives of the states by the parameters named in `tangents` too, so that it keeps serving when these change.
-    Each factorisation gives `depth` vectors, tangents apart. Unless `confirmed`, the estimate is believed once a full
-    solve for these parameter values has calibrated it, and the last one is saved.
+    Full solves are added where the estimate is largest, until it is within the tolerance everywhere. A full solve at
+    the worst frequency then confirms it, unless `confirmed` is unset: the estimate is believed. With `start`, a model
+    made for other parameter values is enriched for these. The basis holds the derivatives of the states by the
+    parameters named in `tangents` too, so that it keeps serving when these change. Each factorisation gives `depth`
+    vectors, tangents apart.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
+        NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
     # The given frequencies next to Chebyshev's nodes.
-    angles = np.pi * (np.arange(min(first, limit - 1)) + 0.5) / first
+    angles = np.pi * (np.arange(min(first, max(limit - 1, 1))) + 0.5) / first
     nodes = np.unique(np.round(0.5 * (frequencies.size - 1) * (1.0 - np.cos(angles))).astype(int))
     if start is not None:
         nodes = nodes[:0]
-    effectivity = 0.0 if start is None else start.effectivity
-    largest = 0.0 if start is None else start.residual
-    solves = 0 if start is None else start.solves
+    known = 0 if start is None else start.solves
+    solves, largest = known, 0.0 if start is None else start.residual
 
     def report() -> None:
         # How many solves it takes is not known beforehand; most models are done after six or seven.
@@ -136,30 +148,22 @@ def reduce(
         growing = _Growing(operators, values, frequencies, start)
         for step in itertools.count():
             report()
-            index = int(nodes[step]) if step < nodes.size else -1
-            error = np.inf
-            if growing.basis.shape[1]:
-                charge, squared, floor = growing.respond()
-                spread = squared / np.abs(charge)
-                index = index if index >= 0 else int(np.argmax(spread))
-                if not confirmed and step > nodes.size and effectivity * spread[index] <= tolerance:
+            if step < nodes.size:
+                index, believed = int(nodes[step]), False
+            else:
+                charge, estimate = growing.respond()
+                index = int(np.argmax(estimate))
+                believed = bool(estimate[index] <= tolerance)
+                if believed and not confirmed:
                     break
+                if solves - known >= limit:
+                    raise NotEnriched(float(estimate[index]), tolerance, solves)
             states, residual = growing.system.krylov(float(frequencies[index]), depth, tangents=tangents)
-            if growing.basis.shape[1]:
-                error = abs(charge[index] / growing.charge(states[:, 0], index) - 1.0)
-                # The first nodes say what to expect of a basis that is still poor; later ones are the better judges.
-                if error > ROUNDING and squared[index] > floor[index]:
-                    learned = SAFETY * error / spread[index]
-                    effectivity = learned if step < nodes.size else max(effectivity, learned)
             solves, largest = solves + 1, max(largest, residual)
             # What the last solve tells is always taken into the basis, also when it was only a confirmation.
             growing.add(states)
-            if step >= nodes.size and error <= tolerance and effectivity * spread[index] <= SAFETY * tolerance:
+            if believed and abs(charge[index] / growing.charge(states[:, 0], index) - 1.0) <= tolerance:
                 break
-            if solves - (0 if start is None else start.solves) >= limit:
-                raise NotEnriched(error, tolerance, solves)
-        if effectivity == 0.0:
-            effectivity = growing.effectivity_of_less(states[:, 0], index)
         # Directions for other parameter values are there to be used later.
         if tangents:
             basis = growing.basis
@@ -168,7 +172,7 @@ def reduce(
             basis = growing.compressed()
             matrices, sketch = _extended(operators, basis, growing.test, None)
     reduced = ReducedOperators(operators.integrals, matrices)
-    return ReducedModel(operators, reduced, basis, sketch, growing.weights, effectivity, tolerance, solves, largest)
+    return ReducedModel(operators, reduced, basis, growing.weights, growing.test, sketch, tolerance, solves, largest)
 
 
 def _extended(
@@ -204,9 +208,12 @@ class _Growing:
         self.factors = self.system.factors(frequencies)
         self.matrices = self.system.group_matrices()
         size, groups = operators.size, len(self.matrices)
-        middle = float(np.median(frequencies))
-        self.weights = np.sqrt(np.abs(self.system.matrix(middle).diagonal())) if start is None else start.weights
-        self.test = test_vectors(self.weights)
+        if start is None:
+            middle = float(np.median(frequencies))
+            self.weights = np.sqrt(np.abs(self.system.matrix(middle).diagonal()))
+            self.test = test_vectors(self.system, middle)
+        else:
+            self.weights, self.test = start.weights, start.test
         self.basis = np.zeros((size, 0))
         self.projected = np.zeros((groups, 0, 0), dtype=complex)
         self.sketch = np.zeros((groups, PROJECTIONS, 0), dtype=complex)
@@ -237,30 +244,13 @@ class _Growing:
             sketch.append(np.column_stack([seen, self.test.T @ image])[:, order])
         self.projected, self.sketch = np.stack(projected), np.stack(sketch)
 
-    def respond(self, *, columns: int = -1) -> tuple[Complex, Real, Real]:
-        """Charge (n,) for 1 V, mean squared projected residual (n,) and what of it rounding may be, everywhere.
-
-        With `columns`, of a poorer basis: the lift and so many of the first columns only.
-        """
-        rank = self.basis.shape[1]
-        kept = np.append(np.arange(rank - 1 if columns < 0 else columns), rank - 1)
-        projected, sketch = self.projected[:, kept[:, None], kept], self.sketch[:, :, kept]
-        states, _ = solve_dense(self.factors, projected)
-        whole = np.einsum("gn,gij,jn->in", self.factors, projected, states, optimize=True)
-        residual = np.einsum("gn,gkj,jn->kn", self.factors, sketch, states, optimize=True)
-        load = np.einsum("gn,gk->kn", self.factors, sketch[:, :, -1])
-        floor = np.mean(np.abs(ROUNDING * load) ** 2, axis=0)
-        return -np.sum(states * whole, axis=0), np.mean(np.abs(residual) ** 2, axis=0), floor
-
-    def effectivity_of_less(self, state: Complex, index: int) -> float:
-        """SAFETY times charge error per squared residual of the richest poorer basis that is not exact to rounding."""
-        exact = self.charge(state, index)
-        for columns in range(self.basis.shape[1] - 2, 0, -1):
-            charge, squared, floor = self.respond(columns=columns)
-            error = abs(charge[index] - exact)
-            if error > ROUNDING * abs(exact) and squared[index] > floor[index]:
-                return SAFETY * error / float(squared[index])
-        raise RuntimeError("even a basis of one column is exact: nothing can be said of the error of this model")
+    def respond(self) -> tuple[Complex, Real]:
+        """Charge (n,) for 1 V and its estimated relative error (n,) at all frequencies."""
+        states, _ = solve_dense(self.factors, self.projected)
+        whole = np.einsum("gn,gij,jn->in", self.factors, self.projected, states, optimize=True)
+        residual = np.einsum("gn,gkj,jn->kn", self.factors, self.sketch, states, optimize=True)
+        charge = -np.sum(states * whole, axis=0)
+        return charge, estimated_error(residual, charge)
 
     def charge(self, state: Complex, index: int) -> complex:
         """Charge of a full state at the frequency of that index."""
@@ -310,17 +300,52 @@ def needed(states: Complex, tolerance: float) -> Real:
     return result
 
 
-def test_vectors(weights: Real) -> Real:
-    """The random vectors (size, PROJECTIONS) that residuals are projected on: the same for equal `weights`."""
-    test = np.random.default_rng(0).standard_normal((weights.size, PROJECTIONS)) / weights[:, None]
-    test[-1] = 0.0  # the row of the electrode is not an equation
-    return np.asarray(test)
+def test_vectors(system: System, frequency: float) -> Real:
+    """Random vectors t (size, PROJECTIONS), E |t^T r|^2 = r^H R^{-1} r with R the energy of `system` at a frequency.
+
+    Raises:
+        NotConverged: an unknown has no energy.
+    """
+    energy = energy_matrix(system, frequency)
+    diagonal = energy.diagonal()
+    if not (diagonal > 0.0).all():  # an unknown that nothing stores energy in
+        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex))
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = sparse.csc_matrix(sparse.diags_array(scale) @ energy @ sparse.diags_array(scale))
+    factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    # R = L D L^T: the force L D^{1/2} w with white w has the covariance R, and what it moves R^{-1}.
+    white = np.random.default_rng(0).standard_normal((scale.size, PROJECTIONS))
+    force = factor.L @ (np.sqrt(np.abs(factor.U.diagonal()))[:, None] * white)
+    moved = scale[:, None] * factor.solve(force[factor.perm_r])
+    return np.vstack([moved, np.zeros((1, PROJECTIONS))])  # the row of the electrode is not an equation
+
+
+def energy_matrix(system: System, frequency: float) -> sparse.csc_matrix:
+    """R (size - 1, size - 1), real, symmetric, positive: all energies of `system`, counted positive, the voltage held.
+
+    Of the matrices of equal frequency dependence (stiffness, mass, compliance of fluids, ...) each is of one sign for
+    displacements, for potentials and for pressures. What couples these is left out.
+    """
+    factors = system.factors(np.array([frequency]))[:, 0]
+    pattern = system.operators.pattern
+    column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
+    entries = np.zeros(pattern.nnz)
+    for factor, matrix in zip(factors, system.group_matrices(), strict=True):
+        sign = np.sign((factor * matrix.diagonal()).real)
+        alike = sign[pattern.indices] == sign[column]
+        entries += np.where(alike, sign[column] * (factor * matrix.data).real, 0.0)
+    return sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)[:-1, :-1]
+
+
+def estimated_error(residual: Complex, charge: Complex) -> Real:
+    """Estimated relative error (n,) of `charge` (n,) from projections (PROJECTIONS, n) of the full residual."""
+    return np.asarray(SAFETY * np.mean(np.abs(residual) ** 2, axis=0) / np.abs(charge))
 
 
 def projected(model: ReducedModel, operators: FullOperators, basis: Real | None = None) -> ReducedModel:
     """`model` on other full operators of the same unknowns (a stretched mesh), or on another `basis`, or both."""
     basis = model.basis if basis is None else basis
-    matrices, sketch = _extended(operators, basis, test_vectors(model.weights), None)
+    matrices, sketch = _extended(operators, basis, model.test, None)
     return replace(model, full=operators, operators=ReducedOperators(operators.integrals, matrices), basis=basis,
                    sketch=sketch)
 
@@ -338,8 +363,57 @@ def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[Re
     return model, within
 
 
-def _squared_residual(sketch: Real, solution: Solution) -> Real:
-    """Mean square (n,) of the random projections of the full residual of a reduced solution."""
-    applied = np.tensordot(sketch, solution.states, axes=(2, 0))  # (integrals, projections, n)
-    projected = np.einsum("nq,qkn->kn", solution.coefficients, applied, optimize=True)
-    return np.mean(np.abs(projected) ** 2, axis=0)
+
+def reduce_around(
+    operators: FullOperators,
+    frequencies: Real,
+    values: Values,
+    moves: Mapping[str, float],
+    *,
+    tolerance: float,
+    unneeded: float,
+    nodes: int = 5,
+    depth: int = DEPTH,
+) -> ReducedModel:
+    """A reduced model for a neighbourhood: every parameter named in `moves` may change by about so much.
+
+    From `nodes` full solves at Chebyshev's frequencies, the states and their neighbours in frequency, and of what the
+    moves change them by, the directions of more than `unneeded` (relative to the states). Whether that is enough,
+    :meth:`ReducedModel.error` says, with :func:`reduce` to add to it; `tolerance` is only noted.
+    """
+    frequencies = np.asarray(frequencies, dtype=float)
+    angles = np.pi * (np.arange(nodes) + 0.5) / nodes
+    at = np.unique(np.round(0.5 * (frequencies.size - 1) * (1.0 - np.cos(angles))).astype(int))
+    names = tuple(moves)
+    with one_thread():
+        system = System(operators, values)
+        middle = float(np.median(frequencies))
+        weights = np.sqrt(np.abs(system.matrix(middle).diagonal()))
+        test = test_vectors(system, middle)
+        basis, changes, worst = np.zeros((operators.size, 0)), [], 0.0
+        for index in at:
+            found, residual = system.krylov(float(frequencies[index]), depth, tangents=names)
+            worst = max(worst, residual)
+            states, slopes = found[:, :depth], found[:, depth:]
+            if basis.shape[1] == 0:
+                basis = states[:, 0].real[:, None]
+            basis = _joined(basis, new_directions(basis, states, weights))
+            moved = slopes * np.array([moves[name] for name in names]) / np.linalg.norm(weights * states[:, 0])
+            changes.append(weights[:, None] * moved)
+        inside = weights[:, None] * basis[:, :-1]
+        whole = np.concatenate(changes, axis=1) if names else np.zeros((operators.size, 0))
+        parts = np.concatenate([whole.real, whole.imag], axis=1)
+        parts = parts - inside @ (inside.T @ parts)
+        # The larger half of a Gram matrix costs less than a singular value decomposition, and loses nothing needed.
+        sizes, vectors = np.linalg.eigh(parts.T @ parts)
+        kept = sizes > unneeded**2
+        new = parts @ (vectors[:, kept] / np.sqrt(sizes[kept]))
+        basis = _joined(basis, new / weights[:, None])
+        matrices, sketch = _extended(operators, basis, test, None)
+    return ReducedModel(operators, ReducedOperators(operators.integrals, matrices), basis, weights, test, sketch,
+                        tolerance, at.size, worst)
+
+
+def _joined(basis: Real, new: Real) -> Real:
+    """`basis` with further columns before its last one, the lift."""
+    return np.column_stack([basis[:, :-1], new, basis[:, -1:]])

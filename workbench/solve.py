@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 from threadpoolctl import ThreadpoolController
 
 from workbench.operators import FullOperators, Operators, ReducedOperators, coefficients, frequency_groups
-from workbench.physics.term import Values
+from workbench.physics.term import Formula, Integral, Monomial, Values
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -100,14 +100,22 @@ class Solution:
             KeyError: a name no coefficient depends on.
         """
         gradient = self.impedance_gradient()
-        known = {name for integral in self.operators.integrals for name in integral.coefficient.parameters}
+        depending = _dependence(self.operators.integrals)
         result = np.zeros((self.frequency.size, len(names)), dtype=complex)
         for column, name in enumerate(names):
-            if name not in known:
-                raise KeyError(f"no coefficient depends on {name!r}; known: {', '.join(sorted(known))}")
-            for q, integral in enumerate(self.operators.integrals):
-                if name in integral.coefficient.parameters:
-                    result[:, column] += gradient[:, q] * integral.coefficient.derivative(self.omega, values, name)
+            if name not in depending:
+                raise KeyError(f"no coefficient depends on {name!r}; known: {', '.join(sorted(depending))}")
+            powers: dict[float, Complex] = {}
+            for q in depending[name]:
+                coefficient = self.operators.integrals[q].coefficient
+                if isinstance(coefficient, Monomial | Formula):
+                    slope = coefficient.constant_derivative(values, name)
+                    powers[coefficient.omega_power] = (
+                        powers.get(coefficient.omega_power, 0.0) + slope * gradient[:, q])
+                else:
+                    result[:, column] += gradient[:, q] * coefficient.derivative(self.omega, values, name)
+            for power, found in powers.items():
+                result[:, column] += found * self.omega**power
         return result
 
     def dissipation(self) -> Real:
@@ -122,6 +130,25 @@ class Solution:
     def input_power(self) -> Real:
         """Electrical input power (W) at 1 V amplitude from charge and voltage alone: (n,)."""
         return 0.5 * self.admittance.real
+
+
+#: What :func:`_dependence` found, by the identity of the integrals, which it keeps alive.
+_DEPENDENCE: dict[int, tuple[tuple[Integral, ...], dict[str, list[int]]]] = {}
+
+
+def _dependence(integrals: tuple[Integral, ...]) -> dict[str, list[int]]:
+    """The indices of the integrals whose coefficients depend on a parameter, by its name."""
+    known = _DEPENDENCE.get(id(integrals))
+    if known is not None and known[0] is integrals:
+        return known[1]
+    found: dict[str, list[int]] = {}
+    for q, integral in enumerate(integrals):
+        for name in integral.coefficient.parameters:
+            found.setdefault(name, []).append(q)
+    while len(_DEPENDENCE) >= 32:
+        _DEPENDENCE.pop(next(iter(_DEPENDENCE)))
+    _DEPENDENCE[id(integrals)] = (integrals, found)
+    return found
 
 
 @cache

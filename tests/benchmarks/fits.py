@@ -146,7 +146,8 @@ def starts(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["disc"]
     prepared = case.prepare()
     random = np.random.default_rng(arguments.seed)
-    rows = [["start", "MAPE at the start", "MAPE", "largest |off| of a real constant", "ways down", "last", "s"]]
+    rows = [["start", "MAPE at the start", "MAPE", "largest |off| of a real constant", "ways down", "last", "solves",
+             "s"]]
     reached = 0
     for number in range(arguments.count):
         factors = 1.0 + 0.15 * random.uniform(-1.0, 1.0, len(prepared.parameters))
@@ -157,7 +158,8 @@ def starts(arguments: argparse.Namespace) -> None:
         reached += off < 0.01
         match = result.recordings[0]
         rows.append([str(number + 1), f"{match.before.mape_percent:.0f} %", f"{match.after.mape_percent:.4f} %",
-                     f"{100 * off:.3f} %", str(len(result.starts)), result.starts[-1].label, f"{result.seconds:.0f}"])
+                     f"{100 * off:.3f} %", str(len(result.starts)), result.starts[-1].label,
+                     str(result.full_solves), f"{result.seconds:.0f}"])
         print(rows[-1], flush=True)
     table(rows)
     print(f"{reached} of {arguments.count} starts ended with every real constant within 1 % of the truth")
@@ -168,7 +170,7 @@ def recording(arguments: argparse.Namespace) -> None:
         sys.exit("--recordings: the folder that holds the real disc is needed")
     measured = read(arguments.recordings / "unibas-disc-20x2/MODULOFASEMODOTHICKNES.CSV").spectrum
     rows = [["data sheet", "MAPE at the start", "MAPE", "rms", "ways down", "s", *SIXTEEN]]
-    for sheet in DATA_SHEETS:
+    for sheet in arguments.sheets:
         chip = disc_of(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), sheet)
         prepared = prepare(chip, Registry(), kind="pzt", name="disc", measured=measured, free=SIXTEEN,
                            elements_per_wavelength=arguments.elements_per_wavelength)
@@ -177,7 +179,7 @@ def recording(arguments: argparse.Namespace) -> None:
         rows.append([sheet, f"{match.before.mape_percent:.0f} %", f"{match.after.mape_percent:.3f} %",
                      f"{100 * match.after.rms_log_residual:.3f} %", str(len(result.starts)), f"{result.seconds:.0f}",
                      *(f"{e.value:.4g}" for e in result.estimates)])
-        print(rows[-1])
+        print(rows[-1], "full solves:", result.full_solves)
         for finding in result.findings:
             print(" -", finding, flush=True)
     table(rows)
@@ -211,6 +213,7 @@ def main() -> None:
     works = {work.__name__: work for work in (recovery, coverage, starts, polymer, recording, speed)}
     parser.add_argument("work", choices=works)
     parser.add_argument("--recordings", type=Path, help="folder of the real recordings")
+    parser.add_argument("--sheets", nargs="+", default=DATA_SHEETS, help="data sheets that `recording` starts from")
     parser.add_argument("--elements-per-wavelength", type=float, default=10.0)
     parser.add_argument("--draws", type=int, default=100, help="noise draws of `coverage`")
     parser.add_argument("--noise", type=float, nargs="+", default=[0.005, 0.02], help="relative levels of `coverage`")

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -166,21 +166,34 @@ class Descent(Minimum):
 
 
 class Search:
-    """The least-squares problem of one objective: bounds, prior and inequalities around it."""
+    """The least-squares problem of one objective: bounds, prior and inequalities around it.
+
+    Only the parameters of the indices `free` move, all by default; the priors of those in `lifted` are left out.
+    """
 
     def __init__(
-        self, objective: Objective, *, poisson: tuple[float, float] | None = None
+        self, objective: Objective, *, poisson: tuple[float, float] | None = None, free: Sequence[int] | None = None,
+        lifted: Collection[int] = (),
     ) -> None:
         self.objective, self.parameters = objective, objective.parameters
+        self.free = np.arange(len(self.parameters)) if free is None else np.array(sorted(free), dtype=int)
         self.low = np.array([p.low for p in self.parameters])
         self.high = np.array([p.high for p in self.parameters])
         self.scale = np.array([p.scale for p in self.parameters])
         self.centre = np.array([p.start for p in self.parameters])
-        self.precision = np.array([0.0 if p.prior is None else 1.0 / p.prior for p in self.parameters])
+        self.precision = np.array([0.0 if p.prior is None or i in lifted else 1.0 / p.prior
+                                   for i, p in enumerate(self.parameters)])
         problems = [r.problem for r in objective.recordings]
-        self.inequalities: tuple[Inequality, ...] = (
-            inequalities(problems, self.parameters) if poisson is None
-            else inequalities(problems, self.parameters, poisson=poisson))
+        moving = [self.parameters[i] for i in self.free]
+        found = (inequalities(problems, moving) if poisson is None
+                 else inequalities(problems, moving, poisson=poisson))
+        self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
+
+    def _among_all(self, inequality: Inequality) -> Inequality:
+        """An inequality of the free parameters as one of all."""
+        slopes = np.zeros((len(self.parameters), *inequality.constant.shape))
+        slopes[self.free] = inequality.slopes
+        return replace(inequality, slopes=slopes)
 
     def evaluate(
         self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0
@@ -195,7 +208,7 @@ class Search:
         tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (),
     ) -> Minimum:
         """The least cost near x; the parameters of the indices `fixed` stay where they are."""
-        free = np.setdiff1d(np.arange(x.size), fixed)
+        free = np.setdiff1d(self.free, fixed)
 
         def whole(y: Real) -> Real:
             result = x.copy()

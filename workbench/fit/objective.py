@@ -15,13 +15,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from workbench.fit.parameter import BENCH, Parameter, part, placed
-from workbench.fit.predict import Prediction, Predictor
+from workbench.fit.predict import FIT_REACH, Prediction, Predictor, Reach
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
 
@@ -62,7 +63,8 @@ class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
     A parameter that is among the values of a recording's problem moves these; a dimension that is not stretches the
-    mesh of its chip. The reduced bases prepare for the parameters called `likely` to move (all by default).
+    mesh of its chip. Recordings of one problem share a predictor. The reduced bases prepare for the parameters called
+    `likely` to move (all by default), as far as `reach` says.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Objective:
         *,
         tolerance: float,
         likely: Collection[str] | None = None,
+        reach: Reach = FIT_REACH,
     ) -> None:
         self.recordings, self.parameters = tuple(recordings), tuple(parameters)
         names = [r.name for r in self.recordings]
@@ -85,15 +88,47 @@ class Objective:
         expected = [tuple(dict.fromkeys(p.coefficient for _, p in acting if p.coefficient in coefficients
                                         and (likely is None or p.name in likely)))
                     for acting, coefficients in zip(self._acting, self.coefficients, strict=True)]
-        self.predictors = tuple(
-            Predictor(r.problem, r.measured.frequency, chip=r.chip, tolerance=tolerance, tangents=tangents,
-                      dimensions=tuple(p.name for _, p in acting if _stretches(p, r.problem)))
-            for r, acting, tangents in zip(self.recordings, self._acting, expected, strict=True)
-        )
+        shared: dict[Any, Predictor] = {}
+        predictors = []
+        for r, acting, tangents in zip(self.recordings, self._acting, expected, strict=True):
+            dimensions = tuple(p.name for _, p in acting if _stretches(p, r))
+            frequency = r.measured.frequency
+            key = (id(r.problem.mesh), r.problem.terms, dimensions, tangents, frequency.tobytes())
+            if key not in shared:
+                shared[key] = Predictor(r.problem, frequency, chip=r.chip, tolerance=tolerance, tangents=tangents,
+                                        dimensions=dimensions, reach=reach)
+            predictors.append(shared[key])
+        self.predictors = tuple(predictors)
+
+    @property
+    def tolerance(self) -> float:
+        """Largest estimated relative error of a prediction; all predictors follow when it is set."""
+        return max(p.tolerance for p in self.predictors)
+
+    @tolerance.setter
+    def tolerance(self, tolerance: float) -> None:
+        for predictor in self.predictors:
+            predictor.tolerance = tolerance
 
     @property
     def solves(self) -> int:
-        return sum(p.solves for p in self.predictors)
+        return sum(p.solves for p in set(self.predictors))
+
+    def surround(self, x: Real, reach: Mapping[str, float]) -> None:
+        """Make every basis anew about x (p,), for parameters that move by so much, by name."""
+        done: set[int] = set()
+        for index, predictor in enumerate(self.predictors):
+            if id(predictor) in done:
+                continue
+            done.add(id(predictor))
+            problem = self.recordings[index].problem
+            values, lengths, _ = self.settings(x, index)
+            moves: dict[str, float] = {}
+            for _, p in self._acting[index]:
+                if p.name in reach and p.coefficient in problem.values:
+                    size = abs(problem.values[p.coefficient]) if p.relative else 1.0
+                    moves[p.coefficient] = max(moves.get(p.coefficient, 0.0), reach[p.name] * size)
+            predictor.surround({**problem.values, **values}, lengths, moves)
 
     def measured_as(self, spectra: Sequence[Spectrum]) -> Objective:
         """The same with other spectra at the same frequencies, sharing what the predictors have learnt.
@@ -109,7 +144,7 @@ class Objective:
         return other
 
     def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:
-        """Complex values, dimensions and bench elements that the vector x (p,) means for the recording of that index."""
+        """Complex values, dimensions and bench elements that x (p,) means for the recording of that index."""
         problem = self.recordings[index].problem
         numbers: dict[str, float] = {}
         lengths: dict[str, float] = {}
@@ -120,7 +155,7 @@ class Objective:
                 bench[parameter.name] = number
             elif parameter.coefficient in problem.values:
                 numbers[parameter.name] = number * (part(problem.values, parameter.name) if parameter.relative else 1.0)
-            elif parameter.is_dimension:
+            elif parameter.name in self.predictors[index].names:
                 lengths[parameter.name] = number
         known = {name: complex(problem.values[name]) for name in self.coefficients[index]}
         return placed(known, numbers), lengths, bench
@@ -130,7 +165,7 @@ class Objective:
         problem, predictor, coefficients = (
             self.recordings[index].problem, self.predictors[index], self.coefficients[index])
         values, lengths, bench = self.settings(x, index)
-        prediction = predictor(values, lengths)
+        prediction = predictor({**problem.values, **values}, lengths)
         omega = prediction.solution.omega
         seen, device, elements = through_bench(prediction.impedance, omega, bench)
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
@@ -144,7 +179,7 @@ class Objective:
                 # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
                 factor = part(problem.values, parameter.name) if parameter.relative else 1.0
                 gradient[:, column] = device * factor * (-1j * slope if parameter.is_loss else slope)
-            elif parameter.is_dimension:
+            elif parameter.name in predictor.names:
                 gradient[:, column] = device * np.conj(prediction.logarithmic_slope(parameter.name))
         return seen, gradient, prediction
 
@@ -175,8 +210,11 @@ class Objective:
         return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), worst)
 
 
-def _stretches(parameter: Parameter, problem: Problem) -> bool:
-    return parameter.is_dimension and parameter.name not in problem.values
+def _stretches(parameter: Parameter, recording: Recording) -> bool:
+    """Whether a parameter moves the mesh of a recording: a length of its chip that is not among its values."""
+    if not parameter.is_dimension or parameter.name in recording.problem.values:
+        return False
+    return recording.chip is None or parameter.name in recording.chip.dimensions()
 
 
 def log_ratio(model: Complex, measured: Complex) -> Complex:

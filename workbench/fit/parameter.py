@@ -80,8 +80,8 @@ class Parameter:
     """A real number a fit may move.
 
     ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
-    beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``, the
-    number multiplies the coefficient that each recording's problem has: a fluid at two temperatures.
+    beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``,
+    the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures.
     """
 
     name: str

@@ -8,17 +8,17 @@ grows along the path of the fit and serves every later one.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import SAME_LENGTH, Chip
 from geometry.stretch import stretch
-from workbench.operators import FullOperators, assemble
+from workbench.operators import FullOperators, assemble, coefficients, frequency_groups
 from workbench.problem import Problem
-from workbench.reduce import ReducedModel, narrowed, projected, reduce
+from workbench.reduce import ReducedModel, narrowed, projected, reduce, reduce_around
 from workbench.solve import Solution, reduced_tangents, solve_full
 
 Real = NDArray[np.float64]
@@ -26,6 +26,9 @@ Complex = NDArray[np.complex128]
 
 #: Reach, relative, of the quadratic expansion of the reduced matrices in a dimension: what it leaves out is the cube.
 REACH = 5e-3
+
+#: Step, relative, of a derivative by a dimension where that is all there is: its own error is as small.
+SHORT = 1e-4
 
 #: Vectors from each factorisation: for the first model, and when it is enriched, where less is new.
 FIRST_DEPTH, DEPTH = 12, 6
@@ -42,6 +45,27 @@ MOVED = 0.1
 
 #: A basis of more columns is narrowed: the dense algebra grows with their cube.
 WIDE = 200
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far a search goes, and so how much a basis must hold.
+
+    A basis of more than ``wide`` columns is narrowed to what the states need, to ``unneeded`` relative
+    (:data:`UNNEEDED` per tolerance if zero), when the coefficients called in ``moves`` change by so much; others change
+    by :data:`MOVED` of themselves. What the states themselves need is kept more exactly by the factor ``present``.
+    Where ``moves`` are given, the first basis is made for that neighbourhood (`reduce.reduce_around`), and what is
+    added later are states.
+    """
+
+    wide: int = WIDE
+    unneeded: float = 0.0
+    moves: Mapping[str, float] = field(default_factory=dict)
+    present: float = 1.0
+
+
+#: The reach of a fit that knows little beforehand.
+FIT_REACH = Reach()
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,17 +95,21 @@ class Prediction:
 
     def logarithmic_slope(self, dimension: str) -> Complex:
         """d ln Z / d dimension (n,), 1/m, e^{-i w t}."""
-        states = self.solution.states
-        forms = np.einsum("in,qij,jn->nq", states, self.slopes[dimension], states, optimize=True)
+        states, operators = self.solution.states, self.solution.operators
+        groups = frequency_groups(operators.integrals, self.solution.omega, self.values)
+        matrices = self.slopes[dimension]
+        change = sum(factors * np.einsum("in,in->n", states, np.tensordot(constants, matrices, axes=1) @ states)
+                     for factors, constants in groups)
         # ln Z = -ln Q + const, dQ = -x^T (dA) x
-        return np.sum(self.solution.coefficients * forms, axis=1) / self.solution.charge
+        return np.asarray(change / self.solution.charge)
 
 
 @dataclass(frozen=True, eq=False)
 class _Expansion:
     """A reduced model and how its matrices and sketch change with dimensions, to second order about `centre`.
 
-    ``first[i]`` and ``second[i, j]`` are the derivatives of (matrices, sketch) by dimensions i and j.
+    ``first[i]`` and ``second[i, j]`` are the derivatives of (matrices, sketch) by dimensions i and j; those left out
+    of ``second`` do not matter.
     """
 
     model: ReducedModel
@@ -126,8 +154,8 @@ class Predictor:
     """Spectra of one problem at fixed frequencies (n,) Hz, for any values of its parameters and free `dimensions`.
 
     ``tangents`` are the parameters about to be moved: the basis prepares for them. ``tolerance`` bounds the relative
-    error of the impedance. ``solves`` counts the full solves spent. A dimension moves together with all radii of the
-    same length, whose edges coincide (see `geometry.stretch`).
+    error of the impedance; ``reach`` how wide a basis may get. ``solves`` counts the full solves spent. A dimension
+    moves together with all radii of the same length, whose edges coincide (see `geometry.stretch`).
     """
 
     def __init__(
@@ -139,13 +167,16 @@ class Predictor:
         dimensions: tuple[str, ...] = (),
         tangents: tuple[str, ...] = (),
         tolerance: float = 1e-4,
+        reach: Reach = FIT_REACH,
     ) -> None:
         if dimensions and chip is None:
             raise ValueError("dimensions can only be free where the chip of the problem is given")
         self.problem, self.chip, self.frequencies = problem, chip, np.asarray(frequencies, dtype=float)
-        self.names, self.tangents, self.tolerance = dimensions, tangents, tolerance
+        self.names, self.tangents, self.tolerance, self.reach = dimensions, tangents, tolerance, reach
         self.solves = 0
         self._expansion: _Expansion | None = None
+        self._latest: Prediction | None = None
+        self._assembled: dict[tuple[float, ...], FullOperators] = {}
 
     def __call__(self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None = None) -> Prediction:
         """The spectrum at these parameters (those not given keep the problem's own values), enriched if need be.
@@ -162,10 +193,14 @@ class Predictor:
         elif np.any(np.abs(lengths / expansion.centre - 1.0) > REACH):
             expansion = self._expanded(projected(expansion.model, self._operators(lengths)), lengths)
         prediction = self._predict(expansion, values, lengths)
+        if prediction.error.max() > self.tolerance and not np.array_equal(lengths, expansion.centre):
+            # States of lengths nearby are close; another centre takes many more matrices.
+            expansion = self._enriched(expansion, values, expansion.centre)
+            prediction = self._predict(expansion, values, lengths)
         if prediction.error.max() > self.tolerance:
             expansion = self._enriched(expansion, values, lengths)
             prediction = self._predict(expansion, values, lengths)
-        self._expansion = expansion
+        self._expansion, self._latest = expansion, prediction
         return prediction
 
     def elsewhere(
@@ -177,6 +212,17 @@ class Predictor:
         prediction = other(values, dimensions)
         self._expansion, self.solves = other._expansion, other.solves
         return prediction
+
+    def surround(
+        self, values: Mapping[str, complex], dimensions: Mapping[str, float], moves: Mapping[str, float]
+    ) -> None:
+        """Make the basis anew for the neighbourhood of these parameters in which each of `moves` changes by so much."""
+        lengths = self._lengths(dimensions)
+        self.reach = replace(self.reach, moves=moves)
+        model = reduce_around(self._operators(lengths), self.frequencies, {**self.problem.values, **values}, moves,
+                              tolerance=self.tolerance, unneeded=self.reach.unneeded, depth=DEPTH)
+        self.solves += model.solves
+        self._expansion, self._latest = self._expanded(model, lengths), None
 
     def settle(self, settings: Sequence[tuple[Mapping[str, complex], Mapping[str, float]]]) -> None:
         """Narrow the basis to what the spectra at these (values, dimensions) need: a neighbourhood to be searched.
@@ -200,6 +246,12 @@ class Predictor:
 
     def _predict(self, expansion: _Expansion, values: Mapping[str, complex], lengths: Real) -> Prediction:
         model = expansion.at(lengths)
+        known = self._latest
+        if known is not None and expansion is self._expansion and list(known.dimensions.values()) == list(lengths):
+            # Another state of a device, or a step of what does not act here: the same coefficients, the same solution.
+            same = coefficients(model.operators.integrals, known.solution.omega, values)
+            if known.solution.frequency is self.frequencies and np.array_equal(same, known.solution.coefficients):
+                return replace(known, values=values)
         solution = model.solve(self.frequencies, values)
         slopes = {name: expansion.slope(i, lengths) for i, name in enumerate(self.names)}
         return Prediction(solution, model.error(solution), values, dict(zip(self.names, lengths, strict=True)), slopes)
@@ -211,23 +263,31 @@ class Predictor:
             if not np.array_equal(lengths, expansion.centre):
                 start = projected(start, self._operators(lengths))
         operators = self._operators(lengths) if start is None else start.full
-        before = 0 if start is None else start.solves
-        model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance, tangents=self.tangents,
-                       start=start, depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False)
+        before, moves = 0 if start is None else start.solves, self.reach.moves
+        if start is None and moves:
+            start = reduce_around(operators, self.frequencies, values, moves, tolerance=self.tolerance,
+                                  unneeded=self.reach.unneeded, depth=DEPTH)
+        model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance,
+                       tangents=() if moves else self.tangents, start=start,
+                       depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False)
         self.solves += model.solves - before
-        if model.basis.shape[1] > WIDE:
-            model, _ = narrowed(model, self._states_around(model, values), UNNEEDED * self.tolerance)
+        if model.basis.shape[1] > self.reach.wide:
+            model, _ = narrowed(model, self._states_around(model, values), self.reach.unneeded or
+                                UNNEEDED * self.tolerance)
         return self._expanded(model, lengths)
 
     def _states_around(self, model: ReducedModel, values: Mapping[str, complex]) -> Complex:
         """Reduced states at these parameters, and what each parameter about to be moved changes them by."""
         solution = model.solve(self.frequencies, values)
         tangents = reduced_tangents(solution, values, self.tangents)
-        changes = [MOVED * abs(values[name]) * each for name, each in zip(self.tangents, tangents, strict=True)]
-        return np.concatenate([solution.states, *changes], axis=1)
+        changes = [self.reach.moves.get(name, MOVED * abs(values[name])) * each
+                   for name, each in zip(self.tangents, tangents, strict=True)]
+        return np.concatenate([self.reach.present * solution.states, *changes], axis=1)
 
     def _expanded(self, model: ReducedModel, lengths: Real) -> _Expansion:
         """`model`, whose operators are those of `lengths`, with its expansion about them."""
+        if self.reach.moves:
+            return _Expansion(model, lengths, tuple(self._slopes(model, lengths)), {})
         steps = REACH * lengths
         count = len(self.names)
 
@@ -254,6 +314,15 @@ class Predictor:
                 second[j, i] = ((b - p - q + m) / area, (kb - kp - kq + km) / area)
         return _Expansion(model, lengths, tuple(first), second)
 
+    def _slopes(self, model: ReducedModel, lengths: Real) -> Iterator[tuple[Real, Real]]:
+        """The derivatives of (matrices, sketch) by every dimension, which is enough for the small moves of a reach."""
+        matrices, sketch = _parts(model)
+        for i in range(len(self.names)):
+            step = np.zeros_like(lengths)
+            step[i] = SHORT * lengths[i]
+            there, seen = _parts(projected(model, self._operators(lengths + step)))
+            yield (there - matrices) / step[i], (seen - sketch) / step[i]
+
     def _lengths(self, dimensions: Mapping[str, float]) -> Real:
         if self.chip is None:
             return np.zeros(0)
@@ -261,9 +330,16 @@ class Predictor:
         return np.array([dimensions.get(name, known[name].value) for name in self.names])
 
     def _operators(self, lengths: Real) -> FullOperators:
-        if self.chip is None or not self.names:
-            return assemble(self.problem.mesh, self.problem.terms)
-        return assemble(stretch(self.problem.mesh, moved_chip(self.chip, self.names, lengths)), self.problem.terms)
+        key = tuple(map(float, lengths))
+        if key not in self._assembled:
+            mesh = self.problem.mesh
+            if self.chip is not None and self.names:
+                mesh = stretch(mesh, moved_chip(self.chip, self.names, lengths))
+            # As many as an expansion about one centre takes.
+            while len(self._assembled) > (len(self.names) + 1) ** 2:
+                self._assembled.pop(next(iter(self._assembled)))
+            self._assembled[key] = assemble(mesh, self.problem.terms)
+        return self._assembled[key]
 
 
 def _parts(model: ReducedModel) -> tuple[Real, Real]:

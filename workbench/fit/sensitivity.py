@@ -39,7 +39,7 @@ from materials.kinds import Piezoelectric
 from workbench.fit.parameter import LOSS, part, placed
 from workbench.operators import FullOperators, assemble, frequency_groups
 from workbench.problem import Problem
-from workbench.reduce import SAFETY, NotEnriched, needed, new_directions, reduce, test_vectors
+from workbench.reduce import NotEnriched, estimated_error, needed, new_directions, reduce
 from workbench.solve import System, one_thread, solve_dense
 
 Real = NDArray[np.float64]
@@ -213,15 +213,13 @@ class _Line:
     """A reduced model along one part: A(w, s) = sum_g h_g(w) (fixed_g + (s - 1) moving_g), s the scaling of the part.
 
     ``factors`` h_g(w) (groups, n); ``basis`` (size, r), its lift last; ``fixed`` and ``moving`` (groups, r +
-    PROJECTIONS, r) with rows for the basis and below them for the random projections of the residual; ``effectivity``
-    as in `reduce.ReducedModel`.
+    PROJECTIONS, r) with rows for the basis and below them for the random projections of the residual.
     """
 
     factors: Complex
     basis: Real
     fixed: Complex
     moving: Complex
-    effectivity: float
 
     def __call__(self, scaling: float) -> tuple[Complex, Complex, Real]:
         """States (r, n) at a scaling, charge (n,) for 1 V, and its estimated relative error (n,)."""
@@ -230,7 +228,7 @@ class _Line:
         states, _ = solve_dense(self.factors, whole[:, :rank])
         image = np.einsum("gn,gin->in", self.factors, whole @ states)
         charge = -np.sum(states * image[:rank], axis=0)
-        return states, charge, self.effectivity * np.mean(np.abs(image[rank:]) ** 2, axis=0) / np.abs(charge)
+        return states, charge, estimated_error(image[rank:], charge)
 
     def narrowed(self, states: Complex) -> _Line:
         """On the directions of the basis that `states` (r, n) need."""
@@ -277,8 +275,7 @@ class _Nominal:
         self.model = reduce(operators, frequencies, values, tolerance=0.2 * tolerance)
         self.reference = self.model.solve(frequencies, values)
         self.error = float(self.model.error(self.reference).max())
-        self.weights = self.model.weights
-        self.test = test_vectors(self.weights)
+        self.weights, self.test = self.model.weights, self.model.test
         self._rows = np.concatenate([self.model.operators.matrices, self.model.sketch], axis=1)
 
     @cached_property
@@ -292,7 +289,7 @@ class _Nominal:
         fixed = np.stack([constants for _, constants in groups])
         moving = np.stack([constants for _, constants in doubled]) - fixed
         return _Line(np.stack([h for h, _ in groups]), self.model.basis, np.tensordot(fixed, self._rows, axes=1),
-                     np.tensordot(moving, self._rows, axes=1), self.model.effectivity)
+                     np.tensordot(moving, self._rows, axes=1))
 
 
 class _Range:
@@ -328,15 +325,15 @@ class _Range:
         for _ in range(LIMIT):
             found = [self.wide(scaling) for scaling in scalings]
             worst = int(np.argmax([error.max() for _, _, error in found]))
-            _, charge, error = found[worst]
+            error = found[worst][2]
             index = int(np.argmax(error))
             if error[index] <= self.nominal.tolerance:
                 return
-            self._solve(scalings[worst], index, complex(charge[index]), float(error[index]))
+            self._solve(scalings[worst], index)
         raise NotEnriched(float(error.max()), self.nominal.tolerance, self.solves)
 
-    def _solve(self, scaling: float, index: int, charge: complex, estimate: float) -> None:
-        """Take a full solve with its neighbours into the basis, and learn from it what an estimate is worth."""
+    def _solve(self, scaling: float, index: int) -> None:
+        """Take a full solve with its neighbours into the basis."""
         nominal, coefficient = self.nominal, self.name.removesuffix(LOSS)
         frequency = float(nominal.frequencies[index])
         if scaling not in self._systems:
@@ -344,15 +341,13 @@ class _Range:
         system = self._systems[scaling]
         states, _ = system.krylov(frequency, DEPTH, tangents=(coefficient,))
         self.solves += 1
-        exact = -complex(states[:, 0] @ (system.matrix(frequency) @ states[:, 0]))
-        effectivity = max(self.wide.effectivity, SAFETY * abs(charge / exact - 1.0) / estimate * self.wide.effectivity)
         fixed = nominal.system.group_matrices()
         # The model is affine in every coefficient of the transducer: two points make the line.
         moving = [None if np.array_equal(there, here) else (far - near) / (scaling - 1.0)
                   for there, here, far, near in zip(system.constants, nominal.system.constants,
                                                     system.group_matrices(), fixed, strict=True)]
         new = new_directions(self.wide.basis, states, nominal.weights)
-        self.wide = replace(self.wide.extended(new, nominal.test, fixed, moving), effectivity=effectivity)
+        self.wide = self.wide.extended(new, nominal.test, fixed, moving)
 
 
 def _full_names(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:

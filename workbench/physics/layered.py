@@ -11,20 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from geometry.names import LEVEL
-from workbench.physics.term import (
-    Coefficient,
-    Condition,
-    Integral,
-    Monomial,
-    Product,
-    Term,
-    Values,
-    parts_by_z,
-)
+from workbench.physics.term import Condition, Integral, Monomial, Product, Term, parts_by_z, times
 
 
 @dataclass(frozen=True)
@@ -32,8 +19,8 @@ class Layered(Term):
     """A term whose integrals know how they change with the thicknesses of the layers they lie in.
 
     ``parts`` holds, for every place of the term, the names of its parts on the mesh and the layer that each lies in
-    (`geometry.stretch.split_by_layers`); ``nominal`` the thickness (m) that the mesh has of each layer. Brings in the
-    parameters ``<layer>.thickness`` (m).
+    (`geometry.stretch.split_by_layers`), "" for what lies across layers; ``nominal`` the thickness (m) that the mesh
+    has of each layer. Brings in the parameters ``<layer>.thickness`` (m).
     """
 
     term: Term
@@ -52,7 +39,7 @@ class Layered(Term):
         result: list[Integral] = []
         for integral in self.term.integrals():
             for name, layer in parts[integral.place]:
-                if layer == LEVEL:
+                if not layer:
                     result.append(replace(integral, place=name))
                     continue
                 for derivatives, products in enumerate(_by_derivatives(integral.products)):
@@ -62,36 +49,6 @@ class Layered(Term):
                         coefficient = times(integral.coefficient, stretch) if power else integral.coefficient
                         result.append(replace(integral, coefficient=coefficient, place=name, products=products))
         return tuple(result)
-
-
-@dataclass(frozen=True)
-class Times:
-    """The product of a coefficient and a monomial."""
-
-    first: Coefficient
-    second: Monomial
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys((*self.first.parameters, *self.second.parameters)))
-
-    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
-        return self.first(omega, values) * self.second(omega, values)
-
-    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
-        return (self.first.derivative(omega, values, name) * self.second(omega, values)
-                + self.first(omega, values) * self.second.derivative(omega, values, name))
-
-
-def times(first: Coefficient, second: Monomial) -> Coefficient:
-    """The product of a coefficient and a monomial: a monomial where the first is one."""
-    if not isinstance(first, Monomial):
-        return Times(first, second)
-    factors: dict[str, float] = dict(first.factors)
-    for name, exponent in second.factors:
-        factors[name] = factors.get(name, 0) + exponent
-    kept = tuple((name, exponent) for name, exponent in factors.items() if exponent)
-    return Monomial(first.scale * second.scale, first.omega_power + second.omega_power, kept)
 
 
 def _by_derivatives(products: tuple[Product, ...]) -> tuple[tuple[Product, ...], ...]:

@@ -119,12 +119,17 @@ class Monomial:
         powers = np.asarray(omega, dtype=float) ** self.omega_power
         return np.asarray(self.constant(values) * powers, dtype=np.complex128)
 
-    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+    def constant_derivative(self, values: Values, name: str) -> complex:
+        """The derivative of :meth:`constant` with respect to the complex parameter `name`."""
         exponent = dict(self.factors).get(name, 0)
         if exponent == 0:
-            return np.zeros(np.shape(omega), dtype=complex)
+            return 0j
         lowered = tuple((n, e - 1 if n == name else e) for n, e in self.factors)
-        return Monomial(self.scale * exponent, self.omega_power, lowered)(omega, values)
+        return Monomial(self.scale * exponent, self.omega_power, lowered).constant(values)
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        powers = np.asarray(omega, dtype=float) ** self.omega_power
+        return np.asarray(self.constant_derivative(values, name) * powers, dtype=np.complex128)
 
 
 #: A value and its derivatives by the symbols it depends on, from the values of these symbols.
@@ -163,10 +168,14 @@ class Formula:
         powers = np.asarray(omega, dtype=float) ** self.omega_power
         return np.asarray(self.constant(values) * powers, dtype=np.complex128)
 
-    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+    def constant_derivative(self, values: Values, name: str) -> complex:
+        """The derivative of :meth:`constant` with respect to the complex parameter `name`."""
         _, slopes = self.law({symbol: complex(values[parameter]) for symbol, parameter in self.symbols})
-        slope = sum((slopes[symbol] for symbol, parameter in self.symbols if parameter == name), 0j)
-        return np.asarray(slope * np.asarray(omega, dtype=float) ** self.omega_power, dtype=np.complex128)
+        return sum((slopes[symbol] for symbol, parameter in self.symbols if parameter == name), 0j)
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        powers = np.asarray(omega, dtype=float) ** self.omega_power
+        return np.asarray(self.constant_derivative(values, name) * powers, dtype=np.complex128)
 
 
 @dataclass(frozen=True)
@@ -195,6 +204,43 @@ class Dispersion:
         self, omega: NDArray[np.float64], values: Values
     ) -> tuple[NDArray[np.complex128], Mapping[str, NDArray[np.complex128]]]:
         return self.law(np.asarray(omega, dtype=float), {s: complex(values[name]) for s, name in self.symbols})
+
+
+@dataclass(frozen=True)
+class Times:
+    """The product of a coefficient and a monomial without a power of the frequency."""
+
+    first: Coefficient
+    second: Monomial
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.first.parameters, *self.second.parameters)))
+
+    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
+        return self.first(omega, values) * self.second(omega, values)
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        return (self.first.derivative(omega, values, name) * self.second(omega, values)
+                + self.first(omega, values) * self.second.derivative(omega, values, name))
+
+
+def times(first: Coefficient, second: Monomial) -> Coefficient:
+    """The product of a coefficient and a monomial: a monomial where the first is one."""
+    if not isinstance(first, Monomial):
+        return Times(first, second)
+    factors: dict[str, float] = dict(first.factors)
+    for name, exponent in second.factors:
+        factors[name] = factors.get(name, 0) + exponent
+    kept = tuple((name, exponent) for name, exponent in factors.items() if exponent)
+    return Monomial(first.scale * second.scale, first.omega_power + second.omega_power, kept)
+
+
+def factored(coefficient: Coefficient, values: Values) -> tuple[Coefficient, complex]:
+    """What of a coefficient depends on frequency, and a constant factor."""
+    if isinstance(coefficient, Times):
+        return coefficient.first, coefficient.second.constant(values)
+    return coefficient, 1.0 + 0.0j
 
 
 @dataclass(frozen=True)

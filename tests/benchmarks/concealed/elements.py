@@ -1,0 +1,126 @@
+"""Matrices of tensor-product elements of any order on rectangles of the (r, z) plane, weight 2 pi r dr dz.
+
+Gauss-Lobatto nodes, Gauss quadrature; everything (cells, ...) at once. A node of a cell is counted with the one along
+z running fastest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+
+#: Symmetric forms by the kind of the medium: coefficient -> (weight, operator, operator), each form the sum of
+#: weight * row * column, symmetrised.
+FORMS: Mapping[str, Mapping[str, tuple[tuple[float, str, str], ...]]] = {
+    "solid": {
+        "c11": ((1.0, "rr", "rr"), (1.0, "tt", "tt")),
+        "c12": ((2.0, "rr", "tt"),),
+        "c13": ((2.0, "rr", "zz"), (2.0, "tt", "zz")),
+        "c33": ((1.0, "zz", "zz"),),
+        "c44": ((1.0, "rz", "rz"),),
+        "density": ((1.0, "ur", "ur"), (1.0, "uz", "uz")),
+    },
+    "liquid": {
+        "inertia": ((1.0, "pr", "pr"), (1.0, "pz", "pz")),
+        "compressibility": ((1.0, "p", "p"),),
+    },
+    "viscous": {
+        "shear": ((2.0, "rr", "rr"), (2.0, "tt", "tt"), (2.0, "zz", "zz"), (1.0, "rz", "rz"),
+                  (-2.0 / 3.0, "div", "div")),
+        "dilatation": ((2.0, "q", "div"),),
+        "compressibility": ((1.0, "q", "q"),),
+        "density": ((1.0, "ur", "ur"), (1.0, "uz", "uz")),
+    },
+}
+_PIEZO = {
+    "e31": ((2.0, "rr", "fz"), (2.0, "tt", "fz")),
+    "e33": ((2.0, "zz", "fz"),),
+    "e15": ((2.0, "rz", "fr"),),
+    "eps11": ((1.0, "fr", "fr"),),
+    "eps33": ((1.0, "fz", "fz"),),
+}
+FORMS = {**FORMS, "piezo": {**FORMS["solid"], **_PIEZO}}
+
+#: The unknowns of each kind, in the order of the columns of its matrices.
+UNKNOWNS: Mapping[str, tuple[str, ...]] = {
+    "solid": ("ur", "uz"), "piezo": ("ur", "uz", "phi"), "liquid": ("p",), "viscous": ("ur", "uz", "q"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Lagrange functions on the Gauss-Lobatto nodes of [-1, 1] at quadrature points: value, slope (points, nodes)."""
+
+    nodes: Real
+    points: Real
+    weights: Real
+    value: Real
+    slope: Real
+
+
+@lru_cache
+def line(order: int, points: int) -> Line:
+    """Functions of that order at that many Gauss points."""
+    inner = legendre.legroots(legendre.legder([0.0] * order + [1.0]))
+    nodes = np.concatenate([[-1.0], np.sort(inner.real), [1.0]])
+    at, weights = legendre.leggauss(points)
+    inverse = np.linalg.inv(legendre.legvander(nodes, order))
+    slopes = np.stack([legendre.legval(at, legendre.legder(np.eye(order + 1)[k])) for k in range(order + 1)], axis=1)
+    return Line(nodes, at, weights, legendre.legvander(at, order) @ inverse, slopes @ inverse)
+
+
+def matrices(kind: str, order: int, low_r: Real, width: Real, height: Real) -> dict[str, Real]:
+    """(cells, k, k) matrix of every form of `kind` on cells of inner radius `low_r`, `width`, `height` (cells,) m."""
+    along = line(order, order + 2)
+    value = np.einsum("ai,bj->abij", along.value, along.value).reshape(along.points.size**2, -1)
+    by_r = np.einsum("ai,bj->abij", along.slope, along.value).reshape(value.shape)
+    by_z = np.einsum("ai,bj->abij", along.value, along.slope).reshape(value.shape)
+    r = low_r[:, None] + 0.5 * width[:, None] * (1.0 + np.repeat(along.points, along.points.size))
+    weight = (np.outer(along.weights, along.weights).ravel() * 2.0 * np.pi * r * (0.25 * width * height)[:, None])
+    cells, nodes = low_r.size, value.shape[1]
+    d_r = by_r * (2.0 / width)[:, None, None]
+    d_z = by_z * (2.0 / height)[:, None, None]
+    over_r = value / r[:, :, None]
+    plain = np.broadcast_to(value, (cells, *value.shape))
+    one = {
+        "ur": {"ur": plain}, "uz": {"uz": plain}, "rr": {"ur": d_r}, "tt": {"ur": over_r}, "zz": {"uz": d_z},
+        "rz": {"ur": d_z, "uz": d_r}, "div": {"ur": d_r + over_r, "uz": d_z}, "fr": {"phi": d_r}, "fz": {"phi": d_z},
+        "p": {"p": plain}, "pr": {"p": d_r}, "pz": {"p": d_z},
+    }
+    sizes = dict.fromkeys(UNKNOWNS[kind], nodes)
+    if kind == "viscous":
+        lower = line(order - 1, order + 2).value
+        flat = np.einsum("ai,bj->abij", lower, lower).reshape(value.shape[0], -1)
+        one["q"] = {"q": np.broadcast_to(flat, (cells, *flat.shape))}
+        sizes["q"] = flat.shape[1]
+    start = dict(zip(sizes, np.cumsum([0, *sizes.values()])[:-1], strict=True))
+    total = sum(sizes.values())
+    found = {}
+    for name, products in FORMS[kind].items():
+        matrix = np.zeros((cells, total, total))
+        for factor, row, column in products:
+            for a, left in one[row].items():
+                for b, right in one[column].items():
+                    block = np.matmul(np.swapaxes(left * (factor * weight)[:, :, None], 1, 2), right)
+                    rows, columns = slice(start[a], start[a] + sizes[a]), slice(start[b], start[b] + sizes[b])
+                    matrix[:, rows, columns] += 0.5 * block
+                    matrix[:, columns, rows] += 0.5 * np.swapaxes(block, 1, 2)
+        found[name] = matrix
+    return found
+
+
+def edge_matrices(order: int, horizontal: bool, low: Real, length: Real, radius: Real) -> Real:
+    """(edges, order + 1, order + 1) integral of products of two traces with 2 pi r: along r from `low` when
+    `horizontal`, else along z at `radius`."""
+    along = line(order, order + 2)
+    at = low[:, None] + 0.5 * length[:, None] * (1.0 + along.points)
+    r = at if horizontal else np.broadcast_to(radius[:, None], at.shape)
+    weight = 2.0 * np.pi * r * along.weights * 0.5 * length[:, None]
+    return np.einsum("eq,qi,qj->eij", weight, along.value, along.value)

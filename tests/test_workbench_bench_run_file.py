@@ -1,0 +1,178 @@
+"""workbench.bench.run_file: nothing that was written is lost, wherever the writing stopped."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from inputs import InputError
+from workbench.bench.run_file import Event, Journal, Point, exists, journal_path, new_run, read_run, write_run
+
+INSTRUMENTS = {"generator": "FY3224S", "oscilloscope": "TEKTRONIX,TDS 2024B,0,CF:91.1CT FV:v22.11"}
+
+
+def point(sequence, *, samples=40):
+    rng = np.random.default_rng(sequence)
+    return Point(
+        sequence, 1e6 + 500.0 * sequence, 5.0, 4.5, sequence % 2, 1.7e9 + sequence,
+        raw=rng.integers(-100, 100, (2, 2, samples)).astype(np.int16), volts_per_count=rng.random((2, 2)),
+        volts_at_zero=rng.random((2, 2)), start=rng.random(2), step=4e-9,
+        voltage=rng.random((2, 2)) + 1j * rng.random((2, 2)), voltage_uncertainty=rng.random((2, 2)),
+        fitted_frequency=1e6 + rng.random(2), impedance=complex(*rng.random(2)), uncertainty=0.01,
+        flags=("low signal: 3 steps, of \u00b5V",) if sequence == 1 else (),
+    )
+
+
+def same(first, second):
+    for field in dataclasses.fields(Point):
+        a, b = getattr(first, field.name), getattr(second, field.name)
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype
+            np.testing.assert_array_equal(a, b)
+        else:
+            assert a == b, field.name
+
+
+def started(path, points=3):
+    journal = Journal(path, new_run('[generator]\nport = "x"\n', INSTRUMENTS, 1.7e9))
+    for sequence in range(points):
+        journal.add(point(sequence))
+    return journal
+
+
+def test_what_was_added_is_read_back_bit_for_bit(tmp_path):
+    path = tmp_path / "run.h5"
+    assert not exists(path)
+    with started(path) as journal:
+        journal.add(Event(1.7e9, "resumed"))
+        for run in (read_run(path), journal.fold(complete=True), read_run(path)):
+            assert len(run.points) == 3
+            for sequence, found in enumerate(run.points):
+                same(found, point(sequence))
+            assert run.events == (Event(1.7e9, "resumed"),)
+            assert (run.instruments, run.setup_text) == (INSTRUMENTS, '[generator]\nport = "x"\n')
+    assert run.complete
+    assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_a_journal_cut_anywhere_keeps_every_whole_point(tmp_path):
+    path = tmp_path / "run.h5"
+    started(path).close()
+    beside = journal_path(path)
+    whole = beside.read_bytes()
+    ends = []
+    with started(tmp_path / "other.h5", points=0) as journal:
+        ends.append(journal_path(journal.path).stat().st_size)
+        for sequence in range(3):
+            journal.add(point(sequence))
+            ends.append(journal_path(journal.path).stat().st_size)
+    for cut in sorted({*range(0, len(whole), 97), *ends, *(end - 1 for end in ends), len(whole)}):
+        beside.write_bytes(whole[:cut])
+        expected = sum(end <= cut for end in ends) - 1
+        if expected < 0:
+            assert not exists(path)
+            continue
+        run = read_run(path)
+        assert len(run.points) == expected, cut
+        with Journal(path, run) as journal:
+            journal.add(point(expected))
+        again = read_run(path)
+        assert [p.sequence for p in again.points] == list(range(expected + 1))
+        same(again.points[-1], point(expected))
+
+
+def test_a_flipped_bit_ends_the_journal_there(tmp_path):
+    path = tmp_path / "run.h5"
+    started(path).close()
+    data = bytearray(journal_path(path).read_bytes())
+    data[-100] ^= 4
+    journal_path(path).write_bytes(bytes(data))
+    assert len(read_run(path).points) == 2
+
+
+def test_nothing_behind_a_spoilt_record_comes_back(tmp_path):
+    path = tmp_path / "run.h5"
+    started(path, points=4).close()
+    data = bytearray(journal_path(path).read_bytes())
+    record = data.rfind(b"WBR1", 0, data.rfind(b"WBR1"))
+    data[record + 500] ^= 4
+    journal_path(path).write_bytes(bytes(data))
+    with Journal(path, read_run(path)) as journal:
+        # As long as the spoilt one, so that the whole one behind it would fit on again.
+        journal.add(point(2))
+    assert [p.sequence for p in read_run(path).points] == [0, 1, 2]
+
+
+class _Interrupted:
+    """A stream that is interrupted after half of what it should write."""
+
+    def __init__(self, stream):
+        self._stream = stream
+
+    def write(self, data):
+        if len(data) < 200:
+            raise KeyboardInterrupt
+        return self._stream.write(data[:len(data) // 2])
+
+    def __getattr__(self, name):
+        return getattr(self._stream, name)
+
+
+def test_an_interrupted_write_leaves_no_half_record(tmp_path):
+    path = tmp_path / "run.h5"
+    with started(path) as journal:
+        stream = journal._stream
+        journal._stream = _Interrupted(stream)
+        with pytest.raises(KeyboardInterrupt):
+            journal.add(point(3))
+        journal._stream = stream
+        journal.add(Event(1.0, "interrupted"))
+        run = journal.fold(complete=False)
+    assert len(run.points) == 3
+    assert run.events[-1].text == "interrupted"
+
+
+def test_a_point_that_is_whole_stays_when_an_interrupt_comes_behind_it(tmp_path, monkeypatch):
+    path = tmp_path / "run.h5"
+    with started(path) as journal:
+        def interrupted(handle):
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr("workbench.bench.run_file.os.fsync", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                journal.add(point(3))
+        journal.add(Event(1.0, "interrupted"))
+        run = journal.fold(complete=False)
+    assert len(run.points) == 4
+    same(run.points[3], point(3))
+
+
+def test_folded_and_taken_up_again(tmp_path):
+    path = tmp_path / "run.h5"
+    with started(path) as journal:
+        journal.fold(complete=False)
+    with Journal(path, read_run(path)) as journal:
+        journal.add(point(3))
+    run = read_run(path)
+    assert [p.sequence for p in run.points] == [0, 1, 2, 3]
+    # Killed between putting RUN.h5 in its place and removing the journal: both hold point 3, it counts once.
+    write_run(run, path)
+    assert [p.sequence for p in read_run(path).points] == [0, 1, 2, 3]
+
+
+def test_files_that_are_no_runs_are_refused(tmp_path):
+    path = tmp_path / "run.h5"
+    with pytest.raises(InputError, match="a run file"):
+        read_run(path)
+    path.write_text("nothing of the kind")
+    with pytest.raises(InputError, match="a run file"):
+        read_run(path)
+    path.unlink()
+    with started(path) as journal:
+        journal.fold(complete=True)
+    with started(tmp_path / "other.h5") as journal:
+        pass
+    journal_path(journal.path).rename(journal_path(path))
+    with pytest.raises(InputError, match="the run of"):
+        read_run(path)

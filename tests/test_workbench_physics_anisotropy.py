@@ -1,0 +1,169 @@
+"""Printed polymers against the stiffness matrix of transverse isotropy and waves along and across its axis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import jv, yv
+from skfem import Basis, ElementQuad2
+
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from materials.kinds import IsotropicSolid, Material, Piezoelectric
+from workbench.operators import assemble
+from workbench.physics import electrodes, piezoelectric, solid
+from workbench.physics.anisotropy import ADMISSIBLE, TransverseIsotropy
+from workbench.physics.term import Condition, Term
+from workbench.problem import Problem, problem
+from workbench.solve import solve_full
+
+TERM = TransverseIsotropy("substrate", "pla")
+
+
+def excesses(axial: complex = 0.0, shear: complex = 0.0, lateral: complex = 0.0) -> dict[str, complex]:
+    return {"pla.axial_excess": axial, "pla.shear_excess": shear, "pla.lateral_excess": lateral}
+
+
+@dataclass(frozen=True)
+class Held(Term):
+    """A component is zero on a boundary; for these tests only."""
+
+    component: str
+    boundary: str
+
+    def conditions(self) -> tuple[Condition, ...]:
+        return (Condition(self.component, self.boundary),)
+
+
+def test_the_energy_is_that_of_the_stiffness_matrix(filled: Problem) -> None:
+    # u_r = a r, u_z = b z + g r: strains (a, a, b) and 2 eps_rz = g, everywhere.
+    bulk, shear = 3.57e9 - 0.03e9j, 0.93e9 - 0.05e9j
+    values = {**filled.values, "pla.bulk_modulus": bulk, "pla.shear_modulus": shear, **excesses(0.15, -0.1, 0.07)}
+    operators = assemble(filled.mesh, (*filled.terms, TERM))
+    mine = np.array([i.place == "substrate" and i.coefficient.parameters != ("pla.density",)
+                     for i in operators.integrals])
+    constants = np.array([i.coefficient(np.array([1.0]), values)[0] for i in operators.integrals]) * mine
+    c11, c12 = bulk + 4 / 3 * shear, bulk - 2 / 3 * shear
+    c33, c13, c44 = 1.15 * c11, 1.07 * c12, 0.9 * shear
+    matrix = np.array([[c11, c12, c13, 0], [c12, c11, c13, 0], [c13, c13, c33, 0], [0, 0, 0, c44]])
+    r, z = np.asarray(Basis(filled.mesh.mesh, ElementQuad2(), intorder=1).doflocs)
+    for a, b, g in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.4, -1.0, 0.7)):
+        state = np.zeros((operators.size, 1), dtype=complex)
+        for component, shape in (("u_r", a * r), ("u_z", b * z + g * r)):
+            numbers = operators.numbering[component]
+            state[numbers[numbers >= 0], 0] = shape[numbers >= 0]
+        strain = np.array([a, a, b, g])
+        expected = strain @ matrix @ strain * filled.mesh.section.volume("substrate")
+        assert constants @ operators.quadratic(state, state)[0] == pytest.approx(expected, rel=1e-9)
+
+
+RADIUS, DISC, SAMPLE = 0.1e-3, 2e-3, 1e-3
+FREQUENCY = np.linspace(0.31e6, 1.19e6, 9)
+#: No Poisson's ratio, so that the stack is one-dimensional.
+POLYMER = IsotropicSolid(name="pla", density=1130.0, bulk_modulus=2 / 3 * (1.6e9 - 60e6j), shear_modulus=1.6e9 - 60e6j)
+
+
+def impedance(material: Piezoelectric, stiffness: complex) -> NDArray[np.complex128]:
+    """Z (e^{-i w t}) of the plate below a layer of longitudinal modulus `stiffness`, free above.
+
+    u = A sin k z + B cos k z from the plate's middle; the layer pulls with c k_s tan(k_s d) u.
+    """
+    permittivity = material.absolute_eps33
+    h = material.e33 / permittivity
+    stiffened = material.c33 + material.e33**2 / permittivity
+    found = []
+    for omega in 2.0 * np.pi * FREQUENCY:
+        k, beyond = omega * np.sqrt(material.density / stiffened), omega * np.sqrt(POLYMER.density / stiffness)
+        pull = stiffness * beyond * np.tan(beyond * SAMPLE)
+        s, c = np.sin(0.5 * k * DISC), np.cos(0.5 * k * DISC)
+        matrix = np.array([[stiffened * k * c - pull * s, -stiffened * k * s - pull * c],
+                           [stiffened * k * c, stiffened * k * s]])
+        a, _ = np.linalg.solve(matrix, [h, h])
+        found.append((DISC / permittivity - 2.0 * h * a * s) / (-1j * omega * np.pi * RADIUS**2))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("excess", [0.2, -0.15])
+def test_a_wave_along_the_axis_has_the_speed_of_the_axial_stiffness(
+    excess: float, stacked: Callable[..., Chip], uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
+    pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    assert isinstance(pzt, Piezoelectric)
+    pzt = replace(pzt, c13=0.0, e31=0.0, e15=0.0)
+    chip = stacked([("transducer", DISC, RADIUS, None), ("substrate", SAMPLE, RADIUS, None)], band=(0.3e6, 1.2e6))
+    base = problem(uniform_mesh(chip, 50e-6), {"transducer": pzt, "substrate": POLYMER}, chip.band)
+    # The shear's has nothing to do, and neither has the lateral one without Poisson's ratio.
+    model = base.with_terms((TERM,), excesses(excess, 0.3, 0.2))
+    found = solve_full(assemble(model.mesh, model.terms), FREQUENCY, model.values).impedance
+    stiffness = 2.0 * POLYMER.shear_modulus
+    expected, without = impedance(pzt, stiffness * (1.0 + excess)), impedance(pzt, stiffness)
+    print(f"axial excess {excess}: effect {np.abs(expected / without - 1.0).max():.2f}, "
+          f"error {np.abs(found / expected - 1.0).max():.1e} of Z")
+    assert np.abs(expected / without - 1.0).max() > 0.1
+    assert np.abs(found / expected - 1.0).max() < 2e-4  # twenty elements on a wavelength, 1e-5, on resonances' flanks
+
+
+INNER, OUTER, HEIGHT = 1e-3, 1.4e-3, 0.2e-3
+
+
+@pytest.mark.parametrize("excess", [0.2, -0.15])
+def test_a_wave_across_the_axis_has_the_speed_of_the_axial_shear(
+    excess: float, stacked: Callable[..., Chip], uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]], rows: Callable[..., NDArray[np.int64]],
+    modes: Callable[..., NDArray[np.float64]],
+) -> None:
+    # u_z(r) = J0(k r) Y0(k a) - Y0(k r) J0(k a) in a ring held inside and free outside; u_r is held at zero.
+    chip = stacked([("transducer", HEIGHT, OUTER, None), ("layer", HEIGHT, OUTER, None),
+                    ("sidewall", HEIGHT, OUTER, INNER), ("superstrate", HEIGHT, OUTER, None)], band=(1e5, 3e6))
+    pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    held = tuple(Held("u_r", b) for b in ("cavity|sidewall", "layer|sidewall", "sidewall|superstrate",
+                                          "sidewall|outside"))
+    terms = (piezoelectric.Piezoelectric("transducer", "pzt"), solid.IsotropicSolid("sidewall", "pla"),
+             electrodes.Electrodes("electrode_live", "electrode_ground"), *held, Held("u_z", "cavity|sidewall"),
+             TransverseIsotropy("sidewall", "pla"))
+    operators = assemble(uniform_mesh(chip, 0.05e-3), terms)
+    values = {f"pzt.{name}": value for name, value in pzt.parameters().items()} | {
+        "pla.bulk_modulus": 3.6e9, "pla.shear_modulus": 1.1e9, "pla.density": 1150.0, **excesses(0.3, excess, 0.1)}
+
+    def residual(k: float) -> float:
+        return float(-jv(1, k * OUTER) * yv(0, k * INNER) + yv(1, k * OUTER) * jv(0, k * INNER))
+
+    quarter = 0.5 * np.pi / (OUTER - INNER)
+    k = brentq(residual, 0.7 * quarter, 1.3 * quarter)
+    expected = np.sqrt(1.1e9 * (1.0 + excess) / 1150.0) * k / (2.0 * np.pi)
+    found = modes(operators, values, rows(operators, "sidewall", "u_r", "u_z"), near=expected, count=1)[0]
+    print(f"shear excess {excess}: {found:.1f} Hz, closed form {expected:.1f} Hz")
+    assert found == pytest.approx(expected, rel=5e-6)  # (k h)^4 / 1440 with k h = 0.2
+
+
+@pytest.mark.parametrize("name", list(excesses()))
+def test_without_excess_nothing_changes_and_the_tangent_is_the_change(filled: Problem, name: str) -> None:
+    model = filled.with_terms((TERM,), excesses())
+    frequency = np.array([310e3, 350e3, 395e3])
+    operators = assemble(model.mesh, model.terms)
+    base = solve_full(assemble(filled.mesh, filled.terms), frequency, filled.values).impedance
+    below, at, above = (solve_full(operators, frequency, {**model.values, name: s}) for s in (-1e-6, 0.0, 1e-6))
+    assert np.abs(at.impedance / base - 1.0).max() < 1e-11
+    slope = at.parameter_gradient(model.values, (name,))[:, 0]
+    assert np.abs((above.impedance - below.impedance) / 2e-6 / slope - 1.0).max() < 1e-4
+
+
+def test_the_excesses_of_a_lossy_polymer_are_passive(filled: Problem) -> None:
+    # Both parts of the moduli are positive definite anywhere within the limits, so power is taken everywhere.
+    frequency = np.linspace(300e3, 400e3, 3)
+    limits = [(limit.lowest, limit.highest) for limit in ADMISSIBLE.values()]
+    for axial in limits[0]:
+        for shear in limits[1]:
+            model = filled.with_terms((TERM,), excesses(axial, shear))
+            solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
+            losses = solution.dissipation()
+            # The chip's substrate is of the polymer, with a loss in both moduli of the base model.
+            mine = [q for q, i in enumerate(solution.operators.integrals) if i.place == "substrate"]
+            assert (losses[:, mine].sum(axis=1) > 0.0).all()
+            assert np.abs(losses.sum(axis=1) / solution.input_power() - 1.0).max() < 1e-9

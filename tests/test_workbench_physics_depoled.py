@@ -1,0 +1,102 @@
+"""A rim without poling against a capacitor, and a poled and a depoled plate side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from materials.kinds import Material, Piezoelectric
+from workbench.operators import ModelError, assemble
+from workbench.physics.depoled import DepoledRim
+from workbench.problem import Problem, problem
+from workbench.solve import solve_full
+
+FRACTION, EXCESS = "transducer.depoled_fraction", "transducer.permittivity_excess"
+
+
+def rimmed(base: Problem, beyond: float, fraction: complex, excess: complex = 0.0) -> Problem:
+    return base.with_terms((DepoledRim("transducer", "pzt", beyond),), {FRACTION: fraction, EXCESS: excess})
+
+
+def impedance(model: Problem, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    return solve_full(assemble(model.mesh, model.terms), frequency, model.values).impedance
+
+
+def test_a_disc_without_poling_is_a_capacitor(small_disc: Problem) -> None:
+    frequency = np.linspace(310e3, 690e3, 5)
+    found = impedance(rimmed(small_disc, 0.0, 1.0, 0.1), frequency)
+    permittivity = 1.1 * small_disc.values["pzt.eps33"] * 8.8541878128e-12
+    expected = 1.0 / (-2j * np.pi * frequency * permittivity * np.pi * 3e-3**2 / 2e-3)
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_poled_and_a_depoled_plate_lie_side_by_side(
+    stacked: Callable[..., Chip], uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
+    # Without what couples one radius to another (c13, c44, e31, e15, eps11) every ring is a plate of its own: the
+    # admittances of the inner plate, e^{-i w t}, and of a capacitor add up. Only the nodes between the two are shared.
+    pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    assert isinstance(pzt, Piezoelectric)
+    pzt = replace(pzt, c13=0.0, c44=0.0, e31=0.0, e15=0.0, eps11=0.0)
+    thickness, radius, inner = 2e-3, 0.8e-3, 0.6e-3
+    frequency = np.linspace(0.3e6, 1.5e6, 7)
+    omega = 2.0 * np.pi * frequency
+    kt2 = pzt.e33**2 / pzt.absolute_eps33 / (pzt.c33 + pzt.e33**2 / pzt.absolute_eps33)
+    half = 0.5 * omega * thickness * np.sqrt(pzt.density / (pzt.c33 + pzt.e33**2 / pzt.absolute_eps33))
+    capacitance = pzt.absolute_eps33 * np.pi / thickness * np.array([[inner**2], [radius**2 - inner**2]])
+    poled, depoled = -1j * omega * capacitance / np.array([1.0 - kt2 * np.tan(half) / half, np.ones(omega.size)])
+    whole = poled * radius**2 / inner**2
+    chip = stacked([("transducer", thickness, radius, None)], band=(0.3e6, 1.5e6))
+    errors = []
+    for edge in (0.1e-3, 0.05e-3):
+        base = problem(uniform_mesh(chip, edge), {"transducer": pzt}, chip.band)
+        assert np.abs(impedance(base, frequency) * whole - 1.0).max() < 1e-3
+        found = 1.0 / impedance(rimmed(base, inner, 1.0), frequency)
+        errors.append(np.abs(found - (poled + depoled)).max() / np.abs(whole - (poled + depoled)).max())
+    print(f"plates side by side: errors {errors} of the effect")
+    assert errors[-1] < 0.025  # of the effect; a share of one column of elements
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.2)
+
+
+@pytest.mark.parametrize("name", [FRACTION, EXCESS])
+def test_a_poled_rim_changes_nothing_and_the_tangent_is_the_change(small_disc: Problem, name: str) -> None:
+    model = rimmed(small_disc, 2e-3, 0.0)
+    frequency = np.array([310e3, 450e3, 690e3])
+    operators = assemble(model.mesh, model.terms)
+    base = impedance(small_disc, frequency)
+    below, at, above = (solve_full(operators, frequency, {**model.values, name: s}) for s in (-1e-6, 0.0, 1e-6))
+    assert np.abs(at.impedance / base - 1.0).max() < 1e-11
+    slope = at.parameter_gradient(model.values, (name,))[:, 0]
+    assert np.abs((above.impedance - below.impedance) / 2e-6 / slope - 1.0).max() < 1e-4
+
+
+def test_the_rim_has_the_elements_whose_centre_lies_beyond(small_disc: Problem) -> None:
+    term = DepoledRim("transducer", "pzt", 2e-3)
+    operators = assemble(small_disc.mesh, (*small_disc.terms, term))
+    place = operators.places[term.integrals()[0].domain]
+    mesh = small_disc.mesh.mesh
+    centre = mesh.p[0, mesh.t].mean(axis=0)
+    assert sorted(place.elements) == np.flatnonzero(centre > 2e-3).tolist()
+    assert 0 < place.elements.size < centre.size
+    assert operators.places["transducer"].elements.size == centre.size
+
+
+def test_a_depoled_rim_is_passive(small_disc: Problem) -> None:
+    frequency = np.linspace(310e3, 690e3, 9)
+    for fraction, excess in ((0.5, 0.2), (1.0, -0.2)):
+        model = rimmed(small_disc, 2e-3, fraction, excess)
+        solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
+        assert (solution.input_power() > 0.0).all()
+        assert np.abs(solution.dissipation().sum(axis=1) / solution.input_power() - 1.0).max() < 1e-9
+
+
+def test_a_rim_outside_of_the_disc_is_refused(small_disc: Problem) -> None:
+    with pytest.raises(ModelError, match=r"'transducer' has no element beyond 0\.004 m; its outermost one"):
+        assemble(small_disc.mesh, (*small_disc.terms, DepoledRim("transducer", "pzt", 4e-3)))

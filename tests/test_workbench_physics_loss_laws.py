@@ -1,0 +1,228 @@
+"""Loss laws against the Kramers-Kronig integral, a stack with a dispersive layer, and the base model's own forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from materials.kinds import IsotropicSolid, Material, Piezoelectric
+from materials.registry import Registry
+from workbench.operators import assemble
+from workbench.physics import solid
+from workbench.physics.loss_laws import ADMISSIBLE, SMALL, FractionalLoss, KelvinVoigt
+from workbench.physics.term import Term
+from workbench.problem import Problem, problem
+from workbench.solve import solve_full
+
+REFERENCE = 1e6
+FRACTIONAL, DASHPOT = FractionalLoss("substrate", "pla"), KelvinVoigt("substrate", "pla")
+EXPONENTS = (0.0, 0.5 * SMALL, 0.2, 0.5, 0.8, 1.0)
+
+
+def law(exponent: float, shear: complex = 1.0, bulk: complex = 0.0) -> dict[str, complex]:
+    return {"pla.shear_fractional_loss": shear, "pla.bulk_fractional_loss": bulk, "pla.loss_exponent": exponent,
+            "pla.loss_frequency": REFERENCE}
+
+
+def modulus(exponent: float, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """F at frequencies (n,) in Hz."""
+    _, shear = FRACTIONAL.integrals()
+    return shear.coefficient(2.0 * np.pi * frequency, law(exponent))
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_the_loss_is_one_at_the_reference_where_the_stiffness_stays(exponent: float) -> None:
+    assert modulus(exponent, np.array([REFERENCE]))[0] == pytest.approx(-1j, abs=1e-12)
+    # The loss goes with the power a of the frequency.
+    assert -modulus(exponent, np.array([10.0 * REFERENCE]))[0].imag == pytest.approx(10.0**exponent, rel=1e-6)
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS[:-1])
+@pytest.mark.parametrize("ratio", [0.2, 0.9, 3.0])
+def test_the_stiffness_is_the_kramers_kronig_integral_of_the_loss(exponent: float, ratio: float) -> None:
+    # Analytic in the upper half of w for e^{-i w t}:
+    # M'(w) - M'(w0) = (2 / pi) P int_0^inf M''(s) [w^2 / (s (s^2 - w^2)) - w0^2 / (s (s^2 - w0^2))] ds, M'' = Im M.
+    # The pole is taken out with P int_e^inf w^2 / (s (s^2 - w^2)) ds = -ln(w / e).
+    lowest, highest = 1e-12, 1e14
+
+    def loss(s: float) -> float:
+        return float(modulus(exponent, np.array([s * REFERENCE]))[0].imag)
+
+    def part(w: float) -> float:
+        def integrand(x: float) -> float:
+            s = np.exp(x)
+            # A step of 1e-6 off the removable pole changes the integral by as much.
+            s = s if abs(s / w - 1.0) > 1e-6 else w * (1.0 + 1e-6)
+            return (loss(s) - loss(w)) * w**2 / (s**2 - w**2)
+
+        ends = np.log([lowest, 1e-3, w, 1e3, highest])
+        smooth = sum(quad(integrand, a, b, limit=200, epsabs=1e-9)[0] for a, b in pairwise(ends))
+        return 2.0 / np.pi * (smooth - loss(w) * np.log(w / lowest))
+
+    expected = part(ratio) - part(1.0)
+    found = float(modulus(exponent, np.array([ratio * REFERENCE]))[0].real)
+    print(f"a = {exponent}: stiffness at {ratio} f_0 {found:.6f}, Kramers-Kronig {expected:.6f}")
+    # What lies above the highest frequency is highest^(a - 2), below the lowest lowest^2.
+    assert found == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_loss_without_exponent_stiffens_by_the_rule_of_thumb() -> None:
+    # dM' / M' = 2 / (pi Q) ln(f / f0).
+    found = modulus(0.0, np.array([0.5, 1.0, 2.0]) * REFERENCE)
+    assert found.real == pytest.approx(2.0 / np.pi * np.log([0.5, 1.0, 2.0]))
+    assert found.imag == pytest.approx(-1.0)
+
+
+def test_the_series_for_small_exponents_continues_the_closed_form() -> None:
+    frequency = np.array([1e3, 0.3e6, 1e6, 20e6])
+    below, above = (modulus(SMALL * (1.0 + side * 1e-9), frequency) for side in (-1.0, 1.0))
+    # The series' next term, a^3 m^4 / 24 with m = 7.
+    assert np.abs(above - below).max() < 2e-7
+    shear = FRACTIONAL.integrals()[1].coefficient
+    slopes = [shear.derivative(2.0 * np.pi * frequency, law(SMALL * (1.0 + side * 1e-9)), "pla.loss_exponent")
+              for side in (-1.0, 1.0)]
+    assert np.abs(slopes[1] - slopes[0]).max() < 3e-4  # its derivative
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_the_laws_are_passive_and_have_their_derivatives(exponent: float) -> None:
+    omega = 2.0 * np.pi * np.geomspace(1e3, 1e8, 21)
+    values = {**law(exponent, 3e7, 1e8), "pla.shear_kelvin_voigt": 5.0, "pla.bulk_kelvin_voigt": 8.0}
+    for integral in (*FRACTIONAL.integrals(), *DASHPOT.integrals()):
+        g = integral.coefficient
+        assert (g(omega, values).imag < 0.0).all()
+        for name in g.parameters:
+            step = 1e-6 * (values[name] if values[name] else 1.0)
+            moved = [g(omega, {**values, name: values[name] + side * step}) for side in (-1.0, 1.0)]
+            found, exact = (moved[1] - moved[0]) / (2.0 * step), g.derivative(omega, values, name)
+            # The square of the step, and what rounding (and the closed form's cancellation) leaves of g.
+            left = 1e-12 * np.abs(g(omega, values)).max() / step
+            assert np.abs(found - exact).max() < 1e-6 * np.abs(exact).max() + left
+
+
+def test_the_forms_are_those_of_the_base_model() -> None:
+    bulk, shear, _ = solid.IsotropicSolid("substrate", "pla").integrals()
+    for term in (FRACTIONAL, DASHPOT):
+        for integral, base in zip(term.integrals(), (bulk, shear), strict=True):
+            assert (integral.place, integral.products) == (base.place, base.products)
+
+
+def test_an_exponent_of_one_is_a_dashpot() -> None:
+    omega = 2.0 * np.pi * np.array([0.3e6, 1e6, 4e6])
+    values = {**law(1.0, 3e7, 1e8), "pla.shear_kelvin_voigt": 3e7 / (2.0 * np.pi * REFERENCE),
+              "pla.bulk_kelvin_voigt": 1e8 / (2.0 * np.pi * REFERENCE)}
+    for pot, dashpot in zip(FRACTIONAL.integrals(), DASHPOT.integrals(), strict=True):
+        assert pot.coefficient(omega, values) == pytest.approx(dashpot.coefficient(omega, values), rel=1e-12)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# A stack that vibrates along z alone: the wave equation with a modulus that depends on frequency
+
+RADIUS, DISC, SAMPLE = 0.1e-3, 2e-3, 1e-3
+FREQUENCY = np.linspace(0.31e6, 1.19e6, 9)
+OMEGA = 2.0 * np.pi * FREQUENCY
+#: No Poisson's ratio: the bulk modulus and its loss are two thirds of the shear's.
+POLYMER = IsotropicSolid(name="pla", density=1130.0, bulk_modulus=2 / 3 * (1.6e9 - 10e6j), shear_modulus=1.6e9 - 10e6j)
+
+
+def impedance(material: Piezoelectric, stiffness: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Z (e^{-i w t}) of the plate below a layer of longitudinal modulus `stiffness` (n,).
+
+    u = A sin k z + B cos k z from the plate's middle; the layer, free above, pulls with c k_s tan(k_s d) u.
+    """
+    permittivity = material.absolute_eps33
+    h = material.e33 / permittivity
+    stiffened = material.c33 + material.e33**2 / permittivity
+    found = []
+    for omega, own in zip(OMEGA, stiffness, strict=True):
+        k, beyond = omega * np.sqrt(material.density / stiffened), omega * np.sqrt(POLYMER.density / own)
+        pull = own * beyond * np.tan(beyond * SAMPLE)
+        s, c = np.sin(0.5 * k * DISC), np.cos(0.5 * k * DISC)
+        matrix = np.array([[stiffened * k * c - pull * s, -stiffened * k * s - pull * c],
+                           [stiffened * k * c, stiffened * k * s]])
+        a, _ = np.linalg.solve(matrix, [h, h])
+        found.append((DISC / permittivity - 2.0 * h * a * s) / (-1j * omega * np.pi * RADIUS**2))
+    return np.array(found)
+
+
+def test_a_stack_with_each_law_is_the_closed_form(
+    stacked: Callable[..., Chip], uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
+    pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    assert isinstance(pzt, Piezoelectric)
+    pzt = replace(pzt, c13=0.0, e31=0.0, e15=0.0)
+    chip = stacked([("transducer", DISC, RADIUS, None), ("substrate", SAMPLE, RADIUS, None)], band=(0.3e6, 1.2e6))
+    base = problem(uniform_mesh(chip, 50e-6), {"transducer": pzt, "substrate": POLYMER}, chip.band)
+    constant = 2.0 * POLYMER.shear_modulus
+    loss = 80e6
+    cases: list[tuple[Term, dict[str, complex], NDArray[np.complex128]]] = [
+        (DASHPOT, {"pla.shear_kelvin_voigt": 12.0, "pla.bulk_kelvin_voigt": 8.0},
+         np.asarray(-2j * OMEGA * 12.0, dtype=np.complex128))]
+    cases += [(FRACTIONAL, law(a, loss, 2 / 3 * loss), 2.0 * loss * modulus(a, FREQUENCY)) for a in (0.0, 0.4)]
+    without = impedance(pzt, np.full(OMEGA.size, constant))
+    for term, values, added in cases:
+        model = base.with_terms((term,), values)
+        found = solve_full(assemble(model.mesh, model.terms), FREQUENCY, model.values).impedance
+        expected = impedance(pzt, constant + added)
+        print(f"{term}: effect {np.abs(expected / without - 1.0).max():.2f}, "
+              f"error {np.abs(found / expected - 1.0).max():.1e} of Z")
+        assert np.abs(expected / without - 1.0).max() > 0.05
+        # Twenty elements or more on a wavelength, (k h)^4 / 1440 = 1e-5, on the flank of a resonance.
+        assert np.abs(found / expected - 1.0).max() < 2e-4
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# On a chip
+
+
+@pytest.mark.parametrize(("term", "values", "lead"), [
+    (DASHPOT, {"pla.shear_kelvin_voigt": 0.0, "pla.bulk_kelvin_voigt": 0.0}, "shear_kelvin_voigt"),
+    (DASHPOT, {"pla.shear_kelvin_voigt": 0.0, "pla.bulk_kelvin_voigt": 0.0}, "bulk_kelvin_voigt"),
+    (FRACTIONAL, law(0.3, 0.0, 0.0), "shear_fractional_loss"),
+    (FRACTIONAL, law(0.0, 0.0, 0.0), "bulk_fractional_loss"),
+])
+def test_without_amplitude_nothing_changes_and_the_tangent_is_the_change(
+    filled: Problem, term: Term, values: dict[str, complex], lead: str
+) -> None:
+    name = f"pla.{lead}"
+    model = filled.with_terms((term,), values)
+    frequency = np.array([310e3, 350e3, 395e3])
+    operators = assemble(model.mesh, model.terms)
+    base = solve_full(assemble(filled.mesh, filled.terms), frequency, filled.values).impedance
+    step = 1e-6 * ADMISSIBLE[lead].highest
+    below, at, above = (solve_full(operators, frequency, {**model.values, name: s}) for s in (-step, 0.0, step))
+    assert np.abs(at.impedance / base - 1.0).max() < 1e-11
+    slope = at.parameter_gradient(model.values, (name,))[:, 0]
+    assert np.abs((above.impedance - below.impedance) / (2.0 * step) / slope - 1.0).max() < 1e-4
+
+
+def test_both_laws_take_power_where_nothing_else_does(filled: Problem) -> None:
+    lossless = filled.with_values({name: complex(value.real) for name, value in filled.values.items()})
+    frequency = np.linspace(300e3, 400e3, 5)
+    for term, values in ((DASHPOT, {"pla.shear_kelvin_voigt": 5.0, "pla.bulk_kelvin_voigt": 3.0}),
+                         (FRACTIONAL, law(0.4, 3e7, 1e7))):
+        model = lossless.with_terms((term,), values)
+        solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
+        losses = solution.dissipation()
+        mine = [q for q, i in enumerate(solution.operators.integrals) if i in term.integrals()]
+        assert len(mine) == 2
+        assert (losses[:, mine] > 0.0).all()
+        assert np.abs(losses[:, mine].sum(axis=1) / solution.input_power() - 1.0).max() < 1e-7
+
+
+def test_the_limits_are_the_loss_of_the_papers_epoxy_at_the_stiffness_of_its_pla() -> None:
+    epoxy, pla = (Registry().load(name).parameters() for name in ("epoxy", "pla"))
+    factor = -epoxy["shear_modulus"].imag / epoxy["shear_modulus"].real
+    for kind in ("shear", "bulk"):
+        loss = factor * pla[f"{kind}_modulus"].real
+        assert ADMISSIBLE[f"{kind}_fractional_loss"].highest == pytest.approx(loss, rel=0.03)
+        assert ADMISSIBLE[f"{kind}_kelvin_voigt"].highest == pytest.approx(loss / (2e6 * np.pi), rel=0.03)

@@ -1,0 +1,240 @@
+"""Imperfect bonds against a laminate, a stack with a spring, and a soft layer that is meshed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from skfem import Basis, ElementQuad2
+
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from materials.kinds import IsotropicSolid, Material, Piezoelectric
+from materials.registry import Registry
+from workbench.operators import FullOperators, assemble, frequency_groups
+from workbench.physics.thin_layer import ADMISSIBLE, ImperfectBond
+from workbench.problem import Problem, problem
+from workbench.reduce import reduce
+from workbench.solve import solve_full
+
+TERM = ImperfectBond("bond", "epoxy")
+NORMAL, TANGENTIAL, THICKNESS = "bond.normal_compliance", "bond.tangential_compliance", "bond.thickness"
+
+
+def bonded(base: Problem, normal: complex, tangential: complex, thickness: float = 0.1e-3) -> Problem:
+    return base.with_terms((TERM,), {NORMAL: normal, TANGENTIAL: tangential, THICKNESS: thickness})
+
+
+def forms(operators: FullOperators, *, radial: float = 0.0, axial: float = 0.0, sheared: float = 0.0
+          ) -> NDArray[np.complex128]:
+    """Forms (integrals,) for the displacement u_r = radial r, u_z = axial z + sheared r."""
+    place = np.asarray(Basis(operators.mesh.mesh, ElementQuad2(), intorder=1).doflocs)
+    state = np.zeros((operators.size, 1), dtype=complex)
+    for component, shape in (("u_r", radial * place[0]), ("u_z", axial * place[1] + sheared * place[0])):
+        numbers = operators.numbering[component]
+        state[numbers[numbers >= 0], 0] = shape[numbers >= 0]
+    return operators.quadratic(state, state)[0]
+
+
+def test_the_layer_stores_the_energy_of_a_laminate(filled: Problem) -> None:
+    # The springs and the layer carry one stress sigma = [zz], and the strain of the layer alone, x, is unknown:
+    # minimise c11-part + c33 (b - x)^2 ... over x. Strains are uniform: u_r = a r, u_z = b z.
+    bulk, shear = 4.56e9 - 0.1e9j, 0.88e9 - 0.23e9j
+    normal, tangential, thickness = 3e-14 + 1e-14j, 2e-13 + 0.5e-13j, 0.1e-3
+    operators = assemble(filled.mesh, (*filled.terms, TERM))
+    values = {**filled.values, "epoxy.bulk_modulus": bulk, "epoxy.shear_modulus": shear, NORMAL: normal,
+              TANGENTIAL: tangential, THICKNESS: thickness}
+    constants = np.array([i.coefficient(np.array([1.0]), values)[0] if i.place == "bond" and i.coefficient.parameters
+                          != ("epoxy.density",) else 0.0 for i in operators.integrals])
+    volume = filled.mesh.section.volume("bond")
+    c33, c13, plane = bulk + 4 / 3 * shear, bulk - 2 / 3 * shear, 4 * (bulk + shear / 3)
+    for a, b in ((1.0, 0.0), (0.0, 1.0), (1.0, -0.6), (0.3, 2.0)):
+        # d/dx of plane a^2 + 4 c13 a x + c33 x^2 + (b - x)^2 d / s
+        x = (thickness / normal * b - 2 * c13 * a) / (c33 + thickness / normal)
+        expected = plane * a**2 + 4 * c13 * a * x + c33 * x**2 + (b - x) ** 2 * thickness / normal
+        found = constants @ forms(operators, radial=a, axial=b)
+        assert found == pytest.approx(expected * volume, rel=1e-9)
+    series = 1.0 / (1.0 / shear + tangential / thickness)
+    found = constants @ forms(operators, sheared=1.0)
+    assert found == pytest.approx(series * volume, rel=1e-9)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# A stack that vibrates along z alone
+
+RADIUS = 0.1e-3
+FREQUENCY = np.linspace(0.31e6, 1.19e6, 9)
+OMEGA = 2.0 * np.pi * FREQUENCY
+#: No Poisson's ratio, so that the stack is one-dimensional.
+EPOXY = IsotropicSolid(name="epoxy", density=1150.0, bulk_modulus=2 / 3 * (1.5e9 - 0.05e9j),
+                       shear_modulus=1.5e9 - 0.05e9j)
+GLASS = IsotropicSolid(name="glass", density=2500.0, bulk_modulus=2 / 3 * (29e9 - 0.3e9j),
+                       shear_modulus=29e9 - 0.3e9j)
+BOND, SAMPLE, DISC = 20e-6, 1e-3, 2e-3
+
+
+def line(thickness: float, material: IsotropicSolid, end: NDArray[np.complex128], modulus: complex | None = None
+         ) -> NDArray[np.complex128]:
+    """sigma / (-i w u) of a layer seen from below that sees `end` above, e^{-i w t}."""
+    stiffness = 2.0 * material.shear_modulus if modulus is None else modulus
+    own = np.sqrt(material.density * stiffness)
+    phase = -1j * np.tan(OMEGA * thickness * np.sqrt(material.density / stiffness))
+    return own * (end + own * phase) / (own + end * phase)
+
+
+def plate(material: Piezoelectric, load: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Z (e^{-i w t}) of the plate with a specific impedance above it: u = A sin k z + B cos k z from the middle."""
+    permittivity = material.absolute_eps33
+    h = material.e33 / permittivity
+    modulus = material.c33 + material.e33**2 / permittivity
+    found = []
+    for omega, above in zip(OMEGA, load, strict=True):
+        k = omega * np.sqrt(material.density / modulus)
+        s, c = np.sin(0.5 * k * DISC), np.cos(0.5 * k * DISC)
+        # c_D u' - h D = i w Z u above, 0 below, for D = 1.
+        matrix = np.array([[modulus * k * c - 1j * omega * above * s, -modulus * k * s - 1j * omega * above * c],
+                           [modulus * k * c, modulus * k * s]])
+        a, _ = np.linalg.solve(matrix, [h, h])
+        voltage = DISC / permittivity - 2.0 * h * a * s
+        found.append(voltage / (-1j * omega * np.pi * RADIUS**2))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("compliance", [5e-15, 2e-14 + 0.5e-14j])
+def test_a_stack_sees_a_spring_in_the_middle_of_the_layer(
+    compliance: complex, stacked: Callable[..., Chip], uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
+    pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    assert isinstance(pzt, Piezoelectric)
+    pzt = replace(pzt, c13=0.0, e31=0.0, e15=0.0)
+    chip = stacked([("transducer", DISC, RADIUS, None), ("bond", BOND, RADIUS, None),
+                    ("sample", SAMPLE, RADIUS, None)], band=(0.3e6, 1.2e6))
+    bare = problem(uniform_mesh(chip, 50e-6), {"transducer": pzt, "bond": EPOXY, "sample": GLASS}, chip.band)
+    model = bonded(bare, compliance, 0.0, BOND)
+    found = solve_full(assemble(model.mesh, model.terms), FREQUENCY, model.values).impedance
+
+    beyond = line(SAMPLE, GLASS, np.zeros(OMEGA.size, dtype=complex))
+    softened = 2.0 * EPOXY.shear_modulus / (1.0 + 2.0 * EPOXY.shear_modulus * compliance / BOND)
+    spread = plate(pzt, line(BOND, EPOXY, beyond, softened))
+    upper = line(0.5 * BOND, EPOXY, beyond)
+    sprung = np.asarray(1.0 / (1.0 / upper - 1j * OMEGA * compliance), dtype=np.complex128)
+    lumped = plate(pzt, line(0.5 * BOND, EPOXY, sprung))
+    perfect = plate(pzt, line(BOND, EPOXY, beyond))
+    effect = np.abs(perfect - lumped).max()
+    print(f"spring {compliance}: effect {effect:.2e} ohm, layer {np.abs(found - spread).max() / effect:.1e}, "
+          f"spring {np.abs(found - lumped).max() / effect:.1e} of it")
+    assert np.abs(perfect / lumped - 1.0).max() > 0.05
+    # Forty elements through the plate: 1e-5 of Z, on the flank of a resonance.
+    assert np.abs(found / spread - 1.0).max() < 2e-4
+    # Spread or in the middle: w^2 rho d s / 12 = 2e-3 of what the spring does, more on a flank.
+    assert np.abs(found - lumped).max() < 0.01 * effect
+
+
+def test_a_soft_layer_that_is_meshed_does_the_same(
+    stacked: Callable[..., Chip], meshed: Callable[..., Problem],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
+    # In the whole of the axisymmetric problem: 1 um of something light and soft on top of the bond of 20 um.
+    pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    registry = Registry()
+    materials = {"transducer": pzt, "bond": replace(registry.load("epoxy"), name="epoxy"), "sample":
+                 replace(registry.load("pla"), name="pla")}
+    soft, normal, tangential = 1e-6, 4e-14, 1.6e-13
+    shear = soft / tangential
+    thin = IsotropicSolid(name="thin", density=10.0, shear_modulus=shear, bulk_modulus=soft / normal - 4 / 3 * shear)
+    layers = [("transducer", 2e-3, 3e-3, None), ("bond", 20e-6, 3e-3, None), ("sample", 1e-3, 3e-3, None)]
+    frequency = np.linspace(310e3, 690e3, 13)
+
+    def impedance(model: Problem) -> NDArray[np.complex128]:
+        return solve_full(assemble(model.mesh, model.terms), frequency, model.values).impedance
+
+    base = meshed(stacked(layers, band=(300e3, 700e3)), materials, elements_per_wavelength=6.0)
+    layers.insert(2, ("layer", soft, 3e-3, None))
+    # The soft layer's own waves are of no interest: it follows its neighbours, like them in mesh size.
+    resolved = meshed(stacked(layers, band=(300e3, 700e3)), {**materials, "layer": thin}, elements_per_wavelength=6.0)
+    perfect = impedance(base)
+    expected = impedance(resolved)
+    effect = np.abs(expected - perfect).max()
+    misses = {name: np.abs(impedance(bonded(base, *pair, 20e-6)) - expected).max() / effect for name, pair in {
+        "both": (normal, tangential), "normal only": (normal, 0.0), "tangential only": (0.0, tangential)}.items()}
+    print(f"meshed soft layer: effect {np.abs(expected / perfect - 1.0).max():.2f} of Z, misses {misses}")
+    assert np.abs(expected / perfect - 1.0).max() > 0.05
+    # Springs spread over 20 um against all on top of it, where half of the mass of the bond, 1 % of the sample's, hangs
+    # on the other side; on the flanks of resonances that have moved by several widths.
+    assert misses["both"] < 0.05
+    assert misses["normal only"] > 0.1
+    assert misses["tangential only"] > 0.1
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# What every effect has to be
+
+
+@pytest.fixture(scope="module")
+def perfect(filled: Problem) -> Problem:
+    return bonded(filled, 0.0, 0.0)
+
+
+def test_a_perfect_bond_is_the_base_model(filled: Problem, perfect: Problem) -> None:
+    frequency = np.array([310e3, 395e3])
+    base = solve_full(assemble(filled.mesh, filled.terms), frequency, filled.values)
+    found = solve_full(assemble(perfect.mesh, perfect.terms), frequency, perfect.values)
+    assert np.abs(found.impedance / base.impedance - 1.0).max() < 1e-11
+
+
+@pytest.mark.parametrize("name", [NORMAL, TANGENTIAL])
+def test_the_tangent_of_a_perfect_bond_is_the_change_of_the_spectrum(perfect: Problem, name: str) -> None:
+    frequency = np.array([310e3, 350e3, 395e3])
+    operators = assemble(perfect.mesh, perfect.terms)
+    at = {step: solve_full(operators, frequency, {**perfect.values, name: step}) for step in (-1e-16, 0.0, 1e-16)}
+    slope = at[0.0].parameter_gradient(perfect.values, (name,))[:, 0]
+    found = (at[1e-16].impedance - at[-1e-16].impedance) / 2e-16
+    assert np.abs(found / slope - 1.0).max() < 1e-4  # rounding of Z, 1e-11, against a change of 1e-5
+    assert np.abs(slope).min() > 0.0
+
+
+@pytest.mark.parametrize("name", [NORMAL, TANGENTIAL, THICKNESS, "epoxy.bulk_modulus", "epoxy.shear_modulus"])
+def test_derivatives_are_those_of_the_coefficients(filled: Problem, name: str) -> None:
+    values = bonded(filled, 3e-14 + 1e-14j, 2e-13 + 1e-14j).values
+    step = 1e-5 * values[name]
+    omega = np.array([1e6])
+    for integral in TERM.integrals():
+        g = integral.coefficient
+        found = (g(omega, {**values, name: values[name] + step}) - g(omega, {**values, name: values[name] - step}))
+        exact = g.derivative(omega, values, name)
+        assert found / (2.0 * step) == pytest.approx(exact, rel=1e-8, abs=0.0)
+
+
+def test_an_imperfect_bond_is_passive_and_closes_the_balance_of_power(filled: Problem) -> None:
+    frequency = np.linspace(300e3, 400e3, 5)
+    lossless = filled.with_values({name: complex(value.real) for name, value in filled.values.items()})
+    for normal, tangential in ((5e-14j, 0.0), (0.0, 3e-13j), (1e-13 + 1e-13j, 1e-12 + 1e-14j)):
+        model = bonded(lossless, normal, tangential)
+        solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
+        losses = solution.dissipation()
+        taken = losses[:, [i.place == "bond" for i in solution.operators.integrals]].sum(axis=1)
+        assert (taken > 0.0).all()
+        assert np.abs(taken / solution.input_power() - 1.0).max() < 1e-7  # nothing else takes any
+
+
+def test_the_reduced_model_follows(filled: Problem) -> None:
+    model = bonded(filled, 2e-14 + 1e-15j, 1e-13)
+    frequency = np.linspace(300e3, 400e3, 7)
+    operators = assemble(model.mesh, model.terms)
+    full = solve_full(operators, frequency, model.values).impedance
+    reduced = reduce(operators, np.linspace(300e3, 400e3, 21), model.values)
+    assert np.abs(reduced.solve(frequency, model.values).impedance / full - 1.0).max() < 1e-5
+    # Three powers of w, as without the bond: the reduced model is solved by its eigenvectors.
+    assert len(frequency_groups(operators.integrals, frequency, model.values)) == 3
+
+
+def test_the_limits_are_a_hundred_times_the_epoxy_of_the_paper() -> None:
+    epoxy = Registry().load("epoxy").parameters()
+    bulk, shear = epoxy["bulk_modulus"].real, epoxy["shear_modulus"].real
+    for name, stiffness in (("normal_compliance", bulk + 4 / 3 * shear), ("tangential_compliance", shear)):
+        assert ADMISSIBLE[name].highest == pytest.approx(100 * 1e-4 / stiffness, rel=0.05)
+        assert ADMISSIBLE[name].lowest == 0.0

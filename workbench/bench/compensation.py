@@ -1,0 +1,191 @@
+"""Taking the fixture out: open, short and load.
+
+Between the two voltages and the device lie cables, probes and contacts. Whatever they are, as long as they are linear
+and the same for every recording, what is measured is a fractional linear function of the device's impedance, with
+three constants at each frequency: three known devices determine them. With fewer recordings the fixture is taken to be
+simpler (Keysight, Impedance Measurement Handbook, 6th edition, section 4): a short alone is a series impedance, an
+open and a short a series impedance and an admittance behind it, a load a factor.
+
+    T(x) = (x - s) / (1 - (x - s) / (o - s)),      Z = T(x)            without a load
+                                                   Z = Z_L T(x) / T(l) with one
+
+with s, o, l, x as measured on short, open, load and device; s = 0 and o infinite where they were not recorded.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inputs import InputError
+from workbench.spectrum import Spectrum
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+#: How far (relative to itself) a standard may bend between its recorded points, when its noise is smaller.
+_BEND = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """A recorded load and what it is: ``resistance`` (ohm) with ``tolerance`` (limits, as a fraction)."""
+
+    recorded: Spectrum
+    resistance: float
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Recordings of the fixture; ``uncertainty`` of each is that of its noise. None for what was not recorded."""
+
+    open: Spectrum | None = None
+    short: Spectrum | None = None
+    load: Load | None = None
+
+    def __str__(self) -> str:
+        names = [name for name in ("open", "short", "load") if getattr(self, name) is not None]
+        return ", ".join(names) or "none"
+
+
+def compensate(measured: Spectrum, compensation: Compensation) -> Spectrum:
+    """The device's own spectrum; the uncertainties of its noise and of the recordings' noise, carried through.
+
+    What all recordings share (the reference resistor, the channels' gains) is not in it: it drops out with a load,
+    and is a factor without one.
+
+    Raises:
+        InputError: a recording does not cover the frequencies, or bends too much between its points.
+    """
+    x, of_x = measured.impedance, _noise(measured)
+    frequency = measured.frequency
+    zero = np.zeros_like(x)
+    s, of_s = (zero, zero.real) if compensation.short is None else _at(compensation.short, frequency, "short")
+    if compensation.open is None:
+        o, of_o = None, zero.real
+    else:
+        o, of_o = _at(compensation.open, frequency, "open")
+    value, by_x, by_s, by_o = _transform(x, s, o)
+    if compensation.load is None:
+        parts = [by_x * of_x, by_s * of_s, by_o * of_o]
+    else:
+        l, of_l = _at(compensation.load.recorded, frequency, "load")  # noqa: E741 (the formula's letter)
+        of_load, by_l, s_in_load, o_in_load = _transform(l, s, o)
+        whole = compensation.load.resistance * value / of_load
+        # d ln Z = dT(x) / T(x) - dT(l) / T(l); short and open act in both.
+        parts = [whole * by_x / value * of_x, -whole * by_l / of_load * of_l,
+                 whole * (by_s / value - s_in_load / of_load) * of_s,
+                 whole * (by_o / value - o_in_load / of_load) * of_o]
+        value = whole
+    noise = np.sqrt(np.sum([np.abs(part) ** 2 for part in parts], axis=0))
+    return _spectrum(measured, value, noise)
+
+
+def _spectrum(measured: Spectrum, value: Complex, noise: Real) -> Spectrum:
+    """The device's spectrum; without an uncertainty where no recording states one."""
+    return Spectrum(measured.frequency, value, noise if np.all(noise > 0.0) else None, measured.origin)
+
+
+def _transform(x: Complex, s: Complex, o: Complex | None) -> tuple[Complex, Complex, Complex, Complex]:
+    """T(x) and its derivatives with respect to x, s and o (the last zero without an open)."""
+    if o is None:
+        return x - s, np.ones_like(x), -np.ones_like(x), np.zeros_like(x)
+    # T = (x - s)(o - s) / (o - x)
+    value = (x - s) * (o - s) / (o - x)
+    by_x = ((o - s) / (o - x)) ** 2
+    by_s = -((o - s) + (x - s)) / (o - x)
+    by_o = (x - s) / (o - x) - value / (o - x)
+    return value, by_x, by_s, by_o
+
+
+def _noise(spectrum: Spectrum) -> Real:
+    return np.zeros(len(spectrum.frequency)) if spectrum.uncertainty is None else spectrum.uncertainty
+
+
+def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
+    """A standard (n,) ohm and its noise on `frequency`: as recorded where it was, else interpolated if it may be."""
+    places = np.minimum(np.searchsorted(standard.frequency, frequency - 0.005), len(standard.frequency) - 1)
+    if np.all(np.abs(standard.frequency[places] - frequency) <= 0.005):  # half the generator's resolution
+        return standard.impedance[places], _noise(standard)[places]
+    low, high = float(standard.frequency[0]), float(standard.frequency[-1])
+    source = standard.origin.source or f"recording of the {name}"
+    if frequency[0] < low or frequency[-1] > high:
+        raise InputError(source, f"{name}: frequencies", f"{low:.9g} to {high:.9g} Hz",
+                         f"the band of the device, {frequency[0]:.9g} to {frequency[-1]:.9g} Hz")
+    bend = _bend(standard)
+    if bend > 1.0:
+        raise InputError(source, f"{name}: frequencies", f"{len(standard.frequency)} points from {low:.9g} to "
+                         f"{high:.9g} Hz", f"the device's own frequencies, or points near enough to interpolate: every "
+                         f"second one, predicted from its neighbours, is missed by {bend:.1f} times what its noise or "
+                         f"{100 * _BEND:g} % allow")
+    # A fixture is smooth, its recording is not: a straight line between the nearest points follows both to the noise.
+    real, imaginary = (np.interp(frequency, standard.frequency, part)
+                       for part in (standard.impedance.real, standard.impedance.imag))
+    value = np.empty(len(frequency), dtype=np.complex128)
+    value.real, value.imag = real, imaginary
+    return value, np.interp(frequency, standard.frequency, _noise(standard))
+
+
+def _bend(standard: Spectrum) -> float:
+    """How badly each inner point is predicted by its neighbours: the root mean square over what may be, divided by
+    four, because between points the line misses a quarter of what it does over twice the distance."""
+    if len(standard.frequency) < 3:
+        return math.inf
+    f, z, noise = standard.frequency, standard.impedance, _noise(standard)
+    share = (f[1:-1] - f[:-2]) / (f[2:] - f[:-2])
+    missed = np.abs((1.0 - share) * z[:-2] + share * z[2:] - z[1:-1]) / 4.0
+    # The prediction has the noise of three points, twice because it is complex.
+    expected = 1.5 * math.sqrt(2.0) * noise[1:-1] / 4.0
+    allowed = np.maximum(3.0 * expected, _BEND * np.abs(z[1:-1]))
+    return float(np.sqrt(np.mean((missed / allowed) ** 2)))
+
+
+@dataclass(frozen=True)
+class Fixture:
+    """A fixture known by its elements rather than point by point: what is measured is
+    ``gain`` Z + j w ``inductance`` (henry). ``uncertainty`` of the gain and of the inductance, standard."""
+
+    gain: complex
+    inductance: float
+    uncertainty: tuple[float, float]
+
+    def remove(self, measured: Spectrum) -> Spectrum:
+        """The device's spectrum."""
+        omega = 2.0 * np.pi * measured.frequency
+        value = (measured.impedance - 1j * omega * self.inductance) / self.gain
+        noise = np.sqrt((_noise(measured) / abs(self.gain)) ** 2 + (omega * self.uncertainty[1] / abs(self.gain)) ** 2
+                        + (np.abs(value) * self.uncertainty[0] / abs(self.gain)) ** 2)
+        return _spectrum(measured, value, noise)
+
+
+def fixture_from_load(load: Load, *, band: tuple[float, float]) -> Fixture:
+    """The gain and the series inductance of a fixture from a known resistor, recorded within `band` (Hz).
+
+    For a recording whose load was not measured at the device's own frequencies: linear least squares over the points
+    of the band, equally weighted, the uncertainties from what is left.
+
+    Raises:
+        ValueError: fewer than 4 points in the band.
+    """
+    inside = (load.recorded.frequency >= band[0]) & (load.recorded.frequency <= band[1])
+    if np.count_nonzero(inside) < 4:
+        raise ValueError(f"{np.count_nonzero(inside)} points from {band[0]:g} to {band[1]:g} Hz; at least 4 are needed")
+    omega = 2.0 * np.pi * load.recorded.frequency[inside]
+    z = load.recorded.impedance[inside]
+    # Re Z = R Re g, Im Z = R Im g + w L; the inductance in units of its largest reactance keeps the system even.
+    top = float(omega.max())
+    zero, one = np.zeros_like(omega), np.ones_like(omega)
+    design = np.vstack([np.column_stack([load.resistance * one, zero, zero]),
+                        np.column_stack([zero, load.resistance * one, omega / top])])
+    right = np.concatenate([z.real, z.imag])
+    solution, *_ = np.linalg.lstsq(design, right, rcond=None)
+    left = float(np.sum((right - design @ solution) ** 2)) / (len(right) - 3)
+    covariance = left * np.linalg.inv(design.T @ design)
+    relative = load.tolerance / math.sqrt(3.0)
+    gain = complex(solution[0], solution[1])
+    return Fixture(gain, float(solution[2] / top),
+                   (math.hypot(math.sqrt(covariance[0, 0]), abs(gain) * relative), math.sqrt(covariance[2, 2]) / top))

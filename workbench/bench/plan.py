@@ -1,0 +1,189 @@
+"""Which frequency next: a function of the setup and of what has been measured, so that a sweep can be resumed.
+
+A pass is one way through the frequencies. The first pass at a drive level finds them, every further one visits them
+again, so that up and down, or repeats, can be compared point by point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.bench.setup import FREQUENCY_RESOLUTION, BenchSetup, Sweep
+from workbench.merit import NoResonance, figures
+from workbench.spectrum import Spectrum
+
+#: Share of the points that an adaptive sweep spreads evenly before it looks where the spectrum bends.
+_EVEN_SHARE = 0.25
+
+#: No two frequencies of an adaptive sweep are closer than this part of the frequency: a resonance of Q = 5000 would
+#: still have ten points.
+_CLOSEST = 2e-5
+
+#: How much more an error counts in the band that decides f0, Z_min and Q.
+_EMPHASIS = 20.0
+
+#: How much less the spline through all points misses than the cubic without one of them. For even steps h the cubic is
+#: off by h^4 / 6 of the fourth derivative and the spline by h^4 / 384; steps are not even, so half is relied on.
+_GAIN_OF_A_POINT = 30.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """What to measure next: ``frequency`` (Hz) at ``level`` (V peak to peak, open circuit), on pass ``pass_number``."""
+
+    frequency: float
+    level: float
+    pass_number: int
+
+
+class Measured(Protocol):
+    """What the plan needs to know of a point."""
+
+    @property
+    def frequency(self) -> float: ...
+    @property
+    def level(self) -> float: ...
+    @property
+    def pass_number(self) -> int: ...
+    @property
+    def impedance(self) -> complex: ...
+    @property
+    def uncertainty(self) -> float: ...
+
+
+def next_target(setup: BenchSetup, measured: Sequence[Measured]) -> Target | None:
+    """The next point, or None when there is none left."""
+    for level in setup.levels:
+        at_level = [point for point in measured if point.level == level]
+        first = [point for point in at_level if point.pass_number == 0]
+        frequency = _next_of_first(setup.sweep, first)
+        if frequency is not None:
+            return Target(frequency, level, 0)
+        found = sorted({point.frequency for point in first})
+        for number in range(1, setup.sweep.passes):
+            seen = {point.frequency for point in at_level if point.pass_number == number}
+            order = found if _rising(setup.sweep, number) else found[::-1]
+            left = next((f for f in order if f not in seen), None)
+            if left is not None:
+                return Target(left, level, number)
+    return None
+
+
+def expected_points(setup: BenchSetup) -> int:
+    """How many points there will be, at most."""
+    sweep = setup.sweep
+    first = len(sweep.grid()) if sweep.kind == "linear" else sweep.points
+    return first * sweep.passes * len(setup.levels)
+
+
+def _rising(sweep: Sweep, number: int) -> bool:
+    return sweep.direction == "up" or (sweep.direction == "both" and number % 2 == 0)
+
+
+def _next_of_first(sweep: Sweep, points: Sequence[Measured]) -> float | None:
+    if sweep.kind == "linear":
+        seen = {point.frequency for point in points}
+        grid = [float(f) for f in sweep.grid()]
+        return next((f for f in (grid if _rising(sweep, 0) else grid[::-1]) if f not in seen), None)
+    return _adaptive(sweep, points)
+
+
+def _adaptive(sweep: Sweep, points: Sequence[Measured]) -> float | None:
+    """The next frequency of an adaptive sweep.
+
+    First points spread evenly. Then, one at a time, the middle of the interval where the other points predict the
+    point at an end of it worst, beyond the noise; see :func:`_missed`. Half a width about the half-power points of the
+    deepest resonance, where f0, Z_min and Q are read, counts for more. When the shape is known to the resolution or to
+    the noise, the points that are left measure those frequencies again.
+    """
+    even = max(8, round(_EVEN_SHARE * sweep.points))
+    start = _settable(np.linspace(sweep.low, sweep.high, even))
+    seen = {point.frequency for point in points}
+    for frequency in start:
+        if frequency not in seen:
+            return float(frequency)
+    if len(points) >= sweep.points:
+        return None
+    spectrum = combined(points)
+    assert spectrum.uncertainty is not None  # combined() always states it
+    low, high = _deepest(spectrum)
+    frequency, width = spectrum.frequency, np.diff(spectrum.frequency)
+    missed, noise = _missed(spectrum)
+    excess = np.where(missed > 3.0 * noise, missed / _GAIN_OF_A_POINT, 0.0)
+    # Of the two intervals beside a point that was missed the longer is at fault.
+    span = np.concatenate([[np.inf], width[1:] + width[:-1], [np.inf]])
+    score = np.maximum(excess[:-1] * (width / span[:-1]) ** 2, excess[1:] * (width / span[1:]) ** 2) * 4.0
+    score[(frequency[1:] > low) & (frequency[:-1] < high)] *= _EMPHASIS
+    score[width < 2.0 * _CLOSEST * frequency[:-1]] = 0.0
+    worst = int(np.argmax(score))
+    if score[worst] > sweep.resolution:
+        return float(_settable(np.array([0.5 * (frequency[worst] + frequency[worst + 1])]))[0])
+    near = np.flatnonzero((frequency >= low) & (frequency <= high))
+    # Noise below a tenth of the resolution is not worth a point.
+    relative = spectrum.uncertainty[near] / spectrum.magnitude[near]
+    if len(near) == 0 or np.max(relative) < 0.1 * sweep.resolution:
+        return None
+    return float(frequency[near[int(np.argmax(relative))]])
+
+
+def _deepest(spectrum: Spectrum) -> tuple[float, float]:
+    """The band (Hz) that decides the figures of merit of the deepest resonance; (0, 0) when there is none."""
+    try:
+        found = figures(spectrum)
+    except NoResonance:
+        return 0.0, 0.0
+    margin = 0.5 * (found.f2 - found.f1)
+    return found.f1 - margin, found.f2 + margin
+
+
+def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far (relative to Z) the cubic through the two nearest points either side misses each point (n,), zero at the
+    ends, and what noise would do.
+
+    Of the reflection coefficient, as :meth:`workbench.spectrum.Spectrum.interpolant` does, because it is bounded.
+    """
+    frequency, impedance = spectrum.frequency, spectrum.impedance
+    assert spectrum.uncertainty is not None  # combined() always states it
+    count = len(frequency)
+    z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
+    reflection = (impedance - z0) / (impedance + z0)
+    inner = np.arange(1, count - 1)
+    first = np.clip(inner - 2, 0, count - 5)  # of five neighbours, of which the point itself is left out
+    neighbours = first[:, None] + np.arange(4)
+    neighbours += neighbours >= inner[:, None]
+    nodes = frequency[neighbours]
+    weights = np.ones_like(nodes)
+    for k in range(4):
+        for other in range(4):
+            if other != k:
+                weights[:, k] *= (frequency[inner] - nodes[:, other]) / (nodes[:, k] - nodes[:, other])
+    expected = np.sum(weights * reflection[neighbours], axis=1)
+    missed = np.zeros(count)
+    missed[inner] = np.abs(z0 * (1.0 + expected) / (1.0 - expected) / impedance[inner] - 1.0)
+    # The complex error of the point, and as much again from its neighbours.
+    return missed, 2.0 * spectrum.uncertainty / spectrum.magnitude
+
+
+def combined(points: Sequence[Measured]) -> Spectrum:
+    """Points as a spectrum in rising order; points of one frequency by their weighted mean.
+
+    The uncertainty (ohm) is that of the noise alone.
+    """
+    frequency = np.array([point.frequency for point in points])
+    impedance = np.array([point.impedance for point in points])
+    weight = np.array([point.uncertainty for point in points]) ** -2.0
+    at, place = np.unique(frequency, return_inverse=True)
+    total = np.bincount(place, weights=weight)
+    mean = np.empty(len(at), dtype=np.complex128)
+    mean.real, mean.imag = (np.bincount(place, weight * part) / total for part in (impedance.real, impedance.imag))
+    return Spectrum(at, mean, np.asarray(1.0 / np.sqrt(total), dtype=np.float64))
+
+
+def _settable(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Frequencies (n,) Hz that the generator can be set to, whole hertz where that is fine enough."""
+    return np.round(np.round(frequency) / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION

@@ -1,0 +1,204 @@
+"""The bench in one hand: both instruments, the ranges they are on, and the drive that must not be left on.
+
+The generator cannot be asked for its amplitude and has no output switch, so a process that dies leaves its drive on.
+Before the drive is first switched on a marker is written beside the run; it is removed when the drive is known to be
+off again. Whoever opens the port next sends the safe state before any setting, marker or not; the marker is for
+telling people, and for the next run to record what happened.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+from inputs import write_atomic
+from workbench.bench.setup import BenchSetup
+from workbench.instruments.feeltech import open_feeltech
+from workbench.instruments.instrument import Generator, InstrumentError, Oscilloscope, Waveform
+from workbench.instruments.tektronix import open_tektronix
+
+#: How often, and how long apart (s), the bench is opened anew to switch the drive off.
+_ATTEMPTS_OFF = 5
+_PAUSE_OFF = 1.0
+
+#: Divisions of the screen from top to bottom that a sine may fill, and below which a finer scale is worth setting. The
+#: scales follow each other by up to 2.5, so the first must exceed the second by more than that.
+_FULL = 7.2
+_SPARSE = 2.6
+
+#: Divisions of a record.
+_DIVISIONS = 10.0
+
+#: Steps of auto-ranging before what there is must do.
+_RANGINGS = 12
+
+
+class DriveLeftOn(InstrumentError):
+    """The drive could not be switched off: the generator must be switched off by hand."""
+
+
+def marker_path(run: Path) -> Path:
+    """The file that says a drive may be on."""
+    return run.with_name(run.name + ".drive-on")
+
+
+class Rig:
+    """Owner of both instruments; a context manager that leaves the drive off, whatever happens inside."""
+
+    def __init__(self, setup: BenchSetup, marker: Path, *, sleep: Callable[[float], None] = time.sleep) -> None:
+        self.setup = setup
+        self.marker = marker
+        self.identities: dict[str, str] = {}
+        self._sleep = sleep
+        self._generator: Generator | None = None
+        self._oscilloscope: Oscilloscope | None = None
+        self._state: tuple[float, float] | None = None  # frequency and amplitude the generator stands at
+        self._scales: dict[int, float] = {}
+
+    def __enter__(self) -> Rig:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+                 ) -> None:
+        try:
+            self.make_safe()
+        finally:
+            self.disconnect()
+
+    def connect(self) -> None:
+        """Open both instruments, drive off. What they were set to is not known, so everything is set anew."""
+        self.disconnect()
+        try:
+            # The generator comes first, and off: whatever is wrong with the oscilloscope, the drive is not left on.
+            self._generator = open_feeltech(self.setup.generator)
+            self._generator.off()
+            self.marker.unlink(missing_ok=True)
+            self._oscilloscope = open_tektronix(self.setup.oscilloscope)
+            self.identities = {"generator": self._generator.identify(), "oscilloscope": self._oscilloscope.identify()}
+        except BaseException:
+            self.disconnect()
+            raise
+
+    def disconnect(self) -> None:
+        """Give the ports back as they are. An instrument that has gone away is no reason to keep the other."""
+        instruments = self._generator, self._oscilloscope
+        self._generator = self._oscilloscope = None
+        self._state = None
+        self._scales.clear()
+        for instrument in instruments:
+            if instrument is not None:
+                with contextlib.suppress(InstrumentError, OSError):
+                    instrument.close()
+
+    def make_safe(self) -> None:
+        """Drive off, through a new connection if need be.
+
+        Raises:
+            DriveLeftOn: the generator cannot be reached, and was last seen driving; the marker stays.
+        """
+        last: Exception | None = None
+        for attempt in range(_ATTEMPTS_OFF):
+            try:
+                if self._generator is None:
+                    self._sleep(_PAUSE_OFF if attempt else 0.0)
+                    self._generator = open_feeltech(self.setup.generator)
+                self._generator.off()
+                self._state = None
+                self.marker.unlink(missing_ok=True)
+                return
+            except (InstrumentError, OSError) as error:
+                last = error
+                self.disconnect()
+        if self.marker.exists():
+            raise DriveLeftOn(f"the drive at {self.setup.generator.port} may still be on and cannot be reached: switch "
+                              f"the generator off by hand ({last})")
+
+    def drive(self, frequency: float, amplitude: float) -> None:
+        """Set the generator to `frequency` (Hz) and `amplitude` (V peak to peak, open circuit), and let it settle."""
+        generator, _ = self._opened()
+        if self._state == (frequency, amplitude):
+            return
+        before, self._state = self._state, None
+        if before is not None and amplitude < before[1]:
+            # Down first: the device may stand less at the new frequency.
+            generator.set_amplitude(amplitude)
+            before = before[0], amplitude
+        if before is None or before[0] != frequency:
+            generator.set_frequency(frequency)
+        if before is None or before[1] != amplitude:
+            if amplitude > 0.0 and not self.marker.exists():
+                write_atomic(self.marker, json.dumps({"port": self.setup.generator.port, "process": os.getpid(),
+                                                      "time": time.time()}) + "\n")
+            generator.set_amplitude(amplitude)
+        self._state = frequency, amplitude
+        self._sleep(self.setup.acquisition.settle)
+
+    def capture(self) -> tuple[Waveform, Waveform]:
+        """One capture across device and resistor, and across the resistor, on whatever ranges are set."""
+        _, oscilloscope = self._opened()
+        channels = self.setup.oscilloscope.channel_total, self.setup.oscilloscope.channel_reference
+        found = oscilloscope.capture(channels)
+        missing = [channel for channel in channels if channel not in found]
+        if missing:
+            raise InstrumentError(f"{self.setup.oscilloscope.port}: a capture of channels {channels} came without "
+                                  f"{missing}")
+        return found[channels[0]], found[channels[1]]
+
+    def ranged_capture(self) -> tuple[Waveform, Waveform]:
+        """A capture with both channels on ranges that they fill well, found by trying.
+
+        A channel that clips on the coarsest range, or is small on the finest, is returned as it is, to be flagged.
+        """
+        if not self._scales:
+            self._prepare()
+        pair = self.capture()
+        for _ in range(_RANGINGS):
+            before = dict(self._scales)
+            for waveform in pair:
+                wanted = _better_scale(waveform, self._scales[waveform.channel])
+                if wanted is not None:
+                    self._set_scale(waveform.channel, wanted)
+            if self._scales == before:
+                break
+            pair = self.capture()
+        return pair
+
+    def _prepare(self) -> None:
+        """Averages, time base and first scales. The time base is that of the middle of the band: it need not follow."""
+        _, oscilloscope = self._opened()
+        setup = self.setup
+        oscilloscope.set_averages(setup.acquisition.averages)
+        middle = 0.5 * (setup.sweep.low + setup.sweep.high)
+        oscilloscope.set_timebase(setup.acquisition.periods / (_DIVISIONS * middle))
+        for channel in (setup.oscilloscope.channel_total, setup.oscilloscope.channel_reference):
+            self._set_scale(channel, min(setup.levels) / _FULL)
+
+    def _set_scale(self, channel: int, volts_per_division: float) -> None:
+        try:
+            self._scales[channel] = self._opened()[1].set_scale(channel, volts_per_division)
+        except ValueError:
+            # Above the coarsest: it stays where it is, and what clips is flagged.
+            if channel not in self._scales:
+                raise
+
+    def _opened(self) -> tuple[Generator, Oscilloscope]:
+        if self._generator is None or self._oscilloscope is None:
+            raise InstrumentError(f"the bench at {self.setup.generator.port} and {self.setup.oscilloscope.port} is not "
+                                  "connected")
+        return self._generator, self._oscilloscope
+
+
+def _better_scale(waveform: Waveform, scale: float) -> float | None:
+    """The volts per division to ask for, or None where `scale` will do."""
+    height = float(waveform.volts.max() - waveform.volts.min())
+    if waveform.clipped:
+        return 1.5 * scale  # rounded up by the instrument to the next of its 1-2-5 steps
+    if height < _SPARSE * scale:
+        return max(height, 2.0 * waveform.volts_per_count) / _FULL
+    return None

@@ -1,0 +1,319 @@
+"""One HDF5 file a run, and beside it, while the run lasts, a journal that no interruption can spoil.
+
+HDF5 keeps its tables in memory and rewrites them in place: a process killed at the wrong moment leaves a file that
+cannot be opened, with all that was in it (its single-writer mode protects readers, not the data). So every point goes
+to ``RUN.h5.journal`` first, whole, with its length and checksum, and is on the disk (fsync) before the next one is
+measured. When the run ends, is interrupted in an orderly way, or is taken up again, the journal is folded into RUN.h5,
+which is written anew beside the old one and takes its place in one step. A record cut short by a kill or a power cut is
+recognised and dropped: it is the point that was being written, which is measured again.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import tempfile
+import uuid
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inputs import InputError
+
+FORMAT = "workbench run 1"
+
+_RECORD = struct.Struct("<4sII")
+_MAGIC = b"WBR1"
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One frequency at one drive level on one pass.
+
+    ``sequence`` counts points from zero; ``frequency`` Hz as set; ``level`` (V peak to peak, open circuit) as asked for
+    and ``amplitude`` as set, which is less where a limit of the device said so; ``started`` in seconds since 1970.
+
+    ``raw`` (captures, 2, n) what the converter gave, first across device and resistor, then across the resistor;
+    ``volts_per_count`` and ``volts_at_zero`` (captures, 2) V turn it into volts at the probe's tip; ``start``
+    (captures,) s from the trigger to the first sample, ``step`` s.
+
+    ``voltage`` (captures, 2) complex V zero to peak, e^{+j w t}; ``voltage_uncertainty`` (captures, 2) V;
+    ``fitted_frequency`` (captures,) Hz. ``impedance`` ohm without compensation; ``uncertainty`` ohm, of the noise
+    alone, of its real and of its imaginary part, each. ``flags`` says what is doubtful, in words.
+    """
+
+    sequence: int
+    frequency: float
+    level: float
+    amplitude: float
+    pass_number: int
+    started: float
+    raw: NDArray[np.int16]
+    volts_per_count: NDArray[np.float64]
+    volts_at_zero: NDArray[np.float64]
+    start: NDArray[np.float64]
+    step: float
+    voltage: NDArray[np.complex128]
+    voltage_uncertainty: NDArray[np.float64]
+    fitted_frequency: NDArray[np.float64]
+    impedance: complex
+    uncertainty: float
+    flags: tuple[str, ...]
+
+    @property
+    def device_voltage(self) -> float:
+        """V peak to peak at the device."""
+        return 2.0 * float(np.mean(np.abs(self.voltage[:, 0] - self.voltage[:, 1])))
+
+
+_ARRAYS = ("raw", "volts_per_count", "volts_at_zero", "start", "voltage", "voltage_uncertainty", "fitted_frequency")
+_NUMBERS = ("sequence", "frequency", "level", "amplitude", "pass_number", "started", "step", "uncertainty")
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened on the way, with its time in seconds since 1970."""
+
+    time: float
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run as it is on disk. ``setup_text`` is BENCH.toml as it was read; ``instruments`` what they answered;
+    ``complete`` whether every point that was asked for is there."""
+
+    run_id: str
+    created: float
+    setup_text: str
+    instruments: Mapping[str, str]
+    points: tuple[Point, ...] = ()
+    events: tuple[Event, ...] = ()
+    complete: bool = False
+
+
+def journal_path(path: Path) -> Path:
+    return path.with_name(path.name + ".journal")
+
+
+class Journal:
+    """A run that is being written: what was added is on the disk when :meth:`add` returns.
+
+    Raises:
+        InputError: the journal belongs to another run than RUN.h5.
+    """
+
+    def __init__(self, path: Path, run: Run) -> None:
+        """`run` is what :func:`read_run` found, or a new one. Its journal is opened behind the last whole record."""
+        self.path = path
+        self.run = run
+        beside = journal_path(path)
+        good = 0
+        if beside.exists():
+            records, good = _records(beside)
+            if records and records[0].get("run_id") != run.run_id:
+                raise InputError(str(beside), "run", records[0].get("run_id"), f"the run of {path}, {run.run_id}")
+        self._stream = beside.open("r+b" if beside.exists() else "w+b", buffering=0)
+        self._stream.truncate(good)
+        self._stream.seek(good)
+        if good == 0:
+            self._write({"kind": "run", "run_id": run.run_id, "created": run.created, "setup_text": run.setup_text,
+                         "instruments": dict(run.instruments)}, {})
+            _sync_folder(beside.parent)
+
+    def add(self, entry: Point | Event) -> None:
+        """Put a point or an event on the disk."""
+        if isinstance(entry, Event):
+            self._write({"kind": "event", "time": entry.time, "text": entry.text}, {})
+            self.run = replace(self.run, events=(*self.run.events, entry))
+            return
+        text = {"kind": "point", "impedance": [entry.impedance.real, entry.impedance.imag], "flags": entry.flags,
+                **{name: getattr(entry, name) for name in _NUMBERS}}
+        self._write(text, {name: getattr(entry, name) for name in _ARRAYS})
+        self.run = replace(self.run, points=(*self.run.points, entry))
+
+    def fold(self, *, complete: bool) -> Run:
+        """Write RUN.h5 with everything, then do without the journal. The journal takes no more."""
+        # From the disk, because an interrupt may have come between writing a point and remembering it.
+        self.run = replace(read_run(self.path), complete=complete)
+        write_run(self.run, self.path)
+        self._stream.close()
+        journal_path(self.path).unlink()
+        return self.run
+
+    def close(self) -> None:
+        """Leave the journal as it is."""
+        self._stream.close()
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+                 ) -> None:
+        self.close()
+
+    def _write(self, text: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        stream = io.BytesIO()
+        np.savez(stream, text=np.frombuffer(json.dumps(text).encode("utf-8"), dtype=np.uint8),
+                 **arrays)  # type: ignore[arg-type]  # numpy's stub takes every keyword for its flag
+        payload = stream.getvalue()
+        place = self._stream.tell()
+        left = memoryview(_RECORD.pack(_MAGIC, len(payload), zlib.crc32(payload)) + payload)
+        try:
+            while left:
+                left = left[self._stream.write(left):]
+            os.fsync(self._stream.fileno())
+        except BaseException:
+            if left:
+                # What comes next must not stand behind half a record; a whole one stays.
+                self._stream.truncate(place)
+                self._stream.seek(place)
+            raise
+
+
+def new_run(setup_text: str, instruments: Mapping[str, str], created: float) -> Run:
+    """A run without points."""
+    return Run(uuid.uuid4().hex, created, setup_text, dict(instruments))
+
+
+def exists(path: Path) -> bool:
+    """Whether there is anything of a run at `path`: the file, or a journal of one that was cut off."""
+    return path.exists() or (journal_path(path).exists() and bool(_records(journal_path(path))[0]))
+
+
+def read_run(path: Path) -> Run:
+    """The run at `path`, what only its journal holds included.
+
+    Raises:
+        InputError: no such run, or not a run file.
+    """
+    path = Path(path)
+    beside = journal_path(path)
+    run = _read_hdf5(path) if path.exists() else None
+    if beside.exists():
+        records, _ = _records(beside)
+        for record in records:
+            if record["kind"] == "run":
+                if run is None:
+                    run = Run(record["run_id"], record["created"], record["setup_text"], record["instruments"])
+                elif run.run_id != record["run_id"]:
+                    raise InputError(str(beside), "run", record["run_id"], f"the run of {path}, {run.run_id}")
+            elif run is not None:
+                run = _with(run, record)
+    if run is None:
+        raise InputError(str(path), "file", path.name, "a run file, or the journal of one")
+    return run
+
+
+def _with(run: Run, record: Mapping[str, Any]) -> Run:
+    """The run and one record of its journal, unless it has it already (a kill between folding and unlinking)."""
+    if record["kind"] == "event":
+        event = Event(record["time"], record["text"])
+        return run if event in run.events else replace(run, events=(*run.events, event))
+    if any(point.sequence == record["sequence"] for point in run.points):
+        return run
+    real, imaginary = record["impedance"]
+    point = Point(impedance=complex(real, imaginary), flags=tuple(record["flags"]),
+                  **{name: record[name] for name in _NUMBERS}, **{name: record[name] for name in _ARRAYS})
+    return replace(run, points=(*run.points, point), complete=False)
+
+
+def _records(path: Path) -> tuple[list[dict[str, Any]], int]:
+    """The whole records of a journal, and where the last of them ends."""
+    data = path.read_bytes()
+    found: list[dict[str, Any]] = []
+    place = 0
+    while place + _RECORD.size <= len(data):
+        magic, length, checksum = _RECORD.unpack_from(data, place)
+        payload = data[place + _RECORD.size:place + _RECORD.size + length]
+        if magic != _MAGIC or len(payload) < length or zlib.crc32(payload) != checksum:
+            break
+        with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
+            found.append({**json.loads(arrays["text"].tobytes()), **{n: arrays[n] for n in arrays if n != "text"}})
+        place += _RECORD.size + length
+    return found, place
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new name in a folder last."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArray[Any]]] | None = None) -> None:
+    """Write the HDF5 file whole, in place of what was there; `results` are arrays by group and name.
+
+    Layout: the attributes of ``/`` are the run's; ``/points`` holds one dataset for each number of a point (n,), e.g.
+    ``frequency``, ``impedance``, ``uncertainty``; ``/captures/000000`` and so on hold the arrays of one point, ``raw``
+    compressed; ``/events`` time and text; ``/results`` what was made of it, for other programs: it is not read back.
+    """
+    import h5py
+
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
+    try:
+        with h5py.File(temporary, "w") as file:
+            file.attrs.update({"format": FORMAT, "run_id": run.run_id, "created": run.created,
+                               "setup": run.setup_text, "instruments": json.dumps(dict(run.instruments)),
+                               "complete": run.complete})
+            table = file.create_group("points")
+            for name in _NUMBERS:
+                table[name] = np.array([getattr(point, name) for point in run.points])
+            table["impedance"] = np.array([point.impedance for point in run.points], dtype=np.complex128)
+            table["flags"] = np.array([json.dumps(point.flags) for point in run.points], dtype=h5py.string_dtype())
+            captures = file.create_group("captures")
+            for point in run.points:
+                group = captures.create_group(f"{point.sequence:06d}")
+                for name in _ARRAYS:
+                    packed = {"compression": "gzip", "shuffle": True} if name == "raw" else {}
+                    group.create_dataset(name, data=getattr(point, name), **packed)
+            events = file.create_group("events")
+            events["time"] = np.array([event.time for event in run.events])
+            events["text"] = np.array([event.text for event in run.events], dtype=h5py.string_dtype())
+            for group_name, arrays in (results or {}).items():
+                for name, values in arrays.items():
+                    file[f"results/{group_name}/{name}"] = values
+        with open(temporary, "rb") as stream:
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+        _sync_folder(path.parent)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _read_hdf5(path: Path) -> Run:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("format") != FORMAT:
+                raise InputError(str(path), "format", file.attrs.get("format"), f"{FORMAT!r}")
+            table = file["points"]
+            numbers = {name: table[name][()] for name in (*_NUMBERS, "impedance")}
+            flags = [tuple(json.loads(text)) for text in table["flags"].asstr()[()]]
+            points = []
+            for index, kept in enumerate(flags):
+                group = file["captures"][f"{int(numbers['sequence'][index]):06d}"]
+                points.append(Point(impedance=complex(numbers["impedance"][index]), flags=kept,
+                                    **{name: numbers[name][index].item() for name in _NUMBERS},
+                                    **{name: group[name][()] for name in _ARRAYS}))
+            events = [Event(float(time), text) for time, text in
+                      zip(file["events/time"][()], file["events/text"].asstr()[()], strict=True)]
+            return Run(str(file.attrs["run_id"]), float(file.attrs["created"]), str(file.attrs["setup"]),
+                       json.loads(file.attrs["instruments"]), tuple(points), tuple(events),
+                       bool(file.attrs["complete"]))
+    except (OSError, KeyError) as error:
+        raise InputError(str(path), "file", path.name, f"a run file of the workbench ({error})") from None

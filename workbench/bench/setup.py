@@ -1,0 +1,352 @@
+"""BENCH.toml: which instruments, which resistor, which frequencies, how hard the device may be driven.
+
+::
+
+    [generator]
+    port = "/dev/ttyUSB0"
+    model = "FY3224S"
+
+    [oscilloscope]
+    port = "/dev/usbtmc0"
+    channel_total = 1                # across device and reference resistor
+    channel_reference = 2            # across the reference resistor alone
+    probe_total = 10
+    probe_reference = 1
+
+    [reference]
+    resistance = "0.5 ohm"
+    tolerance = "1 %"
+
+    [sweep]
+    centre = "1.03 MHz"              # or from = "0.9 MHz", to = "1.1 MHz"
+    span = "12 %"                    # either side
+    step = "500 Hz"
+
+    [drive]
+    amplitude = "5 Vpp"              # open circuit; a list is a series of drive levels, each swept in turn
+
+    [limits]
+    device_voltage = "5 Vpp"
+    device_current = "100 mA"        # peak to peak
+
+Everything else has a default, given with the classes below.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inputs import InputError, choose, parse_quantity, read_toml, refuse_unknown_keys
+from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
+
+#: What the generator can be set to: hertz and volt peak to peak.
+FREQUENCY_RESOLUTION = 0.01
+AMPLITUDE_RESOLUTION = 0.01
+
+#: Source resistance of the generator (ohm), which limits what a passive device can draw.
+SOURCE_RESISTANCE = 50.0
+
+KINDS = ("linear", "adaptive")
+DIRECTIONS = ("up", "down", "both")
+AVERAGES = (1, 4, 16, 64, 128)
+
+
+@dataclass(frozen=True)
+class ReferenceResistor:
+    """The resistor in series with the device: ``resistance`` (ohm), ``tolerance`` (limits, as a fraction)."""
+
+    resistance: float
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Where to measure, from ``low`` to ``high`` (Hz).
+
+    ``kind`` "linear" takes every ``step`` (Hz); "adaptive" at most ``points``, where the spectrum bends, until what is
+    between them is known to ``resolution`` (relative error of Z) or to the noise. ``direction`` "both" is up and then
+    down; every further pass, and there are ``repeats`` of each, visits the frequencies of the first.
+    """
+
+    low: float
+    high: float
+    kind: str = "linear"
+    step: float = 500.0
+    points: int = 100
+    resolution: float = 2e-3
+    direction: str = "up"
+    repeats: int = 1
+
+    @property
+    def passes(self) -> int:
+        return self.repeats * (2 if self.direction == "both" else 1)
+
+    def grid(self) -> NDArray[np.float64]:
+        """The frequencies of a linear sweep (n,) Hz, in rising order, as the generator can be set to them."""
+        count = math.floor((self.high - self.low) / self.step + 1e-9)
+        at = self.low + self.step * np.arange(count + 1)
+        return np.round(at / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the device may see: ``device_voltage`` (V) and ``device_current`` (A), both peak to peak."""
+
+    device_voltage: float = 20.0
+    device_current: float = 0.4
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """How a point is taken.
+
+    ``captures`` are made after ``settle`` (s), of about ``periods`` periods each, averaged ``averages`` times by the
+    oscilloscope. Single captures averaged afterwards are the better way: an averaged record comes over the wire with
+    the same 8 bit, and without the noise that lets the fit see between two steps of the converter. A point at which an
+    instrument fails is tried ``attempts`` times. ``gain_accuracy`` (limits, as a fraction) is that of a channel of the
+    oscilloscope, 3 % by the maker's data sheet; load compensation takes it out.
+    """
+
+    averages: int = 1
+    captures: int = 4
+    periods: int = 10
+    settle: float = 0.05
+    attempts: int = 6
+    gain_accuracy: float = 0.03
+
+
+@dataclass(frozen=True)
+class Standards:
+    """Recordings (run files or spectra) of the fixture open, shorted and loaded; the load's ``load_resistance`` (ohm)
+    and ``load_tolerance`` (limits, as a fraction)."""
+
+    open: Path | None = None
+    short: Path | None = None
+    load: Path | None = None
+    load_resistance: float | None = None
+    load_tolerance: float = 0.0
+
+
+@dataclass(frozen=True)
+class BenchSetup:
+    """All that BENCH.toml says. ``levels`` (V peak to peak, open circuit); ``metadata`` is device, state, temperature,
+    gel, operator and note as they were written."""
+
+    path: str
+    text: str
+    generator: GeneratorSettings
+    oscilloscope: OscilloscopeSettings
+    reference: ReferenceResistor
+    sweep: Sweep
+    levels: tuple[float, ...]
+    limits: Limits
+    acquisition: Acquisition
+    standards: Standards
+    metadata: Mapping[str, str]
+
+    @property
+    def safe_amplitude(self) -> float:
+        """The open-circuit amplitude (V peak to peak) that cannot exceed a limit, whatever passive device is there:
+        the device sees no more than all of it, and draws no more than the source resistance lets through."""
+        return min(self.limits.device_voltage, self.limits.device_current * SOURCE_RESISTANCE)
+
+
+_TABLES = ("generator", "oscilloscope", "reference", "sweep", "drive", "limits", "acquisition", "compensation",
+           "device")
+_METADATA = ("name", "state", "temperature", "gel", "operator", "note")
+
+
+class _Table:
+    """One table of the file, read key by key; every complaint names the file and the field."""
+
+    def __init__(self, content: Mapping[str, Any], name: str, source: str, keys: tuple[str, ...]) -> None:
+        found = content.get(name, {})
+        if not isinstance(found, dict):
+            raise InputError(source, name, found, f"a table, [{name}]")
+        refuse_unknown_keys(found, keys, source=source, field=name)
+        self.values: dict[str, Any] = found
+        self.name, self.source = name, source
+
+    def error(self, key: str, expected: str) -> InputError:
+        return InputError(self.source, f"{self.name}.{key}", self.values.get(key), expected)
+
+    def quantity(self, key: str, dimension: str, default: float | None = None) -> float:
+        if key not in self.values:
+            return self._default(key, default)
+        return parse_quantity(self.values[key], dimension, source=self.source, field=f"{self.name}.{key}")
+
+    def positive(self, key: str, dimension: str, default: float | None = None) -> float:
+        value = self.quantity(key, dimension, default)
+        if value <= 0.0:
+            raise self.error(key, "a value above zero")
+        return value
+
+    def fraction(self, key: str, default: float) -> float:
+        value = self.quantity(key, "dimensionless", default)
+        if not 0.0 <= value < 1.0:
+            raise self.error(key, 'from "0 %" to less than "100 %"')
+        return value
+
+    def seconds(self, key: str, default: float) -> float:
+        value = self.quantity(key, "time", default)
+        if value < 0.0:
+            raise self.error(key, "a time not below zero")
+        return value
+
+    def ampere(self, key: str, default: float) -> float:
+        """A current above zero."""
+        if key not in self.values:
+            return default
+        value = self.quantity(key, "current", default)
+        if value <= 0.0:
+            raise self.error(key, "a current above zero")
+        return value
+
+    def whole(self, key: str, default: int, *, low: int, high: int) -> int:
+        value = self.values.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self.error(key, f"a whole number from {low} to {high}")
+        return value
+
+    def text(self, key: str, default: str | None = None) -> str:
+        value = self.values.get(key, default)
+        if not isinstance(value, str) or not value.strip() or len(value.splitlines()) > 1:
+            raise self.error(key, "one line of text")
+        return value.strip()
+
+    def one_of(self, key: str, default: str, known: tuple[str, ...]) -> str:
+        return choose(self.values.get(key, default), known, source=self.source, field=f"{self.name}.{key}")
+
+    def path(self, key: str, folder: Path) -> Path | None:
+        return folder / self.text(key) if key in self.values else None
+
+    def _default(self, key: str, default: float | None) -> float:
+        if default is None:
+            raise self.error(key, "to be given")
+        return default
+
+
+def read_bench(path: Path) -> BenchSetup:
+    """Read BENCH.toml; paths in it are relative to its folder.
+
+    Raises:
+        InputError: anything missing, unknown, or not what an instrument can do.
+    """
+    path = Path(path)
+    content, source = read_toml(path), str(path)
+    refuse_unknown_keys(content, _TABLES, source=source, field="")
+
+    def table(name: str, keys: tuple[str, ...]) -> _Table:
+        return _Table(content, name, source, keys)
+
+    sweep = _sweep(table("sweep", ("centre", "span", "from", "to", "kind", "step", "points", "resolution", "direction",
+                                   "repeats")))
+    reference = table("reference", ("resistance", "tolerance"))
+    limits = table("limits", ("device_voltage", "device_current"))
+    acquisition = table("acquisition", tuple(f.name for f in fields(Acquisition)))
+    averages = acquisition.whole("averages", 1, low=1, high=128)
+    if averages not in AVERAGES:
+        raise acquisition.error("averages", "one of " + ", ".join(map(str, AVERAGES)))
+    default = Acquisition()
+    device = table("device", _METADATA)
+    return BenchSetup(
+        path=source, text=path.read_text(encoding="utf-8"),
+        generator=_generator(table("generator", tuple(f.name for f in fields(GeneratorSettings)))),
+        oscilloscope=_oscilloscope(table("oscilloscope", tuple(f.name for f in fields(OscilloscopeSettings)))),
+        reference=ReferenceResistor(reference.positive("resistance", "resistance"),
+                                    reference.fraction("tolerance", 0.0)),
+        sweep=sweep, levels=_levels(table("drive", ("amplitude",))),
+        limits=Limits(limits.positive("device_voltage", "peak-to-peak voltage", Limits.device_voltage),
+                      limits.ampere("device_current", Limits.device_current)),
+        acquisition=Acquisition(
+            averages=averages, captures=acquisition.whole("captures", default.captures, low=1, high=1000),
+            periods=acquisition.whole("periods", default.periods, low=2, high=250),
+            settle=acquisition.seconds("settle", default.settle),
+            attempts=acquisition.whole("attempts", default.attempts, low=1, high=100),
+            gain_accuracy=acquisition.fraction("gain_accuracy", default.gain_accuracy),
+        ),
+        standards=_standards(table("compensation", tuple(f.name for f in fields(Standards))), path.parent),
+        metadata={key: device.text(key) for key in device.values},
+    )
+
+
+def _generator(table: _Table) -> GeneratorSettings:
+    default = {f.name: f.default for f in fields(GeneratorSettings) if f.default is not MISSING}
+    return GeneratorSettings(
+        port=table.text("port"), model=table.text("model", str(default["model"])),
+        baud=table.whole("baud", GeneratorSettings.baud, low=1, high=10_000_000),
+        timeout=table.seconds("timeout", GeneratorSettings.timeout),
+        pause=table.seconds("pause", GeneratorSettings.pause),
+    )
+
+
+def _oscilloscope(table: _Table) -> OscilloscopeSettings:
+    channels = {key: table.whole(key, default, low=1, high=4)
+                for key, default in (("channel_total", 1), ("channel_reference", 2))}
+    if channels["channel_total"] == channels["channel_reference"]:
+        raise table.error("channel_reference", "another channel than channel_total")
+    probes = {key: table.whole(key, 10, low=1, high=10) for key in ("probe_total", "probe_reference")}
+    for key, factor in probes.items():
+        if factor not in (1, 10):
+            raise table.error(key, "1 or 10")
+    return OscilloscopeSettings(
+        port=table.text("port"), model=table.text("model", OscilloscopeSettings.model),
+        baud=table.whole("baud", OscilloscopeSettings.baud, low=1, high=10_000_000), **channels, **probes,
+        trigger=table.one_of("trigger", "CH1", ("CH1", "CH2", "CH3", "CH4", "EXT")),
+        timeout=table.seconds("timeout", OscilloscopeSettings.timeout),
+        acquisition_timeout=table.seconds("acquisition_timeout", OscilloscopeSettings.acquisition_timeout),
+    )
+
+
+def _sweep(table: _Table) -> Sweep:
+    given = {key for key in ("centre", "span", "from", "to") if key in table.values}
+    if given == {"from", "to"}:
+        low, high = table.positive("from", "frequency"), table.positive("to", "frequency")
+    elif given in ({"centre"}, {"centre", "span"}):
+        centre, span = table.positive("centre", "frequency"), table.fraction("span", 0.12)
+        low, high = centre * (1.0 - span), centre * (1.0 + span)
+    else:
+        raise InputError(table.source, "sweep", sorted(given), "centre (and span), or from and to")
+    low, high = (round(f / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION for f in (low, high))
+    step = table.positive("step", "frequency", Sweep.step)
+    if not high - low >= step:
+        raise InputError(table.source, "sweep", f"{low:g} Hz to {high:g} Hz", f"a rising band of {step:g} Hz or more")
+    return Sweep(
+        low, high, kind=table.one_of("kind", "linear", KINDS), step=step,
+        points=table.whole("points", Sweep.points, low=16, high=10_000),
+        resolution=table.fraction("resolution", Sweep.resolution),
+        direction=table.one_of("direction", "up", DIRECTIONS), repeats=table.whole("repeats", 1, low=1, high=1000),
+    )
+
+
+def _levels(table: _Table) -> tuple[float, ...]:
+    given = table.values.get("amplitude")
+    listed = given if isinstance(given, list) else [given]
+    levels = []
+    for text in listed:
+        level = parse_quantity(text, "peak-to-peak voltage", source=table.source, field="drive.amplitude")
+        steps = level / AMPLITUDE_RESOLUTION
+        if level <= 0.0 or abs(steps - round(steps)) > 1e-6:
+            raise InputError(table.source, "drive.amplitude", text, f"above zero, in steps of {AMPLITUDE_RESOLUTION} V")
+        levels.append(round(level, 2))
+    if not levels or len(set(levels)) != len(levels):
+        raise InputError(table.source, "drive.amplitude", given, "one amplitude, or a list without one twice")
+    return tuple(levels)
+
+
+def _standards(table: _Table, folder: Path) -> Standards:
+    found = Standards(
+        open=table.path("open", folder), short=table.path("short", folder), load=table.path("load", folder),
+        load_resistance=table.positive("load_resistance", "resistance") if "load_resistance" in table.values else None,
+        load_tolerance=table.fraction("load_tolerance", 0.0),
+    )
+    if (found.load is None) != (found.load_resistance is None):
+        raise table.error("load_resistance", "to be given with load, and only with it")
+    return found

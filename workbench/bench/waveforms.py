@@ -1,0 +1,240 @@
+"""Waveforms that an oscilloscope saved: Tektronix CSV (as the TDS1000 and TDS2000 series write it) and ISF.
+
+CSV: what is set stands in columns 1 and 2 of the first rows, beside the samples, which are time in column 4 and volts
+in column 5; there is no row of headings. Numbers may look like ``-00.018940000000``, and a line may have been added by
+hand.
+ISF: a header ``:WFMPRE:NR_PT 2500;...`` in long or short words, then the binary block of CURVE.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inputs import InputError
+from workbench.instruments.instrument import Waveform
+
+_PAIR = re.compile(r"CH(\d)", re.IGNORECASE)
+
+#: Steps of the converter in a division, in all files seen.
+_STEPS_PER_DIVISION = 25.0
+
+#: How many more samples than a sine has at its crest make a flat top.
+_FLAT = 3.0
+
+
+def read_waveform(path: Path) -> Waveform:
+    """Read one saved waveform, whichever of the two formats it is in.
+
+    Raises:
+        InputError: neither of them, cut short, not in volts, an envelope, or not on even time steps.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None
+    if data[:6].upper().startswith((b":WFMP", b"WFMP")):
+        return _read_isf(str(path), data)
+    if b"Record Length," in data[:2000]:
+        return _read_csv(str(path), data)
+    first = data[:60].decode("latin-1").splitlines()
+    raise InputError(str(path), "format", first[0] if first else "", "a waveform of a Tektronix oscilloscope: CSV with "
+                     "'Record Length' among its first rows, or ISF beginning with :WFMPRE")
+
+
+def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str, tuple[Path, Path]]:
+    """Files in pairs, (total, reference) by what their names have in common; folders stand for the files in them.
+
+    The names must differ in the channel alone: F0003CH1.CSV and F0003CH2.CSV.
+
+    Raises:
+        InputError: a name without a channel, or half a pair.
+    """
+    given: dict[str, dict[int, Path]] = {}
+    for path in _files(paths):
+        channel = _PAIR.search(path.name)
+        if channel is None:
+            raise InputError(str(path), "file name", path.name, "a name with the channel in it, such as F0003CH1.CSV")
+        name = path.name[:channel.start()] + path.name[channel.end():]
+        given.setdefault(str(path.parent / name), {})[int(channel.group(1))] = path
+    pairs = {}
+    for name, channels in sorted(given.items()):
+        for wanted in (total, reference):
+            if wanted not in channels:
+                raise InputError(name, f"channel {wanted}", ", ".join(str(p) for p in channels.values()),
+                                 f"a file of channel {wanted} beside it")
+        pairs[Path(name).stem.strip("_- ") or Path(name).parent.name] = channels[total], channels[reference]
+    return pairs
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = [file for file in sorted(path.iterdir())
+                      if file.suffix.lower() in (".csv", ".isf") and _PAIR.search(file.name)]
+            if not inside:
+                raise InputError(str(path), "folder", path.name, "a folder with waveforms such as F0003CH1.CSV")
+            found += inside
+        else:
+            found.append(path)
+    return found
+
+
+def _read_csv(path: str, data: bytes) -> Waveform:
+    lines = data.decode("utf-8", "replace").splitlines()
+    settings: dict[str, str] = {}
+    times: list[float] = []
+    volts: list[float] = []
+    for number, line in enumerate(lines, start=1):
+        cells = [cell.strip().strip('"') for cell in line.split(",")]
+        if len(cells) < 5:
+            if any(cells):
+                raise InputError(path, f"line {number}", line[:60], "setting, value, blank, time, volts")
+            continue
+        if cells[0]:
+            settings[cells[0]] = cells[1]
+        if number <= 2 and not _is_number(cells[3]) and not cells[0]:
+            continue  # headings somebody added
+        if not (_is_number(cells[3]) and _is_number(cells[4])):
+            raise InputError(path, f"line {number}", line[:60], "time in column 4 and volts in column 5")
+        times.append(float(cells[3]))
+        volts.append(float(cells[4]))
+    declared = round(_setting(path, settings, "Record Length"))
+    if len(times) != declared:
+        raise InputError(path, "rows", f"{len(times)} samples", f"the {declared} of 'Record Length'; the file is cut "
+                         "short or was edited")
+    unit = settings.get("Vertical Units", "V")
+    if unit not in ("V", "Volts"):
+        raise InputError(path, "Vertical Units", unit, "V")
+    if settings.get("Pt Fmt", "Y") != "Y":
+        raise InputError(path, "Pt Fmt", settings["Pt Fmt"], "Y: samples, not an envelope of peak detection")
+    step = _setting(path, settings, "Sample Interval")
+    time = np.array(times)
+    # Twelve decimals of a second are what the file has.
+    wrong = np.abs(np.diff(time) - step) > 0.01 * step + 2e-12
+    if np.any(wrong):
+        index = int(np.argmax(wrong))
+        raise InputError(path, f"sample {index + 2}", float(time[index + 1]), f"{step:g} s after the one before it")
+    quantum = _setting(path, settings, "Vertical Scale") / _STEPS_PER_DIVISION
+    signal = np.array(volts)
+    raw = np.round(signal / quantum)
+    source = settings.get("Source", "")
+    named = _PAIR.fullmatch(source) or _PAIR.search(Path(path).name)
+    if named is None:
+        raise InputError(path, "Source", source, "CH1 to CH4: a channel, not a calculated trace")
+    return Waveform(int(named.group(1)), signal, raw.astype(np.int16), float(time[0]), step, quantum,
+                    _flat_topped(raw))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return bool(np.isfinite(float(cell)))
+    except ValueError:
+        return False
+
+
+def _setting(path: str, settings: Mapping[str, str], name: str) -> float:
+    text = settings.get(name)
+    if text is None or not _is_number(text) or not float(text) > 0.0:
+        raise InputError(path, name, text, "a number above zero")
+    return float(text)
+
+
+def _read_isf(path: str, data: bytes) -> Waveform:
+    """The one record of samples in the file; some firmware appends an envelope of the same acquisition."""
+    samples, place = [], 0
+    others = []
+    while place < len(data):
+        header, block, place = _next_record(path, data, place)
+        if _word(path, header, "PT_FMT") == "Y":
+            samples.append((header, block))
+        else:
+            others.append(_word(path, header, "PT_FMT"))
+        while place < len(data) and data[place:place + 1] in b"\r\n; ":
+            place += 1
+    if len(samples) != 1:
+        kinds = ", ".join(others) or "none"
+        raise InputError(path, "PT_FMT", f"{len(samples)} records of samples (others: {kinds})",
+                         "one record with PT_FMT Y; an envelope holds extremes, from which no phase can be had")
+    header, block = samples[0]
+    if _word(path, header, "ENCDG")[:3] != "BIN":
+        raise InputError(path, "ENCDG", _word(path, header, "ENCDG"), "BINARY")
+    width = round(_value(path, header, "BYT_NR"))
+    kind = {"RI": "i", "RP": "u"}.get(_word(path, header, "BN_FMT"))
+    order = {"MSB": ">", "LSB": "<"}.get(_word(path, header, "BYT_OR"))
+    if width not in (1, 2) or kind is None or order is None:
+        raise InputError(path, "BYT_NR, BN_FMT, BYT_OR",
+                         [_word(path, header, word) for word in ("BYT_NR", "BN_FMT", "BYT_OR")],
+                         "1 or 2 bytes, RI or RP, MSB or LSB")
+    raw = np.frombuffer(block, dtype=f"{order}{kind}{width}").astype(float)
+    points = round(_value(path, header, "NR_PT"))
+    if len(raw) != points:
+        raise InputError(path, "CURVE", f"{len(raw)} samples", f"the {points} of NR_PT")
+    if _word(path, header, "YUNIT") not in ("V", "Volts"):
+        raise InputError(path, "YUNIT", _word(path, header, "YUNIT"), "V")
+    channel = re.search(r"Ch(\d)", _word(path, header, "WFID"))
+    if channel is None:
+        raise InputError(path, "WFID", _word(path, header, "WFID"), "a channel, not a calculated trace")
+    quantum, step = _value(path, header, "YMULT"), _value(path, header, "XINCR")
+    volts = (raw - _value(path, header, "YOFF")) * quantum + _value(path, header, "YZERO")
+    start = _value(path, header, "XZERO") - _value(path, header, "PT_OFF") * step
+    if kind == "u":
+        raw -= 128.0 if width == 1 else 32768.0
+    return Waveform(int(channel.group(1)), volts, raw.astype(np.int16), start, step, quantum, _flat_topped(raw))
+
+
+def _next_record(path: str, data: bytes, place: int) -> tuple[dict[str, str], bytes, int]:
+    """Header and block of the record that begins at `place`, and where it ends."""
+    found = re.compile(rb":?CURVE?\s+#").search(data, place)
+    if found is None:
+        raise InputError(path, "CURVE", data[place:place + 40].decode("latin-1"), "a binary block after the header")
+    text = data[place:found.start()].decode("latin-1")
+    # Quoted values hold commas and blanks, never semicolons in any file seen.
+    header = {}
+    for item in re.split(r";(?=(?:[^\"]*\"[^\"]*\")*[^\"]*$)", text):
+        word, _, value = item.strip().lstrip(":").partition(" ")
+        header[word.rpartition(":")[2].upper()] = value.strip().strip('"')
+    digits = data[found.end():found.end() + 1]
+    if not digits.isdigit() or digits == b"0" or not data[found.end() + 1:found.end() + 1 + int(digits)].isdigit():
+        raise InputError(path, "CURVE", data[found.start():found.end() + 12].decode("latin-1"),
+                         "#, the number of digits, a length")
+    begin = found.end() + 1 + int(digits)
+    length = int(data[found.end() + 1:begin])
+    if begin + length > len(data):
+        raise InputError(path, "CURVE", f"{len(data) - begin} bytes",
+                         f"the {length} that the block announces; the file is cut short")
+    return header, data[begin:begin + length], begin + length
+
+
+def _word(path: str, header: Mapping[str, str], name: str) -> str:
+    """The value of a header word, however far the file shortens it."""
+    found = next((value for word, value in header.items() if len(word) >= 3 and name.startswith(word)), None)
+    if found is None:
+        raise InputError(path, name, None, "this word in the header, which has " + ", ".join(header))
+    return "ENV" if name == "PT_FMT" and found.upper().startswith("ENV") else found
+
+
+def _value(path: str, header: Mapping[str, str], name: str) -> float:
+    text = _word(path, header, name)
+    if not _is_number(text):
+        raise InputError(path, name, text, "a number")
+    return float(text)
+
+
+def _flat_topped(raw: NDArray[np.float64]) -> bool:
+    """Whether either crest is far flatter than that of a sine: the file does not say where the screen ends.
+
+    Of the samples of a sine of amplitude a steps, arccos(1 - 1 / a) / pi lie within one step of a crest.
+    """
+    amplitude = 0.5 * float(np.ptp(raw))
+    if amplitude < 10.0:
+        return False
+    share = float(np.arccos(1.0 - 1.0 / amplitude)) / np.pi
+    crests = np.mean(raw >= raw.max() - 0.5), np.mean(raw <= raw.min() + 0.5)
+    return bool(max(crests) > _FLAT * share)

@@ -1,0 +1,1 @@
+"""The two bench instruments, what they say on the wire, and a simulated bench that says the same."""

@@ -1,0 +1,86 @@
+"""The circuit of the bench: a generator behind its source resistance, the device, and a reference resistor in series.
+
+One channel measures across device and reference resistor, the other across the resistor alone, so that
+Z = (V_total - V_reference) / V_reference * R (Acevedo-Espinosa et al. (RP-UEIS), eq. 25). What leads, probes and the
+resistor add is in :class:`Circuit`; with all of it zero, eq. 25 is exact. Everything is in e^{+j w t}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from workbench.spectrum import Spectrum
+
+#: What is connected: impedance (ohm, e^{+j w t}) at a frequency (Hz).
+Device = Callable[[float], complex]
+
+#: Ohm between clips that hold nothing, in place of infinity.
+NOTHING = 1e12
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """The bench's circuit beside the device, in SI units.
+
+    ``reference_inductance`` is in series with the reference resistance. ``lead_inductance`` and ``lead_resistance`` are
+    in series with the device, ``lead_capacitance`` across it. Each probe's ``probe_capacitance`` is across what it
+    measures. ``gain_total``, ``gain_reference`` are those of the channels, ``delay_reference`` (s) is how much later
+    the reference channel samples. The defaults are those of half a metre of twisted leads and two probes.
+    """
+
+    source_resistance: float = 50.0
+    reference_resistance: float = 0.5
+    reference_inductance: float = 5e-9
+    lead_inductance: float = 0.2e-6
+    lead_resistance: float = 0.02
+    lead_capacitance: float = 20e-12
+    probe_capacitance: float = 15e-12
+    gain_total: float = 1.01
+    gain_reference: float = 0.99
+    delay_reference: float = 0.5e-9
+
+    def __post_init__(self) -> None:
+        if self.source_resistance <= 0.0 or self.reference_resistance <= 0.0:
+            raise ValueError(f"source resistance {self.source_resistance!r} and reference resistance "
+                             f"{self.reference_resistance!r} ohm; expected both above zero")
+
+    def responses(self, frequency: float, device: complex) -> tuple[complex, complex]:
+        """What the total and the reference channel show per volt of the open circuit, for a device of impedance
+        `device` (ohm), both complex and without unit."""
+        s = 2j * pi * frequency
+        reference = self.reference_resistance + s * self.reference_inductance
+        reference = reference / (1.0 + s * self.probe_capacitance * reference)
+        clipped_on = device / (1.0 + s * self.lead_capacitance * device)
+        total = clipped_on + self.lead_resistance + s * self.lead_inductance + reference
+        loaded = total / (1.0 + s * self.probe_capacitance * total)
+        at_total = loaded / (loaded + self.source_resistance)
+        at_reference = at_total * reference / total
+        return self.gain_total * at_total, self.gain_reference * at_reference * np.exp(s * self.delay_reference)
+
+
+#: Eq. 25 without error.
+IDEAL = Circuit(reference_inductance=0.0, lead_inductance=0.0, lead_resistance=0.0, lead_capacitance=0.0,
+                probe_capacitance=0.0, gain_total=1.0, gain_reference=1.0, delay_reference=0.0)
+
+TYPICAL = Circuit()
+
+
+def resistor(resistance: float) -> Device:
+    """A resistance (ohm) without inductance or capacitance, zero for a short circuit."""
+    return lambda frequency: complex(resistance)
+
+
+def open_circuit() -> Device:
+    """Nothing between the clips."""
+    return resistor(NOTHING)
+
+
+def device_of(spectrum: Spectrum) -> Device:
+    """A device with this impedance; outside the band, where a bench may be set too, it keeps that of the nearer end."""
+    impedance = spectrum.interpolant()
+    low, high = float(spectrum.frequency[0]), float(spectrum.frequency[-1])
+    return lambda frequency: complex(impedance(min(max(frequency, low), high)))

@@ -1,0 +1,190 @@
+"""What goes wrong on a bench, to be made to happen at a chosen moment on the simulated one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from workbench.instruments.simulated_generator import SimulatedGenerator
+from workbench.instruments.simulated_oscilloscope import SimulatedOscilloscope
+
+GENERATOR, OSCILLOSCOPE = "generator", "oscilloscope"
+
+
+class Kind(StrEnum):
+    """What may go wrong. The first ones can happen to both instruments, the others to the one they name."""
+
+    SILENCE = "silence"  # done, but not answered
+    DEAFNESS = "deafness"  # neither done nor answered
+    GARBAGE = "garbage"  # random bytes in place of the answer
+    NOISE = "noise"  # random bytes before the answer
+    PARTIAL = "partial"  # the answer breaks off
+    LATE = "late"  # the answer comes with the next one
+    ECHO = "echo"  # the question comes back before the answer
+    WRONG_INSTRUMENT = "wrong_instrument"  # another instrument identifies itself
+    RESTART = "restart"  # switched off and on: all settings are lost
+    DISCONNECT = "disconnect"  # the port goes away, and comes back after a while
+    WRONG_FREQUENCY = "wrong_frequency"  # generator: another frequency is read back
+    IGNORED_FREQUENCY = "ignored_frequency"  # generator: a frequency is not set
+    IGNORED_AMPLITUDE = "ignored_amplitude"  # generator: an amplitude is not set
+    CLIPPED = "clipped"  # oscilloscope: an acquisition runs off the screen
+    HIDDEN = "hidden"  # oscilloscope: a channel is switched off just before its curve is asked for
+    TRUNCATED_CURVE = "truncated_curve"  # oscilloscope: the curve breaks off
+    WRONG_COUNT = "wrong_count"  # oscilloscope: the curve announces another number of bytes than come
+    HEADERS = "headers"  # oscilloscope: every answer begins with its header
+    NO_TRIGGER = "no_trigger"  # oscilloscope: an acquisition does not end
+    IGNORED_RUN = "ignored_run"  # oscilloscope: an acquisition is not made, the records stay those of the one before
+
+
+#: The kinds that can happen to each instrument.
+KINDS = {
+    GENERATOR: tuple(kind for kind in Kind if kind not in (
+        Kind.CLIPPED, Kind.HIDDEN, Kind.TRUNCATED_CURVE, Kind.WRONG_COUNT, Kind.HEADERS, Kind.NO_TRIGGER,
+        Kind.IGNORED_RUN)),
+    OSCILLOSCOPE: tuple(kind for kind in Kind if kind not in (
+        Kind.WRONG_FREQUENCY, Kind.IGNORED_FREQUENCY, Kind.IGNORED_AMPLITUDE)),
+}
+
+#: What another instrument says, by the one that should be there.
+STRANGERS = {GENERATOR: b"MHS-5200A\n", OSCILLOSCOPE: b"RIGOL TECHNOLOGIES,DS1052E,0,00.04.02\n"}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault: it strikes the first `count` commands it fits, from command number `at` of this instrument on
+    (the first command since the bench was opened has number 0). ``seconds`` is how long a disconnection lasts."""
+
+    instrument: str
+    kind: Kind
+    at: int = 0
+    count: int = 1
+    seconds: float = 0.3
+
+    def __post_init__(self) -> None:
+        if self.instrument not in KINDS:
+            raise ValueError(f"instrument {self.instrument!r}; expected one of {', '.join(KINDS)}")
+        if self.kind not in KINDS[self.instrument]:
+            raise ValueError(f"fault {self.kind!r} cannot happen to the {self.instrument}; expected one of "
+                             f"{', '.join(KINDS[self.instrument])}")
+        if self.at < 0 or self.count < 1 or self.seconds <= 0.0:
+            raise ValueError(f"at {self.at!r}, count {self.count!r}, seconds {self.seconds!r}; expected at least 0, at "
+                             "least 1 and above 0")
+
+
+def fits(kind: Kind, line: bytes) -> bool:
+    """Whether a fault can strike this command."""
+    query = line in (b"a", b"cf") or line.endswith(b"?")
+    match kind:
+        case Kind.WRONG_INSTRUMENT:
+            return line in (b"a", b"*IDN?")
+        case Kind.WRONG_FREQUENCY:
+            return line == b"cf"
+        case Kind.IGNORED_FREQUENCY:
+            return line.startswith(b"bf")
+        case Kind.IGNORED_AMPLITUDE:
+            return line.startswith(b"ba")
+        case Kind.CLIPPED | Kind.NO_TRIGGER | Kind.IGNORED_RUN:
+            return line == b"ACQUIRE:STATE RUN"
+        case Kind.HIDDEN | Kind.TRUNCATED_CURVE | Kind.WRONG_COUNT:
+            return line == b"CURVE?"
+        case Kind.DEAFNESS | Kind.RESTART | Kind.DISCONNECT | Kind.HEADERS:
+            return True
+        case _:
+            return query
+
+
+class FaultyInstrument:
+    """A simulated instrument to which faults happen. ``struck`` lists those that have, with the command's number."""
+
+    def __init__(
+        self, name: str, instrument: SimulatedGenerator | SimulatedOscilloscope, *, random: np.random.Generator,
+        disconnect: Callable[[float], None],
+    ) -> None:
+        self._name = name
+        self._instrument = instrument
+        self._random = random
+        self._disconnect = disconnect
+        self._pending: list[Fault] = []
+        self._held = b""
+        self.commands = 0
+        self.struck: list[tuple[int, Fault]] = []
+
+    def inject(self, fault: Fault) -> None:
+        """Let `fault` happen when its time comes."""
+        self._pending.append(fault)
+
+    def respond(self, line: bytes) -> bytes:
+        """What comes back for one line, given without its LF."""
+        number, self.commands = self.commands, self.commands + 1
+        fault = next((f for f in self._pending if f.at <= number and fits(f.kind, line)), None)
+        if fault is None:
+            answer = self._instrument.respond(line)
+        else:
+            self._pending.remove(fault)
+            if fault.count > 1:
+                self._pending.append(replace(fault, count=fault.count - 1))
+            self.struck.append((number, fault))
+            answer = self._strike(fault, line)
+        if not answer:
+            return b""
+        held, self._held = self._held, b""
+        return held + answer
+
+    def _strike(self, fault: Fault, line: bytes) -> bytes:
+        match fault.kind:
+            case Kind.DEAFNESS | Kind.IGNORED_FREQUENCY | Kind.IGNORED_AMPLITUDE | Kind.IGNORED_RUN:
+                return b""
+            case Kind.DISCONNECT:
+                self._disconnect(fault.seconds)
+                return b""
+            case Kind.RESTART:
+                self._instrument.restart()
+                return self._instrument.respond(line)
+            case Kind.CLIPPED | Kind.NO_TRIGGER | Kind.HIDDEN | Kind.HEADERS:
+                self._disturb(fault.kind)
+                return self._instrument.respond(line)
+            case _:
+                return self._spoil(fault.kind, line, self._instrument.respond(line))
+
+    def _disturb(self, kind: Kind) -> None:
+        """Do to the oscilloscope what a hand, or the signal, does."""
+        oscilloscope = self._instrument
+        if not isinstance(oscilloscope, SimulatedOscilloscope):
+            raise TypeError(f"fault {kind!r} at an instrument that is no oscilloscope")
+        match kind:
+            case Kind.CLIPPED:
+                oscilloscope.surge = 4.0
+            case Kind.NO_TRIGGER:
+                oscilloscope.blind = True
+            case Kind.HIDDEN:
+                oscilloscope.hide(oscilloscope.source())
+            case _:
+                oscilloscope.respond(b"HEADER ON")
+
+    def _spoil(self, kind: Kind, line: bytes, answer: bytes) -> bytes:
+        """The answer as it comes, the instrument having done what it was told."""
+        match kind:
+            case Kind.SILENCE:
+                return b""
+            case Kind.GARBAGE:
+                return self._random.bytes(max(len(answer) - 1, 1)).replace(b"\n", b"?") + b"\n"
+            case Kind.NOISE:
+                return self._random.bytes(4) + answer
+            case Kind.PARTIAL | Kind.TRUNCATED_CURVE:
+                return answer[: len(answer) // 2]
+            case Kind.LATE:
+                self._held += answer
+                return b""
+            case Kind.ECHO:
+                return line + b"\n" + answer
+            case Kind.WRONG_INSTRUMENT:
+                return STRANGERS[self._name]
+            case Kind.WRONG_FREQUENCY:
+                return b"cf%010d\n" % (int(answer[2:]) + 100 if answer[2:].strip().isdigit() else 0)
+            case Kind.WRONG_COUNT:
+                return answer.replace(b"#42500", b"#42400", 1)
+            case _:
+                raise ValueError(f"fault {kind!r} does nothing to an answer")

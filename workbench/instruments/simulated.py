@@ -1,0 +1,259 @@
+"""The simulated bench: both instruments behind pseudo-terminals, with a device between them.
+
+    with SimulatedBench(device_of(spectrum), seed=1) as bench:
+        generator, oscilloscope = open_bench(*bench.settings())
+
+Each instrument is served by a thread of its own and knows nothing but what comes over its line. One seed makes all
+noise the same again, if the same commands come in the same order. There is no waiting unless it is asked for
+(``pace``), but the simulated clock goes on as if there were, and the device drifts with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from workbench.instruments.circuit import TYPICAL, Circuit, Device
+from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, FaultyInstrument
+from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
+from workbench.instruments.simulated_generator import SimulatedGenerator
+from workbench.instruments.simulated_oscilloscope import Errors, SimulatedOscilloscope, Tone
+
+#: Simulated seconds that a command takes.
+COMMAND_TIME = 0.05
+
+#: Seconds after which a line looks whether it should end, and after which it gives up on somebody who does not read.
+SLICE, PATIENCE = 0.05, 1.0
+
+USUAL_ERRORS = Errors()
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How a device changes: all its frequencies by ``frequency`` (relative, per s) and its impedance by ``impedance``
+    (relative, per s). A warming transducer has about -1e-7 per second."""
+
+    frequency: float = 0.0
+    impedance: float = 0.0
+
+
+NO_DRIFT = Drift()
+
+
+class SimulatedBench:
+    """A generator, an oscilloscope and a device; the channels are 1 (total) and 2 (reference), with 10:1 probes.
+
+    ``device`` is what is connected; ``frequency_error`` (relative) that of the generator's clock. ``folder`` is where
+    the two ports appear as ``generator`` and ``oscilloscope`` (a temporary folder if not given). ``pace`` is how many
+    seconds pass for one simulated second. A context manager: the ports are there within the ``with``. Needs
+    pseudo-terminals, which Windows does not have.
+    """
+
+    def __init__(
+        self, device: Device, *, circuit: Circuit = TYPICAL, errors: Errors = USUAL_ERRORS, drift: Drift = NO_DRIFT,
+        frequency_error: float = 5e-6, generator_model: str = "FY3224S", oscilloscope_model: str = "TDS 2024B",
+        probes: tuple[int, int] = (10, 10), seed: int = 0, pace: float = 0.0, folder: Path | None = None,
+    ) -> None:
+        self._device = device
+        self._circuit = circuit
+        self._drift = drift
+        self._frequency_error = frequency_error
+        self._probes = probes
+        self._pace = pace
+        self._folder = folder
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._clock = 0.0
+        self._lock = threading.RLock()
+        of_noise, of_faults = (np.random.default_rng([seed, n]) for n in (0, 1))
+        self._generator = SimulatedGenerator(generator_model)
+        self._oscilloscope = SimulatedOscilloscope(
+            oscilloscope_model, self._tones, probes={1: probes[0], 2: probes[1]}, errors=errors, random=of_noise,
+            wait=self._pass_time)
+        self._instruments: dict[str, FaultyInstrument] = {}
+        self._lines: dict[str, _Line] = {}
+        for name, instrument in ((GENERATOR, self._generator), (OSCILLOSCOPE, self._oscilloscope)):
+            self._instruments[name] = FaultyInstrument(
+                name, instrument, random=of_faults, disconnect=partial(self.disconnect, name))
+
+    def __enter__(self) -> SimulatedBench:
+        folder = self._folder
+        if folder is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="workbench-bench-")
+            folder = Path(self._temporary.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in self._instruments:
+            self._lines[name] = _Line(folder / name, partial(self._respond, name))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for line in self._lines.values():
+            line.close()
+        self._lines.clear()
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    @property
+    def generator_port(self) -> str:
+        """The name of the generator's port."""
+        return str(self._lines[GENERATOR].path)
+
+    @property
+    def oscilloscope_port(self) -> str:
+        """The name of the oscilloscope's port."""
+        return str(self._lines[OSCILLOSCOPE].path)
+
+    @property
+    def drive(self) -> float:
+        """The generator's amplitude now, V peak to peak of the open circuit; 0 is the safe state."""
+        return self._generator.amplitude
+
+    @property
+    def frequency(self) -> float:
+        """The generator's frequency now, Hz."""
+        return self._generator.frequency
+
+    @property
+    def clock(self) -> float:
+        """Simulated seconds since the bench was made."""
+        return self._clock
+
+    def struck(self, instrument: str) -> list[tuple[int, Fault]]:
+        """The faults that have happened to an instrument, each with the number of the command."""
+        return list(self._instruments[instrument].struck)
+
+    def commands(self, instrument: str) -> int:
+        """The number of commands an instrument has been sent."""
+        return self._instruments[instrument].commands
+
+    def settings(self, *, timeout: float = 0.25) -> tuple[GeneratorSettings, OscilloscopeSettings]:
+        """Settings that open the simulated instruments without pauses; `timeout` (s) as short as tests want it."""
+        return (
+            GeneratorSettings(self.generator_port, self._generator.model, timeout=timeout, pause=0.0),
+            OscilloscopeSettings(self.oscilloscope_port, self._oscilloscope.model, probe_total=self._probes[0],
+                                 probe_reference=self._probes[1], timeout=timeout, acquisition_timeout=2.0 * timeout),
+        )
+
+    def truth(self, frequency: float) -> complex:
+        """The impedance (ohm, e^{+j w t}) of what is connected, at this moment."""
+        change = self._drift.frequency * self._clock
+        return self._device(frequency / (1.0 + change)) * (1.0 + self._drift.impedance * self._clock)
+
+    def connect(self, device: Device) -> None:
+        """Put something else between the clips."""
+        with self._lock:
+            self._device = device
+
+    def inject(self, fault: Fault) -> None:
+        """Let a fault happen when its time comes."""
+        with self._lock:
+            self._instruments[fault.instrument].inject(fault)
+
+    def disconnect(self, instrument: str, seconds: float) -> None:
+        """Take an instrument's port away; it comes back by itself, under the same name."""
+        self._lines[instrument].drop(seconds)
+
+    def _respond(self, instrument: str, line: bytes) -> bytes:
+        with self._lock:
+            self._pass_time(COMMAND_TIME)
+            return self._instruments[instrument].respond(line)
+
+    def _pass_time(self, seconds: float) -> None:
+        self._clock += seconds
+        if self._pace:
+            time.sleep(seconds * self._pace)
+
+    def _tones(self) -> Mapping[int, Tone]:
+        """What stands at the tips of the two probes now."""
+        frequency = self._generator.frequency * (1.0 + self._frequency_error)
+        responses = self._circuit.responses(frequency, self.truth(frequency))
+        volts = 0.5 * self._generator.amplitude
+        return {channel: Tone(volts * response, frequency) for channel, response in enumerate(responses, start=1)}
+
+
+class _Line:
+    """A pseudo-terminal, found under a name of its own, whose other end answers line by line, in a thread."""
+
+    def __init__(self, path: Path, respond: Callable[[bytes], bytes]) -> None:
+        self.path = path
+        self._respond = respond
+        self._ended = threading.Event()
+        self._away = 0.0
+        self._thread = threading.Thread(target=self._serve, name=f"simulated {path.name}", daemon=True)
+        self._plug_in()
+        self._thread.start()
+
+    def drop(self, seconds: float) -> None:
+        """Go away for a while, as soon as the line that is being answered is."""
+        self._away = seconds
+
+    def close(self) -> None:
+        """End the thread and remove the port."""
+        self._ended.set()
+        self._thread.join()
+        if self._plugged_in:
+            self._unplug()
+
+    def _plug_in(self) -> None:
+        import tty
+
+        self._ours, self._theirs = os.openpty()
+        # Bytes as they are, no echo; and our end never waits for a reader.
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        if self.path.is_symlink():
+            self.path.unlink()
+        self.path.symlink_to(os.ttyname(self._theirs))
+        self._received = b""
+        self._away = 0.0
+        self._plugged_in = True
+
+    def _unplug(self) -> None:
+        self._plugged_in = False
+        self.path.unlink(missing_ok=True)
+        os.close(self._ours)
+        os.close(self._theirs)
+
+    def _serve(self) -> None:
+        import fcntl
+        import termios
+
+        while not self._ended.is_set():
+            if self._away:
+                self._unplug()
+                if not self._ended.wait(self._away):
+                    self._plug_in()
+                continue
+            # We hold the terminal open, so that a killed owner's wish to be alone would outlive it, which a real port's
+            # does not.
+            fcntl.ioctl(self._theirs, termios.TIOCNXCL)
+            if not select.select([self._ours], [], [], SLICE)[0]:
+                continue
+            self._received += os.read(self._ours, 4096)
+            *lines, self._received = self._received.split(b"\n")
+            for line in lines:
+                answer = self._respond(line)
+                if self._away:
+                    break
+                self._send(answer)
+
+    def _send(self, data: bytes) -> None:
+        """Send what is taken; the rest is lost, as on a wire, when nobody reads."""
+        deadline = time.monotonic() + PATIENCE
+        while data and time.monotonic() < deadline and not self._ended.is_set():
+            with contextlib.suppress(BlockingIOError):
+                data = data[os.write(self._ours, data):]
+                continue
+            select.select([], [self._ours], [], SLICE)

@@ -1,0 +1,87 @@
+"""What a FeelTech FY3200S does with the lines it is sent, byte for byte."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+#: The longest command without its LF.
+LONGEST = 14
+
+#: Frequency (0.01 Hz) and amplitude (0.01 V peak to peak) of the main and the deputy channel after switching on. The
+#: amplitude is not zero, so that a drive that nobody switched off shows.
+SWITCHED_ON = (1_000_000, 500)
+
+_SETTING = re.compile(r"([bd])([a-z])([+-]?\d*)(?:\.(\d*))?")
+
+
+@dataclass
+class Output:
+    """One channel: frequency and amplitude in hundredths of Hz and of V peak to peak, waveform 0 is sine."""
+
+    frequency: int
+    amplitude: int
+    offset: int = 0
+    waveform: int = 0
+
+
+class SimulatedGenerator:
+    """The two channels behind the serial line.
+
+    Settings are swallowed without an answer; a line is read up to the first character that does not fit, and what was
+    read by then counts. Only the model, the main channel's frequency, duty and sweep time and the counter answer.
+    """
+
+    def __init__(self, model: str) -> None:
+        self.model = model
+        self.restart()
+
+    def restart(self) -> None:
+        """As after switching off and on."""
+        self.main = Output(*SWITCHED_ON)
+        self.deputy = Output(*SWITCHED_ON)
+
+    @property
+    def frequency(self) -> float:
+        """Of the main channel, Hz."""
+        return self.main.frequency / 100
+
+    @property
+    def amplitude(self) -> float:
+        """Of the main channel's sine, V peak to peak without load; 0 while another waveform is chosen."""
+        return self.main.amplitude / 100 if self.main.waveform == 0 else 0.0
+
+    def respond(self, line: bytes) -> bytes:
+        """What comes back for one line, given without its LF; nothing for a setting."""
+        text = line[:LONGEST].decode("latin-1")
+        match text:
+            case "a":
+                return f"{self.model}\n".encode()
+            case "cf":
+                return f"cf{self.main.frequency:010d}\n".encode()
+            case "cd":
+                return b"cd500\n"
+            case "ct":
+                return b"ct10\n"
+            case "ce" | "cc":
+                return f"{text}0000000000\n".encode()
+            case _:
+                self._set(text)
+                return b""
+
+    def _set(self, text: str) -> None:
+        read = _SETTING.match(text)
+        if read is None or read[3] in ("", "+", "-"):
+            return
+        output = self.main if read[1] == "b" else self.deputy
+        whole = int(read[3])
+        hundredths = abs(whole) * 100 + int(f"{read[4] or ''}00"[:2])
+        match read[2]:
+            case "f":
+                output.frequency = abs(whole)
+            case "a":
+                output.amplitude = min(hundredths, 2000)
+            case "o":
+                output.offset = -hundredths if read[3].startswith("-") else hundredths
+            case "w":
+                output.waveform = abs(whole)

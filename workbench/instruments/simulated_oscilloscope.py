@@ -1,0 +1,401 @@
+"""What a Tektronix TDS2024B does with the lines it is sent, byte for byte.
+
+Its records keep the rules that real captures keep: YMULT = V/div / 25, YOFF = 25 x position, XINCR = 10 x s/div / 2500,
+XZERO = -5 x s/div.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+CHANNELS = (1, 2, 3, 4)
+POINTS = 2500
+
+#: Steps of the converter, at the input connector (V per division) and in time (s per division).
+VOLTS_STEPS = tuple(m * 10.0**e for e in range(-3, 1) for m in (1, 2, 5) if 2e-3 <= m * 10.0**e <= 5.0)
+SECONDS_STEPS = tuple(m * 10.0**e for e in range(-9, 2) for m in (1, 2.5, 5) if 2.5e-9 <= m * 10.0**e <= 50.0)
+
+#: A trigger needs at least this amplitude, in divisions.
+TRIGGER_DIVISIONS = 0.2
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A sine at the probe's tip: complex amplitude (V, e^{+j w t}) at a frequency (Hz)."""
+
+    amplitude: complex
+    frequency: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What the oscilloscope adds: noise of the converter (counts, rms) and at the tip (V, rms), jitter of the trigger
+    (s, rms; the same for all channels of one capture)."""
+
+    noise_counts: float = 0.4
+    noise_volts: float = 0.0
+    jitter: float = 0.3e-9
+
+
+@dataclass(frozen=True)
+class Item:
+    """A setting: its name with the short form in capitals, its value after switching on, and its legal values.
+
+    ``legal`` holds words (short form in capitals), or steps to which a number is rounded, or nothing for any number.
+    """
+
+    name: str
+    initial: str | float
+    legal: tuple[str, ...] | tuple[float, ...] = ()
+
+
+_ON_OFF = ("OFF", "ON")
+ITEMS = (
+    Item("HEADer", 1.0, (0.0, 1.0)), Item("VERBose", 1.0, (0.0, 1.0)),
+    Item("ACQuire:MODe", "SAMPLE", ("SAMple", "PEAKdetect", "AVErage")),
+    Item("ACQuire:NUMAVg", 16.0, (4.0, 16.0, 64.0, 128.0)),
+    Item("ACQuire:STOPAfter", "RUNSTOP", ("RUNSTop", "SEQuence")),
+    Item("DATa:ENCdg", "ASCII", ("ASCIi", "RIBinary")), Item("DATa:WIDth", 1.0, (1.0, 2.0)),
+    Item("DATa:STARt", 1.0, tuple(float(n) for n in range(1, POINTS + 1))),
+    Item("DATa:STOP", float(POINTS), tuple(float(n) for n in range(1, POINTS + 1))),
+    Item("DATa:SOUrce", "CH1", tuple(f"CH{c}" for c in CHANNELS)),
+    Item("HORizontal:MAIn:SCAle", 5e-4, SECONDS_STEPS), Item("HORizontal:MAIn:POSition", 0.0),
+    Item("TRIGger:MAIn:MODe", "AUTO", ("AUTO", "NORMal")), Item("TRIGger:MAIn:LEVel", 0.0),
+    Item("TRIGger:MAIn:EDGE:SOUrce", "CH1", (*(f"CH{c}" for c in CHANNELS), "EXT", "EXT5", "LINE")),
+    Item("TRIGger:MAIn:EDGE:SLOpe", "RISE", ("RISe", "FALL")),
+    *(item for c in CHANNELS for item in (
+        Item(f"SELect:CH{c}", 1.0 if c == 1 else 0.0, (0.0, 1.0)), Item(f"CH{c}:SCAle", 1.0, VOLTS_STEPS),
+        Item(f"CH{c}:PRObe", 10.0, (1.0, 10.0, 100.0, 1000.0)), Item(f"CH{c}:POSition", 0.0),
+        Item(f"CH{c}:COUPling", "DC", ("DC", "AC", "GND")), Item(f"CH{c}:BANdwidth", "OFF", _ON_OFF),
+        Item(f"CH{c}:INVert", "OFF", _ON_OFF))),
+)
+
+#: Settings whose value the instrument prints without a point.
+WHOLE = ("HEADer", "VERBose", "ACQuire:NUMAVg", "DATa:WIDth", "DATa:STARt", "DATa:STOP",
+         *(f"SELect:CH{c}" for c in CHANNELS))
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One channel of the last acquisition: ``raw`` (2500,) and the settings it was made with."""
+
+    raw: NDArray[np.int64]
+    volts_per_division: float
+    position: float
+    seconds_per_division: float
+    start: float
+    averages: int
+    coupling: str
+
+
+@dataclass
+class State:
+    """What the instrument holds."""
+
+    values: dict[str, str | float]
+    records: dict[int, Record] = field(default_factory=dict)
+    running: bool = False
+    events: list[tuple[int, str]] = field(default_factory=list)
+
+
+class SimulatedOscilloscope:
+    """Four channels behind a line, two of which show `tones` (called at every acquisition: channel to tone).
+
+    ``probes`` are the probes really plugged in, channel to factor. ``wait`` is called with the seconds an acquisition
+    takes.
+    """
+
+    def __init__(
+        self, model: str, tones: Callable[[], Mapping[int, Tone]], *, probes: Mapping[int, int], errors: Errors,
+        random: np.random.Generator, wait: Callable[[float], None],
+    ) -> None:
+        self.model = model
+        self._tones = tones
+        self._probes = probes
+        self._errors = errors
+        self._random = random
+        self._wait = wait
+        #: Divisions by which the next acquisition is pushed off the screen, and whether it never gets a trigger.
+        self.surge = 0.0
+        self.blind = False
+        self.restart()
+
+    def restart(self) -> None:
+        """As after switching off and on."""
+        self._state = State({item.name: item.initial for item in ITEMS})
+        self._forced = False
+        self._blinded = False
+
+    def hide(self, channel: int) -> None:
+        """Somebody presses the channel's button: it is not displayed any more."""
+        self._state.values[f"SELect:CH{channel}"] = 0.0
+        self._state.records.pop(channel, None)
+
+    def source(self) -> int:
+        """The channel of which data are asked for."""
+        return int(self._word("DATa:SOUrce")[2:])
+
+    def respond(self, line: bytes) -> bytes:
+        """What comes back for one line, given without its LF: the answers to the questions in it, or nothing."""
+        answers: list[bytes] = []
+        path = ""
+        for command in line.decode("latin-1").strip().split(";"):
+            text = command.strip()
+            if not text:
+                continue
+            # Behind a semicolon the last header's beginning is understood, unless a colon or a star says otherwise.
+            absolute = text[0] in ":*" or not path or _item(text.split()[0].rstrip("?")) is not None
+            whole = text.lstrip(":") if absolute else path + text
+            path = whole.split()[0].rpartition(":")[0]
+            path = f"{path}:" if path else ""
+            answer = self._command(whole)
+            if answer is not None:
+                answers.append(answer)
+        return b";".join(answers) + b"\n" if answers else b""
+
+    def _command(self, text: str) -> bytes | None:
+        """The answer to one command, None for a setting or for a curve that is not there."""
+        header, _, argument = text.partition(" ")
+        query = header.endswith("?")
+        name = header.rstrip("?").upper()
+        match name, query:
+            case "*IDN", True:
+                return f"TEKTRONIX,{self.model},0,CF:91.1CT FV:v22.11".encode()
+            case "*OPC", True:
+                self._finish()
+                return b"1"
+            case "*ESR", True:
+                status = 32 if self._state.events else 0
+                return str(status).encode()
+            case ("ALLEV" | "ALLE"), True:
+                events, self._state.events = self._state.events or [(0, "No events to report")], []
+                return ",".join(f'{number},"{words}"' for number, words in events).encode()
+        if _fits(name, "WFMPre") and query:
+            return self._preamble()
+        if _fits(name, "CURVe") and query:
+            return self._curve()
+        if _fits(name, "ACQuire:STATE"):
+            if query:
+                self._finish()
+                return self._headed("ACQUIRE:STATE", "1" if self._state.running else "0")
+            self._run(argument.strip().upper() in ("RUN", "ON", "1"))
+            return None
+        if _fits(name, "TRIGger") and argument.strip().upper() in ("FORCE", "FORC"):
+            self._forced = True
+            return None
+        item = _item(name)
+        if item is None:
+            self._state.events.append((113, f"Undefined header; {name}"))
+            return None
+        if query:
+            return self._headed(item.name.upper(), self._printed(item))
+        self._set(item, argument.strip())
+        return None
+
+    def _set(self, item: Item, argument: str) -> None:
+        wordy = bool(item.legal) and isinstance(item.legal[0], str)
+        if wordy:
+            for word in item.legal:
+                if _fits(argument.upper(), str(word)):
+                    self._state.values[item.name] = str(word).upper()
+                    return
+            self._state.events.append((102, f"Syntax error; {argument}"))
+            return
+        switches = {"ON": 1.0, "OFF": 0.0} if item.legal == (0.0, 1.0) else {}
+        read = re.match(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?$", argument.upper())
+        if argument.upper() in switches:
+            value = switches[argument.upper()]
+        elif read is not None:
+            value = float(read[0])
+        else:
+            self._state.events.append((102, f"Syntax error; {argument}"))
+            return
+        if re.fullmatch(r"CH\d:SCAle", item.name):
+            probe = self._number(f"{item.name[:3]}:PRObe")
+            value = _nearest(value / probe, VOLTS_STEPS)
+        elif item.legal:
+            value = _nearest(value, [float(step) for step in item.legal])
+        self._state.values[item.name] = value
+
+    def _printed(self, item: Item) -> str:
+        value = self._state.values[item.name]
+        if isinstance(value, str):
+            if self._number("VERBose"):
+                return value
+            short = next(str(word) for word in item.legal if str(word).upper() == value)
+            return re.sub("[a-z]", "", short)
+        if re.fullmatch(r"CH\d:SCAle", item.name):
+            value *= self._number(f"{item.name[:3]}:PRObe")
+        return str(int(value)) if item.name in WHOLE else _scientific(value)
+
+    def _headed(self, header: str, value: str) -> bytes:
+        return (f":{header} {value}" if self._number("HEADer") else value).encode()
+
+    def _number(self, name: str) -> float:
+        return float(self._state.values[name])
+
+    def _word(self, name: str) -> str:
+        return str(self._state.values[name])
+
+    def _averages(self) -> int:
+        return int(self._number("ACQuire:NUMAVg")) if self._word("ACQuire:MODe") == "AVERAGE" else 1
+
+    def _run(self, on: bool) -> None:
+        self._state.running = on
+        self._forced = False
+        self._blinded, self.blind = self.blind, False
+        if on:
+            self._finish()
+
+    def _finish(self) -> None:
+        """Take the acquisition that is running, if there is a trigger; a single sequence then stops."""
+        if not self._state.running or not self._acquire():
+            return
+        if self._word("ACQuire:STOPAfter") == "SEQUENCE":
+            self._state.running = False
+
+    def _acquire(self) -> bool:
+        """Fill the records of the displayed channels; False without a trigger."""
+        tones = self._tones()
+        start = self._trigger(tones)
+        patient = self._word("TRIGger:MAIn:MODe") == "NORMAL" and not self._forced
+        if self._blinded or (start is None and patient):
+            return False
+        count = self._averages()
+        seconds = self._number("HORizontal:MAIn:SCAle")
+        first = self._number("HORizontal:MAIn:POSition") - 5.0 * seconds
+        times = first + np.arange(POINTS) * (10.0 * seconds / POINTS)
+        if start is None:
+            late = self._random.uniform(0.0, 1.0, (count, 1))  # at any moment of the signal
+        else:
+            late = start + self._errors.jitter * self._random.standard_normal((count, 1))
+        for channel in CHANNELS:
+            if self._number(f"SELect:CH{channel}"):
+                self._state.records[channel] = self._record(channel, tones.get(channel), times + late, seconds, first)
+        self.surge = 0.0
+        self._wait(count * (10.0 * seconds + 0.02))
+        return True
+
+    def _trigger(self, tones: Mapping[int, Tone]) -> float | None:
+        """The time (s) in the tones' own time at which the trigger comes, None if the signal is too small."""
+        source = self._word("TRIGger:MAIn:EDGE:SOUrce")
+        if not source.startswith("CH"):
+            # The generator's own pulse.
+            return 0.0 if tones else None
+        channel = int(source[2:])
+        tone = tones.get(channel)
+        level = self._number("TRIGger:MAIn:LEVel")
+        if tone is None:
+            return None
+        shown = abs(tone.amplitude) / self._tip_scale(channel)
+        if shown < TRIGGER_DIVISIONS or abs(level) >= abs(tone.amplitude):
+            return None
+        # Re(a exp(j w t)) rises through the level where its argument is -arccos(level / |a|).
+        turn = -np.arccos(level / abs(tone.amplitude))
+        if self._word("TRIGger:MAIn:EDGE:SLOpe") == "FALL":
+            turn = -turn
+        return float((turn - np.angle(tone.amplitude)) / (2.0 * np.pi * tone.frequency))
+
+    def _tip_scale(self, channel: int) -> float:
+        """V per division at the tip of the probe that is really plugged in."""
+        return self._number(f"CH{channel}:SCAle") * self._probes.get(channel, 1)
+
+    def _record(
+        self, channel: int, tone: Tone | None, times: NDArray[np.float64], seconds: float, start: float
+    ) -> Record:
+        """Sampled, converted to 8 bit capture by capture, averaged, and 8 bit again; `times` is (captures, 2500)."""
+        scale, position = self._tip_scale(channel), self._number(f"CH{channel}:POSition")
+        coupling = self._word(f"CH{channel}:COUPling")
+        volts = np.zeros_like(times)
+        if tone is not None and coupling != "GND":
+            volts = abs(tone.amplitude) * np.cos(2.0 * np.pi * tone.frequency * times + np.angle(tone.amplitude))
+        if self._errors.noise_volts:
+            volts = volts + self._errors.noise_volts * self._random.standard_normal(times.shape)
+        if self._word(f"CH{channel}:INVert") == "ON":
+            volts = -volts
+        counts = 25.0 * (volts / scale + position + self.surge)
+        counts = counts + self._errors.noise_counts * self._random.standard_normal(times.shape)
+        converted = np.clip(np.rint(counts), -128, 127)
+        raw = np.rint(converted.mean(axis=0)).astype(np.int64)
+        shown = self._number(f"CH{channel}:SCAle") * self._number(f"CH{channel}:PRObe")
+        return Record(raw, shown, position, seconds, start, len(times), coupling)
+
+    def _selected(self) -> Record | None:
+        """The record that is asked for. None, and two events, when its channel is not displayed."""
+        if self._state.running and self._word("ACQuire:STOPAfter") == "RUNSTOP":
+            self._acquire()
+        channel = self.source()
+        if not self._number(f"SELect:CH{channel}") or channel not in self._state.records:
+            self._state.events += [(2244, "Source waveform is not active"), (420, "Query UNTERMINATED")]
+            return None
+        return self._state.records[channel]
+
+    def _slice(self) -> slice:
+        return slice(int(self._number("DATa:STARt")) - 1, int(self._number("DATa:STOP")))
+
+    def _preamble(self) -> bytes | None:
+        channel, record = self.source(), self._selected()
+        if record is None:
+            return None
+        width = int(self._number("DATa:WIDth"))
+        fine = 256**(width - 1)
+        binary = self._word("DATa:ENCdg") != "ASCII"
+        mode = "Sample mode" if record.averages == 1 else "Average mode"
+        points = len(record.raw[self._slice()])
+        fields = (
+            ("BYT_NR", str(width)), ("BIT_NR", str(8 * width)), ("ENCDG", "BIN" if binary else "ASC"), ("BN_FMT", "RI"),
+            ("BYT_OR", "MSB"), ("NR_PT", str(points)),
+            ("WFID", f'"Ch{channel}, {record.coupling} coupling, {_scientific(record.volts_per_division)} V/div, '
+                     f'{_scientific(record.seconds_per_division)} s/div, {points} points, {mode}"'),
+            ("PT_FMT", "Y"), ("XINCR", _scientific(10.0 * record.seconds_per_division / POINTS)), ("PT_OFF", "0"),
+            ("XZERO", _scientific(record.start)), ("XUNIT", '"s"'),
+            ("YMULT", _scientific(record.volts_per_division / 25.0 / fine)), ("YZERO", "0.0E0"),
+            ("YOFF", _scientific(25.0 * record.position * fine)), ("YUNIT", '"Volts"'),
+        )
+        if self._number("HEADer"):
+            return (":WFMPRE:" + ";".join(f"{name} {value}" for name, value in fields)).encode()
+        return ";".join(value for _, value in fields).encode()
+
+    def _curve(self) -> bytes | None:
+        record = self._selected()
+        if record is None:
+            return None
+        width = int(self._number("DATa:WIDth"))
+        raw = record.raw[self._slice()] * 256**(width - 1)
+        if self._word("DATa:ENCdg") == "ASCII":
+            data = ",".join(map(str, raw)).encode()
+        else:
+            payload = raw.astype(">i2" if width == 2 else np.int8).tobytes()
+            length = str(len(payload))
+            data = f"#{len(length)}{length}".encode() + payload
+        return b":CURVE " + data if self._number("HEADer") else data
+
+
+def _fits(name: str, full: str) -> bool:
+    """Whether `name` (capitals) is `full` or anything between its short form (the capitals in it) and itself."""
+    given, parts = name.split(":"), full.split(":")
+    if len(given) != len(parts):
+        return False
+    return all(
+        part.upper().startswith(word) and len(word) >= len(re.sub("[a-z]", "", part))
+        for word, part in zip(given, parts, strict=True))
+
+
+def _item(name: str) -> Item | None:
+    return next((item for item in ITEMS if _fits(name.upper(), item.name)), None)
+
+
+def _nearest(value: float, steps: tuple[float, ...] | list[float]) -> float:
+    return min(steps, key=lambda step: abs(step - value))
+
+
+def _scientific(value: float) -> str:
+    """As the instrument prints numbers: 2.0E-1, 1.25E-5."""
+    mantissa, exponent = f"{value:.6E}".split("E")
+    whole, decimals = mantissa.split(".")
+    return f"{whole}.{decimals.rstrip('0') or '0'}E{int(exponent)}"

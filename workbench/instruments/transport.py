@@ -1,0 +1,396 @@
+"""Bytes to and from an instrument: ports with one owner and a time-out, and a dialogue that finds its place again.
+
+A :class:`Port` moves bytes. A :class:`Link` on top of it speaks in commands and replies: it knows how the instrument
+identifies itself, and uses that question to find the beginning of the next reply after anything went wrong. Replies
+come in order, so once the identification has been read, every late reply to an earlier question has been read too.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from inputs import InputError, nearest_names
+from workbench.instruments.instrument import InstrumentError, Silence
+
+if TYPE_CHECKING:
+    import serial
+
+#: A question is asked this many times before its failure is reported; asking changes nothing in the instrument.
+ATTEMPTS = 3
+
+#: A reply that has not ended after so many bytes is not a reply.
+LONGEST_LINE = 4096
+
+#: Replies to earlier questions that may still be under way when a link looks for its place.
+LONGEST_BACKLOG = 20
+
+Reply = TypeVar("Reply")
+
+
+class Port(Protocol):
+    """Bytes in and out. ``name`` is what the user called it."""
+
+    name: str
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`. Raises InstrumentError when the port is gone or takes nothing."""
+
+    def read(self, timeout: float) -> bytes:
+        """What has come, at least one byte, or nothing after `timeout` seconds. Raises InstrumentError: port gone."""
+
+    def discard(self) -> None:
+        """Forget what has come and was not read."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+def open_port(name: str, *, baud: int, timeout: float) -> Port:
+    """The port called `name`: a USBTMC device file, a VISA resource on USB, or else a serial port (8N1, no handshake).
+
+    Nobody else can open it until it is closed or this process ends, however it ends.
+
+    Raises:
+        InstrumentError: the port does not exist, may not be opened, or has another owner.
+    """
+    if re.fullmatch(r"/dev/usbtmc\d+", name):
+        return UsbtmcPort(name, timeout=timeout)
+    if re.fullmatch(r"USB\d*::.*::INSTR", name, re.IGNORECASE):
+        return VisaPort(name, timeout=timeout)
+    return SerialPort(name, baud=baud, timeout=timeout)
+
+
+def _refused(name: str, error: OSError) -> InstrumentError:
+    """Why a port could not be opened, with what to do about it."""
+    match error.errno:
+        case errno.ENOENT | errno.ENODEV | errno.ENXIO:
+            folder = Path(name).parent
+            near = nearest_names(name, (str(p) for p in folder.iterdir())) if folder.is_dir() else ()
+            hint = f"; did you mean {' or '.join(near)}?" if near else ""
+            return InstrumentError(f"{name}: there is no such port (unplugged or switched off?){hint}")
+        case errno.EACCES | errno.EPERM:
+            return InstrumentError(
+                f"{name}: this user may not open the port; on Linux be a member of the group that owns it")
+        case errno.EBUSY | errno.EAGAIN:
+            return InstrumentError(f"{name}: the port is in use by another process; end it, or wait for it")
+        case _:
+            return InstrumentError(f"{name}: the port cannot be opened ({error})")
+
+
+def _gone(name: str, doing: str, error: Exception) -> InstrumentError:
+    return InstrumentError(f"{name}: {doing}: the port is gone, or the instrument takes nothing ({error})")
+
+
+class SerialPort:
+    """A serial port, 8N1 without flow control."""
+
+    #: pyserial waits in slices of this length (s), so that its time-out need not be set anew for every reply.
+    SLICE = 0.02
+
+    def __init__(self, name: str, *, baud: int, timeout: float) -> None:
+        import serial
+
+        self.name = name
+        try:
+            # The lock is on the device itself and goes with the process: a killed one leaves nothing to clean up.
+            self._port: serial.Serial = serial.Serial(
+                name, baud, timeout=self.SLICE, write_timeout=timeout, exclusive=True)
+        except serial.SerialException as error:
+            raise _refused(name, error) from None
+        if sys.platform != "win32":
+            import fcntl
+            import termios
+
+            # For programs that do not ask for the lock.
+            fcntl.ioctl(self._port.fileno(), termios.TIOCEXCL)
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except OSError as error:
+            raise _gone(self.name, f"sending {data!r}", error) from None
+
+    def read(self, timeout: float) -> bytes:
+        deadline = time.monotonic() + timeout
+        try:
+            while True:
+                first = self._port.read(1)
+                if first:
+                    return bytes(first + self._port.read(self._port.in_waiting))
+                if time.monotonic() >= deadline:
+                    return b""
+        except OSError as error:
+            raise _gone(self.name, "reading", error) from None
+
+    def discard(self) -> None:
+        try:
+            self._port.reset_input_buffer()
+        except (OSError, _termios_error()) as error:
+            raise _gone(self.name, "clearing", error) from None
+
+    def close(self) -> None:
+        self._port.close()
+
+
+def _termios_error() -> type[Exception]:
+    """What the terminal calls raise, which is no OSError."""
+    if sys.platform == "win32":
+        return OSError
+    import termios
+
+    return termios.error
+
+
+class UsbtmcPort:
+    """The device file of a USB test and measurement instrument, as Linux has it (its driver frames the messages)."""
+
+    #: ``_IO(91, 2)`` clears the device, ``_IOW(91, 10, __u32)`` sets the time-out in ms (linux/usb/tmc.h).
+    CLEAR, SET_TIMEOUT = 0x5B02, 0x40045B0A
+
+    def __init__(self, name: str, *, timeout: float) -> None:
+        import fcntl
+
+        self.name = name
+        try:
+            self._handle = os.open(name, os.O_RDWR)
+        except OSError as error:
+            raise _refused(name, error) from None
+        try:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.ioctl(self._handle, self.SET_TIMEOUT, round(1e3 * timeout).to_bytes(4, sys.byteorder))
+        except OSError as error:
+            os.close(self._handle)
+            raise _refused(name, error) from None
+
+    def write(self, data: bytes) -> None:
+        try:
+            os.write(self._handle, data)
+        except OSError as error:
+            raise _gone(self.name, f"sending {data!r}", error) from None
+
+    def read(self, timeout: float) -> bytes:
+        # The driver waits for its own time-out, which was set to the link's.
+        del timeout
+        try:
+            return os.read(self._handle, LONGEST_LINE)
+        except OSError as error:
+            if error.errno in (errno.ETIMEDOUT, errno.EAGAIN):
+                return b""
+            raise _gone(self.name, "reading", error) from None
+
+    def discard(self) -> None:
+        import fcntl
+
+        try:
+            fcntl.ioctl(self._handle, self.CLEAR)
+        except OSError as error:
+            raise _gone(self.name, "clearing", error) from None
+
+    def close(self) -> None:
+        os.close(self._handle)
+
+
+class VisaPort:
+    """A VISA resource on USB, through pyvisa and pyvisa-py, which are an optional extra."""
+
+    def __init__(self, name: str, *, timeout: float) -> None:
+        try:
+            import pyvisa
+        except ImportError:
+            expected = ("a serial port or a USBTMC device file; a VISA resource needs the extra 'visa' "
+                        "(pip install 'acoustofluidic-chip-workbench[visa]')")
+            raise InputError(name, "port", name, expected) from None
+        self.name = name
+        self._error: type[Exception] = pyvisa.errors.VisaIOError
+        self._timed_out = pyvisa.constants.StatusCode.error_timeout
+        try:
+            # No lock is asked for, which pyvisa-py does not have: libusb gives the interface to one process.
+            self._resource: Any = pyvisa.ResourceManager("@py").open_resource(name)
+        except (self._error, ValueError, OSError) as error:
+            raise InstrumentError(f"{name}: the resource cannot be opened ({error})") from None
+        self._resource.timeout = 1e3 * timeout
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._resource.write_raw(data)
+        except self._error as error:
+            raise _gone(self.name, f"sending {data!r}", error) from None
+
+    def read(self, timeout: float) -> bytes:
+        del timeout  # set at opening
+        try:
+            return bytes(self._resource.read_raw())
+        except self._error as error:
+            if getattr(error, "error_code", None) == self._timed_out:
+                return b""
+            raise _gone(self.name, "reading", error) from None
+
+    def discard(self) -> None:
+        try:
+            self._resource.clear()
+        except self._error as error:
+            raise _gone(self.name, "clearing", error) from None
+
+    def close(self) -> None:
+        self._resource.close()
+
+
+@dataclass(frozen=True)
+class Query:
+    """A question, and what the whole line of a reply to it looks like, ``expected`` being ``reply`` in words."""
+
+    command: str
+    reply: re.Pattern[str]
+    expected: str
+
+
+class Link:
+    """A dialogue in lines of ASCII text ended by LF.
+
+    ``hello`` is the question an instrument answers with its identification; ``timeout`` (s) is how long nothing may
+    come while a reply is awaited; ``pause`` (s) is kept after every command.
+    """
+
+    def __init__(self, port: Port, *, hello: Query, timeout: float, pause: float) -> None:
+        self._port = port
+        self._hello = hello
+        self._timeout = timeout
+        self._pause = pause
+        self._received = b""
+
+    @property
+    def name(self) -> str:
+        """What the user called the port."""
+        return self._port.name
+
+    def send(self, command: str) -> None:
+        """Send one command; no reply is awaited."""
+        self._port.write(command.encode("ascii") + b"\n")
+        if self._pause:
+            time.sleep(self._pause)
+
+    def ask(self, query: Query) -> re.Match[str]:
+        """The reply to `query`, asked again after finding the place when what comes is not one.
+
+        Raises:
+            Silence: nothing, or no end of the line, came at the last attempt. InstrumentError: something else came.
+        """
+        return self._attempt(query.command, lambda: self._matching(query))
+
+    def ask_block(self, command: str, count: int) -> bytes:
+        """The `count` bytes of a definite-length block (IEEE 488.2: ``#``, digits, bytes, LF), asked like :meth:`ask`.
+
+        Raises:
+            Silence: too few bytes. InstrumentError: another count announced, or no LF behind the last byte.
+        """
+        length = str(count)
+        header = f"#{len(length)}{length}".encode("ascii")
+
+        def block() -> bytes:
+            got = self._exactly(len(header), command)
+            if got != header:
+                raise self._wrong(command, f"a block of {count} bytes, beginning {header!r}", got)
+            data = self._exactly(count + 1, command)
+            if data[-1:] != b"\n":
+                raise self._wrong(command, f"LF after {count} bytes", data[-1:])
+            return data[:-1]
+
+        return self._attempt(command, block)
+
+    def synchronise(self) -> re.Match[str]:
+        """Find the beginning of the next reply: ask for the identification and drop all that comes before it.
+
+        Also ends a command of which a previous owner of the port had sent a part only: the instrument makes what it
+        can of that part and of the question behind it, stays silent, and is asked again.
+
+        Raises:
+            Silence: nothing came. InstrumentError: nothing that came is an identification.
+        """
+        came: list[bytes] = []
+        for _ in range(ATTEMPTS):
+            self._port.discard()
+            self._received = b""
+            self.send(self._hello.command)
+            try:
+                for _ in range(LONGEST_BACKLOG):
+                    line = self._line(self._hello.command)
+                    found = self._hello.reply.fullmatch(_text(line))
+                    if found is not None:
+                        return found
+                    came.append(line)
+            except Silence:
+                if self._received:
+                    came.append(self._received)
+            except InstrumentError:
+                if not self._received:
+                    raise  # the port is gone
+                came.append(self._received)
+        if came:
+            raise self._wrong(self._hello.command, self._hello.expected, came[-1])
+        raise Silence(f"{self.name}: sent {self._hello.command!r}; expected {self._hello.expected}; nothing came "
+                      f"within {self._timeout:g} s, {ATTEMPTS} times (switched on? the right port and speed?)")
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._port.close()
+
+    def _attempt(self, command: str, read: Callable[[], Reply]) -> Reply:
+        for left in reversed(range(ATTEMPTS)):
+            self.send(command)
+            try:
+                return read()
+            except InstrumentError:
+                self.synchronise()
+                if not left:
+                    raise
+        raise AssertionError("ATTEMPTS is positive")
+
+    def _matching(self, query: Query) -> re.Match[str]:
+        line = self._line(query.command)
+        found = query.reply.fullmatch(_text(line))
+        if found is None:
+            raise self._wrong(query.command, query.expected, line)
+        return found
+
+    def _line(self, command: str) -> bytes:
+        while b"\n" not in self._received:
+            if len(self._received) > LONGEST_LINE:
+                raise self._wrong(command, f"a line of at most {LONGEST_LINE} bytes", self._received)
+            self._receive(command, "a line ended by LF")
+        line, _, self._received = self._received.partition(b"\n")
+        return line.removesuffix(b"\r")
+
+    def _exactly(self, count: int, command: str) -> bytes:
+        while len(self._received) < count:
+            self._receive(command, f"{count} bytes")
+        data, self._received = self._received[:count], self._received[count:]
+        return data
+
+    def _receive(self, command: str, expected: str) -> None:
+        more = self._port.read(self._timeout)
+        if not more:
+            raise Silence(f"{self.name}: sent {command!r}; expected {expected}; {_came(self._received)} and nothing "
+                          f"more within {self._timeout:g} s")
+        self._received += more
+
+    def _wrong(self, command: str, expected: str, came: bytes) -> InstrumentError:
+        return InstrumentError(f"{self.name}: sent {command!r}; expected {expected}; {_came(came)} came")
+
+
+def _text(line: bytes) -> str:
+    return line.decode("latin-1")
+
+
+def _came(data: bytes) -> str:
+    """What came, short enough to be read."""
+    if not data:
+        return "nothing"
+    return f"{data!r}" if len(data) <= 60 else f"{data[:40]!r} and {len(data) - 40} more bytes"

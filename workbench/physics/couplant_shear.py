@@ -1,0 +1,145 @@
+"""A couplant that transmits shear: viscous, a gel, or both.
+
+In the filled chip it raises Z_min and lowers Q and leaves f0; in the empty one it moves all three either way, and
+radial modes move too. In all states with the couplant, and in no free disc. In a chip of 25 mm with 20 um of gel,
+1 Pa s is +0.3 ohm and -10 in Q filled, and -1 kHz empty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.physics.term import Admissible, Dispersion, DispersiveLaw, Integral, Product, Term
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+#: What a couplant can be at megahertz.
+ADMISSIBLE: Mapping[str, Admissible] = {
+    "gel_viscosity_root": Admissible(
+        0.0, 10.0, "Pa^0.5 s^0.5",
+        "from none to the root of 100 Pa s, an ultrasound gel at rest; it thins with the rate of shear, so that "
+        "megahertz see less"),
+    "gel_shear_modulus": Admissible(
+        0.0, 9e6, "Pa", "from a liquid to a rubber: a hundredth of PLA, 0.93 GPa, Acevedo-Espinosa et al. (RP-UEIS)"),
+}
+
+
+@dataclass(frozen=True)
+class CouplantShear(Term):
+    """A layer of thickness d that transmits shear between two facing walls, all profiles across it resolved.
+
+        S (s_1 . t_1 + s_2 . t_2) - X (s_1 . t_2 + s_2 . t_1)        s = u_t - grad_t p / (rho w^2), t likewise of v, q
+        S = G k cot(k d),  X = G k / sin(k d),  k^2 = rho w^2 / G,  G = G' - i w eta          over the walls 1 and 2
+
+    next to `fluid.Fluid` and `fluid.SolidFluidContact` on both, e^{-i w t}. grad_t p / (rho w^2) is the displacement of
+    the inviscid fluid; what the walls' own displacement differs from it, s, is shear, G s'' + rho w^2 s = 0 between
+    s_1 and s_2. Its tractions on the walls are -(S s_1 - X s_2) and -(S s_2 - X s_1), and the flux it carries along the
+    layer follows by symmetry. A layer much thicker than |1 / k| is `boundary_layer.ViscousBoundaryLayer` on either
+    wall; one much thinner a spring of G / d between them. It holds where the layer is thin against the wavelength of
+    sound and its walls move evenly over d; the viscous part of the normal traction, w eta / (rho c^2) of it, is left
+    out.
+
+    The viscosity is given by its root since thick layers feel that: the term vanishes with a finite slope by
+    ``<material>.gel_viscosity_root`` (Pa^0.5 s^0.5), eta its square. By ``.gel_shear_modulus`` (Pa) the slope is finite
+    where there is some viscosity, and not a number where there is none. See :data:`ADMISSIBLE`; also
+    ``<material>.density`` and ``<region>.thickness`` (m). The walls are the boundaries `lower` and `upper` of the
+    region with the solids `below` and `above`.
+    """
+
+    region: str
+    material: str
+    lower: str
+    upper: str
+    below: str
+    above: str
+
+    def integrals(self) -> tuple[Integral, ...]:
+        symbols = (("root", f"{self.material}.gel_viscosity_root"), ("G", f"{self.material}.gel_shear_modulus"),
+                   ("rho", f"{self.material}.density"), ("d", f"{self.region}.thickness"))
+
+        def of(law: DispersiveLaw, *products: Product) -> Integral:
+            return Integral(Dispersion(law, symbols), self.lower, products, self.below, self.region, self.upper,
+                            self.above)
+
+        # The tangents of facing walls are opposite, which turns the sign of what couples them.
+        return (
+            of(_own, Product("u_t", "u_t"), Product("u_t_facing", "u_t_facing")),
+            of(_own_once, Product("u_t", "grad_p_t", -2.0), Product("u_t_facing", "grad_p_t_facing", -2.0)),
+            of(_own_twice, Product("grad_p_t", "grad_p_t"), Product("grad_p_t_facing", "grad_p_t_facing")),
+            of(_across, Product("u_t", "u_t_facing", 2.0)),
+            of(_across_once, Product("u_t", "grad_p_t_facing", -2.0), Product("u_t_facing", "grad_p_t", -2.0)),
+            of(_across_twice, Product("grad_p_t", "grad_p_t_facing", 2.0)),
+        )
+
+
+def _own(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """S and its derivatives."""
+    return _stiffness(omega, v, across=False)
+
+
+def _own_once(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """S / (rho w^2) and its derivatives."""
+    return _of_pressure(omega, v, _own(omega, v))
+
+
+def _own_twice(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """S / (rho w^2)^2 and its derivatives."""
+    return _of_pressure(omega, v, _own_once(omega, v))
+
+
+def _across(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """X and its derivatives."""
+    return _stiffness(omega, v, across=True)
+
+
+def _across_once(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """X / (rho w^2) and its derivatives."""
+    return _of_pressure(omega, v, _across(omega, v))
+
+
+def _across_twice(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """X / (rho w^2)^2 and its derivatives."""
+    return _of_pressure(omega, v, _across_once(omega, v))
+
+
+def _of_pressure(
+    omega: Real, v: Mapping[str, complex], found: tuple[Complex, Mapping[str, Complex]]
+) -> tuple[Complex, Mapping[str, Complex]]:
+    """A value divided by rho w^2, and its derivatives."""
+    value, slopes = found
+    inertia = v["rho"] * omega**2
+    divided = {symbol: slope / inertia for symbol, slope in slopes.items()}
+    return value / inertia, {**divided, "rho": divided["rho"] - value / inertia / v["rho"]}
+
+
+def _stiffness(
+    omega: Real, v: Mapping[str, complex], *, across: bool
+) -> tuple[Complex, Mapping[str, Complex]]:
+    """X or S, in terms of g = sqrt(G): w sqrt(rho) g over the sine or tangent of x = w sqrt(rho) d / g."""
+    root, rho, d = v["root"], v["rho"], v["d"]
+    g = np.sqrt(v["G"] - 1j * omega * root**2)  # Im g <= 0, so waves decay
+    impedance = omega * np.sqrt(rho)
+    nothing = g == 0.0
+    safe = np.where(nothing, 1.0, g)
+    x = np.where(nothing, 0.0, impedance * d / safe)
+    # Where there is nothing to shear, the limit of a wave that does not reach the other wall.
+    wave = np.where(nothing, 0.0, np.exp(1j * x))
+    back = np.where(nothing, -1.0, np.expm1(2j * x))
+    sine = 2j * wave / back  # 1 / sin x
+    tangent = 1j * (wave**2 + 1.0) / back  # 1 / tan x
+    value = impedance * g * (sine if across else tangent)
+    by_x = -impedance * g * sine * (tangent if across else sine)
+    by_g = value / np.where(nothing, 1.0, g) - by_x * x / safe
+    by_g = np.where(nothing, 0.0 if across else -1j * impedance, by_g)
+    return value, {
+        # g = root sqrt(-i w) where the modulus has no real part.
+        "root": by_g * np.where(nothing, np.sqrt(-1j * omega), -1j * omega * root / safe),
+        "G": np.where(nothing, np.nan, by_g / (2.0 * safe)),
+        "rho": (value + by_x * x) / (2.0 * rho),
+        "d": by_x * x / d,
+    }
