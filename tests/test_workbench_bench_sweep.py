@@ -195,6 +195,41 @@ def test_a_drive_that_cannot_be_reached_is_said_out_loud(bench, tmp_path):
     assert marker_path(path).exists()
 
 
+def test_a_generator_that_ignores_the_safe_state_is_seen(bench, tmp_path):
+    """Off is sent three times at a time; the first of them are ignored, or all."""
+    path = tmp_path / "run.h5"
+    for ignored, ends_off in ((3, True), (7, True), (100, False)):
+        rig = Rig(setup(bench, tmp_path), marker_path(path), sleep=no_wait)
+        rig.connect()
+        rig.drive(1e6, 5.0)
+        rig.ranged_capture()
+        bench.inject(Fault(GENERATOR, Kind.IGNORED_AMPLITUDE, count=ignored))
+        if ends_off:
+            rig.make_safe()
+            assert safe(bench, path)
+        else:
+            with pytest.raises(DriveLeftOn, match=r"by hand.*still shows the drive"):
+                rig.make_safe()
+            assert bench.drive == 5.0
+            assert marker_path(path).exists()
+        rig.disconnect()
+
+
+@pytest.mark.parametrize("blind", ["nothing captured", "no signal", "oscilloscope away"])
+def test_an_oscilloscope_that_cannot_tell_does_not_hold_the_drive(bench, tmp_path, blind):
+    path = tmp_path / "run.h5"
+    rig = Rig(setup(bench, tmp_path), marker_path(path), sleep=no_wait)
+    rig.connect()
+    rig.drive(1e6, 0.01 if blind == "no signal" else 5.0)
+    if blind != "nothing captured":
+        rig.ranged_capture()
+    if blind == "oscilloscope away":
+        bench.disconnect(OSCILLOSCOPE, 30.0)
+    rig.make_safe()
+    assert safe(bench, path)
+    rig.disconnect()
+
+
 def test_limits_lower_the_drive_before_the_device_sees_more(bench, tmp_path):
     """12 ohm behind 50.5 at 5 Vpp would draw 80 mA peak to peak; 40 mA are allowed."""
     highest = []

@@ -216,6 +216,15 @@ def _fit(sub: argparse.ArgumentParser) -> None:
     batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _diagnose(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
+                     help="states of a device with their recordings, and what is known of it")
+    sub.add_argument("--elements-per-wavelength", type=float, default=10.0, metavar="N",
+                     help="quadratic elements per slowest wavelength (default 10)")
+    _with_materials(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
 def _bench(sub: argparse.ArgumentParser) -> None:
     actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
 
@@ -287,6 +296,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "render": ("draw the fields of a chip at one frequency", _render),
     "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),
     "fit": ("find material constants from recordings, with intervals, and save them", _fit),
+    "diagnose": ("locate what differs between model and recordings, and name the physics left out", _diagnose),
     "measure": ("sweep on the bench into a run file that loses nothing, with spectrum and report", _measure),
     "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
     "bench": ("the instruments: what is plugged in, whether it works, and a simulated bench", _bench),

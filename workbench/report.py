@@ -110,7 +110,8 @@ def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
     if merit.antiresonance is not None:
         anti = merit.antiresonance
         record |= {"antiresonance_hz": anti.frequency, "z_max_ohm": anti.z_max, "kt": anti.kt,
-                   "k_effective": anti.k_effective, "static_capacitance_f": anti.static_capacitance}
+                   "k_effective": anti.k_effective, "static_capacitance_f":
+                   anti.static_capacitance if math.isfinite(anti.static_capacitance) else None}
     return record
 
 

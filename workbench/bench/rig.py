@@ -4,6 +4,9 @@ The generator cannot be asked for its amplitude and has no output switch, so a p
 Before the drive is first switched on a marker is written beside the run; it is removed when the drive is known to be
 off again. Whoever opens the port next sends the safe state before any setting, marker or not; the marker is for
 telling people, and for the next run to record what happened.
+
+That the drive is off is seen on the oscilloscope, if its last capture at the present drive showed it well. Without such
+a capture, or with an oscilloscope that fails, nobody can tell, and that the generator answered must do.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
+
+import numpy as np
 
 from inputs import write_atomic
 from workbench.bench.setup import BenchSetup
@@ -30,6 +35,10 @@ _PAUSE_OFF = 1.0
 #: scales follow each other by up to 2.5, so the first must exceed the second by more than that.
 _FULL = 7.2
 _SPARSE = 2.6
+
+#: Converter steps, peak to peak, of a capture that shows the drive well; and how much of it may be left when it is off.
+_TELLING = 20.0
+_LEFT = 0.5
 
 #: Divisions of a record.
 _DIVISIONS = 10.0
@@ -59,6 +68,7 @@ class Rig:
         self._oscilloscope: Oscilloscope | None = None
         self._state: tuple[float, float] | None = None  # frequency and amplitude the generator stands at
         self._scales: dict[int, float] = {}
+        self._shown: Waveform | None = None  # the total channel as last captured at this state
 
     def __enter__(self) -> Rig:
         self.connect()
@@ -89,7 +99,7 @@ class Rig:
         """Give the ports back as they are. An instrument that has gone away is no reason to keep the other."""
         instruments = self._generator, self._oscilloscope
         self._generator = self._oscilloscope = None
-        self._state = None
+        self._state = self._shown = None
         self._scales.clear()
         for instrument in instruments:
             if instrument is not None:
@@ -97,10 +107,10 @@ class Rig:
                     instrument.close()
 
     def make_safe(self) -> None:
-        """Drive off, through a new connection if need be.
+        """Drive off, through a new connection if need be, and seen to be off where the oscilloscope can tell.
 
         Raises:
-            DriveLeftOn: the generator cannot be reached, and was last seen driving; the marker stays.
+            DriveLeftOn: the generator cannot be reached, or does not obey, and was last seen driving; the marker stays.
         """
         last: Exception | None = None
         for attempt in range(_ATTEMPTS_OFF):
@@ -110,14 +120,18 @@ class Rig:
                     self._generator = open_feeltech(self.setup.generator)
                 self._generator.off()
                 self._state = None
+                if self._still_driven():
+                    last = InstrumentError(f"{self.setup.oscilloscope.port}: the oscilloscope still shows the drive")
+                    continue
+                self._shown = None
                 self.marker.unlink(missing_ok=True)
                 return
             except (InstrumentError, OSError) as error:
                 last = error
                 self.disconnect()
         if self.marker.exists():
-            raise DriveLeftOn(f"the drive at {self.setup.generator.port} may still be on and cannot be reached: switch "
-                              f"the generator off by hand ({last})")
+            raise DriveLeftOn(f"the drive at {self.setup.generator.port} may still be on: switch the generator off by "
+                              f"hand ({last})")
 
     def drive(self, frequency: float, amplitude: float) -> None:
         """Set the generator to `frequency` (Hz) and `amplitude` (V peak to peak, open circuit), and let it settle."""
@@ -125,6 +139,7 @@ class Rig:
         if self._state == (frequency, amplitude):
             return
         before, self._state = self._state, None
+        self._shown = None
         if before is not None and amplitude < before[1]:
             # Down first: the device may stand less at the new frequency.
             generator.set_amplitude(amplitude)
@@ -148,6 +163,8 @@ class Rig:
         if missing:
             raise InstrumentError(f"{self.setup.oscilloscope.port}: a capture of channels {channels} came without "
                                   f"{missing}")
+        if self._state is not None:
+            self._shown = found[channels[0]]
         return found[channels[0]], found[channels[1]]
 
     def ranged_capture(self) -> tuple[Waveform, Waveform]:
@@ -168,6 +185,17 @@ class Rig:
                 break
             pair = self.capture()
         return pair
+
+    def _still_driven(self) -> bool:
+        """Whether the oscilloscope shows what it did before the generator was told to be off; no if it cannot tell."""
+        before = self._shown
+        if before is None or np.ptp(before.volts) < _TELLING * before.volts_per_count:
+            return False
+        try:
+            now, _ = self.capture()
+        except (InstrumentError, OSError):
+            return False
+        return bool(np.ptp(now.volts) > _LEFT * np.ptp(before.volts))
 
     def _prepare(self) -> None:
         """Averages, time base and first scales. The time base is that of the middle of the band: it need not follow."""

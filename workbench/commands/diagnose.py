@@ -1,0 +1,170 @@
+"""``workbench diagnose``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geometry.mesh import user_cache
+from workbench.commands.asked import output_folder
+from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.compare import compare
+from workbench.diagnose.campaign import DeviceState, read_campaign
+from workbench.diagnose.device import model
+from workbench.diagnose.refit import StateFit
+from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, intervals
+from workbench.fit.objective import log_ratio
+from workbench.merit import Figures
+from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report
+from workbench.spectrum import Origin, Spectrum
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: Rows of the table of scores.
+LISTED = 12
+
+
+def run(options: argparse.Namespace, console: Console) -> int:
+    """``workbench diagnose``: what differs, where, which physics, how sure, what else it could be."""
+    campaign = read_campaign(options.campaign, materials=options.materials)
+    folder = output_folder(options.output)
+    with progress_bars(console) as show:
+        device = model(campaign, elements_per_wavelength=options.elements_per_wavelength, cache=user_cache(),
+                       progress=lambda share: show(campaign.name, "meshing", 0.05 * share))
+        found = diagnose(device, progress=lambda text, share: show(campaign.name, text, 0.05 + 0.95 * share))
+        show(campaign.name, "done", 1.0)
+    write_json(folder / "diagnosis.json", record(found))
+    write_diagnosis_report(found, folder)
+    print_line(f"{campaign.name}: {found.verdict.replace('_', ' ')}")
+    for text in found.findings:
+        print_line(text)
+    if found.next_measurement:
+        print_line(found.next_measurement)
+    print_table("before and after", states_table(found))
+    return 0
+
+
+def record(found: Diagnosis) -> dict[str, Any]:
+    """The content of ``diagnosis.json``."""
+    estimates = intervals(found.best)
+    parameters = {p.name: p for p in found.model.parameters}
+    return {
+        "campaign": found.campaign.name,
+        "verdict": found.verdict,
+        "effects": [
+            {"name": e.name, "region": e.region, "kind": e.kind, "admissible": found.admissible,
+             "parameters": {n: {"value": estimates[n][0], "low": estimates[n][1], "high": estimates[n][2],
+                                "unit": parameters[n].unit} for n in e.names}}
+            for e in found.effects],
+        "moved_parameters": [
+            {"name": p.name, "from": p.start, "to": float(found.best.x[i]), "unit": p.unit,
+             "sigmas": found.best.shifts[p.name]}
+            for i, p in enumerate(found.model.parameters[:found.model.known]) if p.name in found.best.shifts],
+        "rivals": [{"effects": [e.name for e in r.refit.effects], "behind": r.behind,
+                    "parameters": {n: list(v) for n, v in intervals(r.refit).items()}} for r in found.rivals],
+        "location": [{"region": region, "kind": kind, "sigmas": sigmas} for region, kind, sigmas in found.location],
+        "before": {s.name: _state(s, state) for s, state in zip(found.nominal, found.campaign.fitted, strict=True)},
+        "known_parameters_only": {
+            s.name: _state(s, state) for s, state in zip(found.base.states, found.campaign.fitted, strict=True)},
+        "after": {s.name: _state(s, state) for s, state in zip(found.best.states, found.campaign.fitted, strict=True)},
+        "held_out": {
+            before.name: {"before": _state(before, state), "after": _state(after, state)}
+            for before, after, state in zip(found.held_before, found.held_after, found.campaign.held_out, strict=True)},
+        "next_measurement": found.next_measurement,
+        "detection_limits": detection_limits(found),
+        "scores": [{"effect": s.effect.name, "region": s.effect.region, "gain": s.gain, "sigmas": s.sigmas}
+                   for s in found.scores],
+        "findings": list(found.findings),
+        "seconds": found.seconds,
+        "full_solves": found.full_solves,
+    }
+
+
+def _state(fit: StateFit, state: DeviceState) -> dict[str, Any]:
+    spectrum = _spectrum(fit, state)
+    figures, _ = measured_figures(spectrum)
+    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
+            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
+            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
+
+
+def _spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
+    return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
+
+
+def states_table(found: Diagnosis) -> Table:
+    """f0, Z_min, Q, MAPE, rms and reduced chi-square of every state: measured, stated, known parameters, effects."""
+    rows = []
+    stages = [("as stated", found.nominal, found.campaign.fitted), ("known parameters", found.base.states,
+                                                                    found.campaign.fitted)]
+    if found.effects:
+        stages.append(("with " + found.best.name, found.best.states, found.campaign.fitted))
+    stages.append(("known parameters, held out", found.held_before, found.campaign.held_out))
+    if found.effects:
+        stages.append(("with " + found.best.name + ", held out", found.held_after, found.campaign.held_out))
+    for state in found.campaign.states:
+        measured, _ = measured_figures(state.measured)
+        rows.append((state.name, "measured", *_figures(measured), "", "", ""))
+        for label, fits, states in stages:
+            for fit, of in zip(fits, states, strict=True):
+                if of is state:
+                    spectrum = _spectrum(fit, state)
+                    merit, _ = measured_figures(spectrum)
+                    rows.append((state.name, label, *_figures(merit),
+                                 number(compare(state.measured, spectrum).mape_percent, 3), number(100 * fit.rms, 3),
+                                 number(fit.reduced, 3)))
+    return Table(("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square"), tuple(rows))
+
+
+def _figures(merit: Figures | None) -> tuple[str, str, str]:
+    if merit is None:
+        return "none", "none", "none"
+    return f"{merit.f0 / 1e3:.3f}", number(merit.z_min), number(merit.q)
+
+
+def write_diagnosis_report(found: Diagnosis, folder: Path) -> None:
+    """``report.html``: one page with the verdict, then the evidence."""
+    from workbench.render.plots import draw_residuals, draw_spectra
+
+    first: list[Block] = [Note(f"Verdict: {found.verdict.replace('_', ' ')}"), "\n".join(found.findings)]
+    if found.next_measurement:
+        first.append(f"Next measurement: {found.next_measurement}")
+    first.append(states_table(found))
+    scores = Table(("hypothesis", "where", "kind", "sigmas", "fall of chi-square"), tuple(
+        (s.effect.name, s.effect.region, s.effect.kind, f"{s.sigmas:.1f}", f"{s.gain:.1f}")
+        for s in found.scores[:LISTED]))
+    refits = Table(("hypothesis", "fall of chi-square", "evidence", "reduced chi-square", "parameters"), tuple(
+        (f.name, f"{found.base.chi_square - f.chi_square:.1f}", f"{found.base.evidence - f.evidence:.1f}",
+         f"{f.reduced:.3f}", "; ".join(f"{n} = {v:.4g}" for n, v in f.estimate.items()))
+        for f in (*found.singles, *found.pairs)))
+    moved = Table(("known parameter", "stated", "fitted", "sigmas"), tuple(
+        (p.name, f"{p.start:.5g}", f"{found.best.x[i]:.5g}", f"{found.best.shifts.get(p.name, 0.0):+.2f}")
+        for i, p in enumerate(found.model.parameters[:found.model.known])))
+    pictures = []
+    for fit, before, state in zip(found.best.states, found.nominal, found.campaign.fitted, strict=True):
+        spectra = {"measured": state.measured, "as stated": _spectrum(before, state),
+                   "diagnosed": _spectrum(fit, state)}
+        pictures.append(Picture(draw_spectra(spectra, folder / f"state_{state.name}.png", measured=("measured",),
+                                             title=state.name),
+                                f"{state.name}: as recorded, as stated and as diagnosed"))
+        ratio = log_ratio(fit.impedance, state.measured.impedance)
+        pictures.append(Picture(draw_residuals(
+            state.measured.frequency, {"magnitude": 100.0 * ratio.real, "phase": 100.0 * ratio.imag},
+            folder / f"residual_{state.name}.png", label="ln(Z / Z measured), real and imaginary (%)", title=state.name,
+            band=200.0 * float(np.median(state.noise))), f"{state.name}: what is left, and twice the noise"))
+    sections: Sequence[tuple[str, Sequence[Block]]] = [
+        ("What differs, and why", first),
+        ("Where", ["What each region and kind would explain at most, in standard deviations.", _location(found)]),
+        ("Hypotheses by the score test", [scores]), ("Hypotheses refitted", [refits]),
+        ("Known parameters", [moved]), ("Spectra", pictures)]
+    write_report(folder / "report.html", f"Diagnosis: {found.campaign.name}", sections)
+
+
+def _location(found: Diagnosis) -> Table:
+    return Table(("region", "kind", "sigmas"), tuple(
+        (region, kind, f"{sigmas:.1f}") for region, kind, sigmas in found.location[:LISTED] if np.isfinite(sigmas)))

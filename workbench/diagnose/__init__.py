@@ -1,0 +1,1 @@
+"""From a mismatch between model and recordings to the physics left out."""

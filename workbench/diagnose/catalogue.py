@@ -1,0 +1,564 @@
+"""The hypotheses: what may be wrong with a device or its model, where, and which numbers that would bring in.
+
+A hypothesis is a set of further parameters, at zero or at their stated value where nothing is missing. Those that no
+term of the base model has come with a term that is there from the beginning, with a coefficient of zero; so every
+hypothesis is a direction in one and the same model, and its score and its refit need no other.
+
+To add one: a function below that yields it, listed in :data:`SOURCES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, interface, role_of
+from geometry.section import cut_section
+from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from workbench.diagnose.campaign import DeviceState
+from workbench.fit.parameter import BENCH, BENCH_ELEMENTS, LOSS, UNITS, Parameter, bench_parameter
+from workbench.physics import (
+    absorption,
+    anisotropy,
+    boundary_layer,
+    bubbles,
+    couplant_shear,
+    depoled,
+    electrode_mass,
+    loss_laws,
+    missing_couplant,
+    softening,
+    surface_load,
+    thin_layer,
+)
+from workbench.physics.solid import IsotropicSolid as SolidTerm
+from workbench.physics.term import Admissible, Term
+
+#: Loss factors a data sheet's ceramic can have.
+CERAMIC = "from none to a soft ceramic driven hard: data sheets state 0.1 to 2 %"
+POLYMER = "from none to a rubber"
+
+#: A length that the chip's file states wrongly: by as much as somebody may have mistaken it.
+MISTAKEN: Mapping[str, float] = {"couplant": 0.9, "bond": 0.8}
+MISTAKEN_LENGTH, MISTAKEN_RADIUS = 0.2, 0.05
+
+#: A rim begins at this share of the radius.
+RIM = 0.85
+
+#: Density (kg/m^3) and speed of sound (m/s) of air at 25 degC: U.S. Standard Atmosphere, 1976.
+AIR = (1.184, 346.1)
+
+#: How far a real coefficient may lie from what is stated.
+MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """One hypothesis.
+
+    ``region`` is where it sits: a region, ``<region>|<region>`` or "bench"; ``kind`` stiffness, mass, loss, geometry,
+    coupling or bench. ``parameters`` are what it brings in; ``lifts`` names known parameters that it lets go further
+    than what is known of them. ``admissible`` bounds its parameters, with the source. ``terms`` and ``values`` are by
+    the name of the state.
+    """
+
+    name: str
+    region: str
+    kind: str
+    about: str
+    parameters: tuple[Parameter, ...] = ()
+    lifts: tuple[str, ...] = ()
+    admissible: Mapping[str, Admissible] = field(default_factory=dict)
+    terms: Mapping[str, tuple[Term, ...]] = field(default_factory=dict)
+    values: Mapping[str, Mapping[str, complex]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters that it moves."""
+        return (*(p.name for p in self.parameters), *self.lifts)
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """What the functions below look at: the states of a device, and what is known of it."""
+
+    states: tuple[DeviceState, ...]
+    known: Mapping[str, float]
+    fixed: tuple[str, ...]
+
+    def holding(self, region: str) -> tuple[DeviceState, ...]:
+        return tuple(state for state in self.states if region in state.materials)
+
+    @property
+    def filled(self) -> tuple[DeviceState, ...]:
+        """States whose cavity holds a liquid."""
+        return tuple(s for s in self.states if s.fluid is not None and _is_liquid(s.fluid))
+
+    def materials(self) -> dict[str, tuple[Material, tuple[str, ...]]]:
+        """Every material by name, and the regions it fills in some state."""
+        found: dict[str, tuple[Material, tuple[str, ...]]] = {}
+        for state in self.states:
+            for region, material in state.materials.items():
+                _, regions = found.get(material.name, (material, ()))
+                found[material.name] = (material, tuple(dict.fromkeys((*regions, region))))
+        return found
+
+
+def _is_liquid(material: Material) -> bool:
+    return isinstance(material, Fluid) and material.density > 100.0
+
+
+def known_physics(state: DeviceState) -> tuple[Term, ...]:
+    """Effects whose constants are known: they are part of the model from the beginning and are never fitted."""
+    fluid = state.fluid
+    if fluid is None or fluid.shear_viscosity is None:
+        return ()
+    terms: list[Term] = []
+    for boundary, solid in walls(state):
+        terms.append(boundary_layer.ViscousBoundaryLayer(boundary, solid, CAVITY, fluid.name))
+        if None not in (fluid.heat_capacity_ratio, fluid.thermal_conductivity, fluid.heat_capacity):
+            terms.append(boundary_layer.ThermalBoundaryLayer(boundary, solid, CAVITY, fluid.name))
+    return tuple(terms)
+
+
+def walls(state: DeviceState) -> list[tuple[str, str]]:
+    """The boundaries of the cavity with solids, and the solid of each."""
+    found = []
+    for boundary in cut_section(state.chip).boundary_names():
+        sides = boundary.split("|")
+        if CAVITY in sides and OUTSIDE not in sides:
+            (solid,) = (side for side in sides if side != CAVITY)
+            if isinstance(state.materials.get(solid), IsotropicSolid | Piezoelectric):
+                found.append((boundary, solid))
+    return found
+
+
+def effects(device: Device) -> tuple[Effect, ...]:
+    """All hypotheses that make sense for a device; none that moves what is fixed."""
+    found = [effect for source in SOURCES for effect in source(device)]
+    return tuple(effect for effect in found if not set(effect.names) & set(device.fixed))
+
+
+def _of(name: str, admissible: Admissible, start: float = 0.0, *, recordings: Sequence[str] = ()) -> Parameter:
+    return Parameter(name, start, admissible.lowest, admissible.highest, None, admissible.unit, tuple(recordings))
+
+
+def _added(
+    states: Iterable[DeviceState], make: Callable[[DeviceState], tuple[tuple[Term, ...], Mapping[str, complex]]]
+) -> tuple[dict[str, tuple[Term, ...]], dict[str, Mapping[str, complex]]]:
+    terms, values = {}, {}
+    for state in states:
+        terms[state.name], values[state.name] = make(state)
+    return terms, values
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Cavity
+
+
+def cavity_fluid(device: Device) -> Iterator[Effect]:
+    """What a liquid in the cavity may be or hold."""
+    if not device.filled:
+        return
+    fluid = device.filled[0].fluid
+    assert fluid is not None
+    name = f"{fluid.name}.diffusivity_of_sound"
+    loss = Admissible(0.0, 3e-2, "m^2/s", "from a pure liquid (water: 4e-6) to a loss factor of 0.1 at 1 MHz, a "
+                      "suspension or a gel")
+
+    def absorbing(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        return (absorption.BulkAbsorption(CAVITY, fluid.name),), {name: 0.0}
+
+    known = fluid.diffusivity_of_sound
+    terms, values = _added(device.filled, absorbing) if known is None else ({}, {})
+    yield Effect("fluid absorption", CAVITY, "loss", "the liquid absorbs more sound than its viscosities say",
+                 (_of(name, loss, 0.0 if known is None else known),), admissible={name: loss}, terms=terms,
+                 values=values)
+
+    wood = _limits(bubbles.ADMISSIBLE, "void_fraction", "wood.void_fraction")
+
+    def soft(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        return ((bubbles.WoodBubbles(CAVITY, fluid.name, "wood"),),
+                {"wood.void_fraction": 0.0, "wood.ambient_pressure": bubbles.AIR_IN_WATER["ambient_pressure"],
+                 "wood.heat_capacity_ratio": bubbles.AIR_IN_WATER["heat_capacity_ratio"]})
+
+    terms, values = _added(device.filled, soft)
+    yield Effect("small bubbles in the cavity", CAVITY, "stiffness", "gas far below its resonance softens the liquid",
+                 (_of("wood.void_fraction", wood["wood.void_fraction"]),), admissible=wood, terms=terms, values=values)
+
+    if fluid.shear_viscosity is not None:
+        limits = {**_limits(bubbles.ADMISSIBLE, "void_fraction", "bubbles.void_fraction"),
+                  **_limits(bubbles.ADMISSIBLE, "radius", "bubbles.radius")}
+
+        def resonant(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+            return ((bubbles.ResonantBubbles(CAVITY, fluid.name, "bubbles"),),
+                    {"bubbles.void_fraction": 0.0, "bubbles.radius": 4e-6,
+                     **{f"bubbles.{key}": value for key, value in bubbles.AIR_IN_WATER.items()}})
+
+        terms, values = _added(device.filled, resonant)
+        yield Effect("resonant bubbles in the cavity", CAVITY, "loss", "bubbles of one size about their resonance",
+                     (_of("bubbles.void_fraction", limits["bubbles.void_fraction"]),
+                      _of("bubbles.radius", limits["bubbles.radius"], 4e-6)),
+                     admissible=limits, terms=terms, values=values)
+
+    speed = f"{fluid.name}.sound_speed"
+    limit = Admissible(0.9, 1.1, "1", "of the stated speed: 20 K of water, or a tenth of another liquid in it")
+    yield from _mistaken(device, "fluid sound speed (temperature)", CAVITY, "stiffness", speed, limit,
+                         "the liquid is warmer, colder or another than stated", relative=True)
+
+
+def soaked(device: Device) -> Iterator[Effect]:
+    """Solids that take up the liquid: other constants in the filled states than in the empty ones."""
+    dry = [s for s in device.states if s not in device.filled]
+    if not device.filled or not dry:
+        return
+    touching = dict.fromkeys(solid for state in device.filled for _, solid in walls(state))
+    done: set[str] = set()
+    for region in touching:
+        material = device.filled[0].materials[region]
+        if not isinstance(material, IsotropicSolid) or material.name in done or _is_hard(material):
+            continue
+        done.add(material.name)
+        regions = [r for r, m in device.filled[0].materials.items() if m.name == material.name]
+        wet = f"{material.name}, wet"
+        limits = {
+            f"{wet}.shear_modulus": Admissible(-0.2 * material.shear_modulus.real, 0.0, "Pa", "swollen polymers "
+                                               "soften: PLA by up to a fifth in water"),
+            f"{wet}.shear_modulus{LOSS}": Admissible(-0.1 * material.shear_modulus.real, 0.0, "Pa", POLYMER),
+            f"{wet}.density": Admissible(0.0, 0.1 * material.density, "kg/m^3", "from none to a tenth of the volume of "
+                                         "a printed part filled"),
+        }
+
+        def swollen(
+            _state: DeviceState, regions: Sequence[str] = tuple(regions), wet: str = wet
+        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+            return (tuple(SolidTerm(r, wet) for r in regions),
+                    {f"{wet}.bulk_modulus": 0.0, f"{wet}.shear_modulus": 0.0, f"{wet}.density": 0.0})
+
+        terms, values = _added(device.filled, swollen)
+        yield Effect(f"liquid taken up by {material.name}", region, "mass", "the solid is heavier and softer once the "
+                     "cavity has been filled", tuple(_of(n, a) for n, a in limits.items()), admissible=limits,
+                     terms=terms, values=values)
+
+
+def _is_hard(material: IsotropicSolid) -> bool:
+    return abs(material.shear_modulus) > 1e10
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Layers
+
+
+def couplant(device: Device) -> Iterator[Effect]:
+    """What a gel between transducer and substrate may be."""
+    for region, fluid in _fluids(device):
+        name = f"{region} bubbles"
+        limits = {f"{name}.void_fraction": Admissible(0.0, 0.05, "1", "from none to gel that was stirred")}
+
+        def soft(
+            _state: DeviceState, region: str = region, fluid: str = fluid.name, name: str = name
+        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+            return ((bubbles.WoodBubbles(region, fluid, name),),
+                    {f"{name}.void_fraction": 0.0,
+                     f"{name}.ambient_pressure": bubbles.AIR_IN_WATER["ambient_pressure"],
+                     f"{name}.heat_capacity_ratio": bubbles.AIR_IN_WATER["heat_capacity_ratio"]})
+
+        terms, values = _added(device.holding(region), soft)
+        yield from _shearing(device, region, fluid)
+        yield from _partial(device, region, fluid)
+        yield Effect(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it",
+                     tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+
+
+def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
+    """Shear across a fluid layer between two solids."""
+    states = device.holding(region)
+    order = [layer.region for layer in states[0].chip.layers]
+    at = order.index(region)
+    if not 0 < at < len(order) - 1:
+        return
+    below, above = order[at - 1], order[at + 1]
+    root, modulus = f"{fluid.name}.gel_viscosity_root", f"{fluid.name}.gel_shear_modulus"
+    limits = _limits(couplant_shear.ADMISSIBLE, "gel_viscosity_root", root)
+
+    def viscous(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        term = couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
+                                            below, above)
+        return (term,), {root: 0.0, modulus: 0.0, f"{region}.thickness": state.chip.layer(region).thickness.value}
+
+    terms, values = _added(states, viscous)
+    yield Effect(f"shear through the {region}", region, "coupling", "the layer is viscous and carries shear",
+                 tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+
+
+def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
+    """A layer that does not reach its rim everywhere."""
+    states = device.holding(region)
+    radius = states[0].chip.layer(region).outer_radius
+    name = f"{region}.missing_fraction"
+    limits = _limits(missing_couplant.ADMISSIBLE, "missing_fraction", name)
+
+    def missing(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        return ((missing_couplant.MissingCouplant(region, fluid.name, "gas in gaps", RIM * radius),),
+                {name: 0.0, "gas in gaps.density": AIR[0], "gas in gaps.sound_speed": AIR[1]})
+
+    terms, values = _added(states, missing)
+    yield Effect(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
+                 tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+
+
+def _fluids(device: Device) -> list[tuple[str, Fluid]]:
+    """Layers of the stack that are fluids."""
+    found: dict[str, Fluid] = {}
+    for state in device.states:
+        for region, material in state.materials.items():
+            if isinstance(material, Fluid) and region != CAVITY and _is_liquid(material):
+                found.setdefault(region, material)
+    return list(found.items())
+
+
+def bonds(device: Device) -> Iterator[Effect]:
+    """Thin solid layers that hold less than their material does."""
+    for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "bond"):
+        states = device.holding(region)
+        material = states[0].materials[region]
+        if not isinstance(material, IsotropicSolid):
+            continue
+        names = (f"{region}.normal_compliance", f"{region}.tangential_compliance")
+        limits = {**_limits(thin_layer.ADMISSIBLE, "normal_compliance", names[0]),
+                  **_limits(thin_layer.ADMISSIBLE, "tangential_compliance", names[1])}
+
+        def springs(
+            state: DeviceState, region: str = region, material: str = material.name, names: Sequence[str] = names
+        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+            return ((thin_layer.ImperfectBond(region, material),),
+                    {names[0]: 0.0, names[1]: 0.0,
+                     f"{region}.thickness": state.chip.layer(region).thickness.value})
+
+        terms, values = _added(states, springs)
+        yield Effect(f"imperfect {region}", region, "stiffness", "the layer gives way more than its material does",
+                     tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+
+
+def solids(device: Device) -> Iterator[Effect]:
+    """Stiffness, loss and mass of every passive solid that are not as stated."""
+    for material, regions in device.materials().values():
+        if not isinstance(material, IsotropicSolid):
+            continue
+        region = regions[0]
+        for coefficient in ("bulk_modulus", "shear_modulus"):
+            size = getattr(material, coefficient).real
+            loss = Admissible(-0.3 * size, 0.0, "Pa", POLYMER)
+            yield from _mistaken(device, f"{coefficient} loss of {material.name}", region, "loss",
+                                 f"{material.name}.{coefficient}{LOSS}", loss, "the solid loses more, or less")
+            yield from _mistaken(device, f"{coefficient} of {material.name}", region, "stiffness",
+                                 f"{material.name}.{coefficient}", _about(size, MISTAKEN_STIFFNESS, "Pa"),
+                                 "the solid is stiffer or softer than stated")
+        yield from _mistaken(device, f"density of {material.name}", region, "mass", f"{material.name}.density",
+                             _about(material.density, MISTAKEN_DENSITY, "kg/m^3"), "a wrong density")
+        if not _is_hard(material):
+            yield from _dispersive(device, material, regions)
+            yield from _printed(device, material, regions)
+
+
+def _printed(device: Device, material: IsotropicSolid, regions: Sequence[str]) -> Iterator[Effect]:
+    """A printed polymer whose layers make it another solid across than along."""
+    names = (f"{material.name}.axial_excess", f"{material.name}.shear_excess")
+    limits = {name: anisotropy.ADMISSIBLE[name.rpartition(".")[2]] for name in names}
+
+    def across(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        held = [r for r in regions if r in state.materials and state.materials[r].name == material.name]
+        return (tuple(anisotropy.TransverseIsotropy(r, material.name) for r in held),
+                {names[0]: 0.0, names[1]: 0.0, f"{material.name}.lateral_excess": 0.0})
+
+    states = [s for s in device.states if any(m.name == material.name for m in s.materials.values())]
+    terms, values = _added(states, across)
+    yield Effect(f"anisotropy of {material.name}", regions[0], "stiffness", "a printed solid is stiffer along its "
+                 "layers than across", tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms,
+                 values=values)
+
+
+def _dispersive(device: Device, material: IsotropicSolid, regions: Sequence[str]) -> Iterator[Effect]:
+    """A loss that grows with frequency, and the dispersion that goes with it."""
+    name = material.name
+    loss = f"{name}.shear_fractional_loss"
+    exponent = f"{name}.loss_exponent"
+    limits = {**_limits(loss_laws.ADMISSIBLE, "shear_fractional_loss", loss),
+              **_limits(loss_laws.ADMISSIBLE, "loss_exponent", exponent)}
+    middle = float(sum(device.states[-1].chip.band) / 2.0)
+
+    def law(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        held = [r for r in regions if r in state.materials and state.materials[r].name == name]
+        return (tuple(loss_laws.FractionalLoss(r, name) for r in held),
+                {loss: 0.0, f"{name}.bulk_fractional_loss": 0.0, exponent: 0.3, f"{name}.loss_frequency": middle})
+
+    states = [s for s in device.states if any(m.name == name for m in s.materials.values())]
+    terms, values = _added(states, law)
+    yield Effect(f"fractional loss of {name}", regions[0], "loss", "a loss that changes with frequency, and the "
+                 "stiffness that must change with it", (_of(loss, limits[loss]), _of(exponent, limits[exponent], 0.3)),
+                 admissible=limits, terms=terms, values=values)
+
+
+def lengths(device: Device) -> Iterator[Effect]:
+    """Dimensions that are not as stated."""
+    known = {name: dimension for state in device.states for name, dimension in state.chip.dimensions().items()}
+    for name, dimension in known.items():
+        region, _, what = name.rpartition(".")
+        if region.startswith(("ports", "electrode")):
+            continue
+        if what == "thickness":
+            share = MISTAKEN.get(role_of(region), MISTAKEN_LENGTH)
+        elif name in device.known:
+            share = MISTAKEN_RADIUS
+        else:
+            continue
+        text = "a wrong thickness" if what == "thickness" else "a wrong radius"
+        yield from _mistaken(device, f"{what} of the {region}", region, "geometry", name,
+                             _about(dimension.value, share, "m"), text, start=dimension.value)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Transducer
+
+
+def transducer(device: Device) -> Iterator[Effect]:
+    """What a ceramic disc may be, beyond its constants."""
+    states = device.holding(TRANSDUCER)
+    material = states[0].materials[TRANSDUCER]
+    assert isinstance(material, Piezoelectric)
+    name = material.name
+
+    def loss(coefficient: str, share: float, sign: float) -> Admissible:
+        size = abs(complex(getattr(material, coefficient)).real)
+        low, high = sorted((0.0, sign * share * size)) if sign else (-share * size, share * size)
+        return Admissible(low, high, UNITS[coefficient], CERAMIC)
+
+    yield from _mistaken(device, "dielectric loss", TRANSDUCER, "loss", f"{name}.eps33{LOSS}", loss("eps33", 0.05, 1.0),
+                         "the permittivity has a loss")
+    e33, eps33 = f"{name}.e33{LOSS}", f"{name}.eps33{LOSS}"
+    limits = {e33: loss("e33", 0.05, 0.0), eps33: loss("eps33", 0.05, 1.0)}
+    new = tuple(_of(n, a, _start(material, n)) for n, a in limits.items() if n not in device.known)
+    yield Effect("complex piezoelectric constant", TRANSDUCER, "loss", "e33 has a phase of its own", new,
+                 lifts=tuple(n for n in limits if n in device.known), admissible=limits)
+    for coefficient in ("c11", "c33", "c44"):
+        yield from _mistaken(device, f"loss of {coefficient} of the transducer", TRANSDUCER, "loss",
+                             f"{name}.{coefficient}{LOSS}", loss(coefficient, 0.05, -1.0), "a further stiffness loss")
+        size = complex(getattr(material, coefficient)).real
+        yield from _mistaken(device, f"{coefficient} of the transducer", TRANSDUCER, "stiffness",
+                             f"{name}.{coefficient}", _about(size, MISTAKEN_STIFFNESS, "Pa"), "a wrong stiffness")
+    yield from _mistaken(device, "density of the transducer", TRANSDUCER, "mass", f"{name}.density",
+                         _about(material.density, MISTAKEN_DENSITY, "kg/m^3"), "a wrong density")
+
+    mass = "electrodes.surface_density"
+    limits = _limits(electrode_mass.ADMISSIBLE, "surface_density", mass)
+
+    def metal(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        return (electrode_mass.ElectrodeMass("electrode_live", "electrode_ground", TRANSDUCER),), {mass: 0.0}
+
+    terms, values = _added(states, metal)
+    yield Effect("electrode mass", TRANSDUCER, "mass", "the metal on the faces has a mass",
+                 (Parameter(mass, 0.0, 0.0, limits[mass].highest, None, limits[mass].unit),), admissible=limits,
+                 terms=terms, values=values)
+
+    radius = states[0].chip.layer(TRANSDUCER).outer_radius
+    depoled_limits = _limits(depoled.ADMISSIBLE, "depoled_fraction", f"{TRANSDUCER}.depoled_fraction")
+
+    def unpoled(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        return ((depoled.DepoledRim(TRANSDUCER, name, RIM * radius),),
+                {f"{TRANSDUCER}.depoled_fraction": 0.0, f"{TRANSDUCER}.permittivity_excess": 0.0})
+
+    terms, values = _added(states, unpoled)
+    yield Effect("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a depoled rim, or an "
+                 "electrode that does not reach it", tuple(_of(n, a) for n, a in depoled_limits.items()),
+                 admissible=depoled_limits, terms=terms, values=values)
+
+    impedance = "backing.normal_impedance"
+    limits = {impedance: replace(surface_load.ADMISSIBLE["normal_impedance"], lowest=0.0)}
+
+    def backed(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        # The face away from the stack.
+        face = ELECTRODE_GROUND if state.chip.electrodes.live == "top" else ELECTRODE_LIVE
+        return (surface_load.SurfaceLoad(face, TRANSDUCER, "backing"),), {
+            impedance: 0.0, "backing.tangential_impedance": 0.0}
+
+    terms, values = _added(states, backed)
+    yield Effect("load on the face of the transducer", TRANSDUCER, "loss", "a holder or a backing pushes back",
+                 tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+
+    drives = {s.drive for s in states if s.drive is not None}
+    if len(drives) > 1 and all(s.drive is not None for s in states):
+        names_ = (f"{name}.softening", f"{name}.drive_loss")
+        limits = {n: softening.ADMISSIBLE[n.rpartition(".")[2]] for n in names_}
+
+        def driven(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+            assert state.drive is not None
+            return ((softening.Softening(TRANSDUCER, name),),
+                    {names_[0]: 0.0, names_[1]: 0.0, softening.DRIVE_SQUARED: state.drive**2})
+
+        terms, values = _added(states, driven)
+        yield Effect("softening with the drive", TRANSDUCER, "stiffness", "the ceramic is softer and loses more when "
+                     "driven harder", tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms,
+                     values=values)
+
+
+def _start(material: Piezoelectric, name: str) -> float:
+    value = complex(getattr(material, name.removesuffix(LOSS).rpartition(".")[2]))
+    return value.imag if name.endswith(LOSS) else value.real
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Bench
+
+
+def bench(device: Device) -> Iterator[Effect]:
+    """What stands between the electrodes and the instrument."""
+    for element, known in BENCH_ELEMENTS.items():
+        name = BENCH + element
+        limit = Admissible(known.low, known.high, known.unit, "leads, contacts and probes of a laboratory bench")
+        if name in device.known:
+            yield Effect(known.text, "bench", "bench", "between the electrodes and the instrument", lifts=(name,),
+                         admissible={name: limit})
+        else:
+            found = bench_parameter(name)
+            yield Effect(known.text, "bench", "bench", "between the electrodes and the instrument",
+                         (Parameter(name, 0.0, found.low, found.high, None, found.unit),), admissible={name: limit})
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+def _limits(known: Mapping[str, Admissible], key: str, name: str) -> dict[str, Admissible]:
+    return {name: known[key]}
+
+
+def _about(value: float, share: float, unit: str) -> Admissible:
+    return Admissible((1.0 - share) * value, (1.0 + share) * value, unit,
+                      f"within {100 * share:.0f} % of what is stated: a mistake that goes unnoticed")
+
+
+def _mistaken(
+    device: Device, label: str, region: str, kind: str, name: str, limit: Admissible, about: str, *,
+    relative: bool = False, start: float | None = None,
+) -> Iterator[Effect]:
+    """The hypothesis that a parameter the model has already is not what is known of it."""
+    if name in device.known:
+        yield Effect(label, region, kind, about, lifts=(name,), admissible={name: limit})
+        return
+    if relative:
+        parameter = Parameter(name, 1.0, limit.lowest, limit.highest, None, "1", relative=True)
+    else:
+        value = _stated(device, name) if start is None else start
+        parameter = Parameter(name, float(min(max(value, limit.lowest), limit.highest)), limit.lowest, limit.highest,
+                              None, limit.unit)
+    yield Effect(label, region, kind, about, (parameter,), admissible={name: limit})
+
+
+def _stated(device: Device, name: str) -> float:
+    material, _, coefficient = name.removesuffix(LOSS).rpartition(".")
+    found, _ = device.materials()[material]
+    value = complex(getattr(found, coefficient))
+    return value.imag if name.endswith(LOSS) else value.real
+
+
+SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
+    cavity_fluid, soaked, couplant, bonds, solids, lengths, transducer, bench)

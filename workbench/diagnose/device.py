@@ -1,0 +1,141 @@
+"""The one model of a campaign: every state's problem with all hypotheses in it at nothing, and all parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.mesh import SectionMesh
+from geometry.section import Section
+from workbench.diagnose.campaign import Campaign, DeviceState, unit_of, value_of
+from workbench.diagnose.catalogue import (
+    MISTAKEN,
+    MISTAKEN_LENGTH,
+    MISTAKEN_RADIUS,
+    Device,
+    Effect,
+    effects,
+    known_physics,
+)
+from workbench.fit.objective import Objective, Recording
+from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter
+from workbench.fit.predict import Reach
+from workbench.layers import layered
+from workbench.physics.fluid import Fluid
+from workbench.problem import Problem, build
+
+Real = NDArray[np.float64]
+
+#: Estimated relative error of the reduced model, which is ten to a hundred times the true one.
+TOLERANCE = 2e-2
+
+#: A basis of more columns is narrowed to what the states need of it (relative), with those at hand kept more exactly.
+WIDE, UNNEEDED, PRESENT = 140, 1e-3, 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """All parameters of a campaign, the first ``known`` of them what is known to be uncertain, and its objectives.
+
+    ``fitted`` and ``held_out`` are the objectives over the states of either kind (None without states held out);
+    ``effects`` the hypotheses, whose parameters follow the known ones.
+    """
+
+    campaign: Campaign
+    parameters: tuple[Parameter, ...]
+    known: int
+    effects: tuple[Effect, ...]
+    fitted: Objective
+    held_out: Objective | None
+
+    def index(self, name: str) -> int:
+        return next(i for i, p in enumerate(self.parameters) if p.name == name)
+
+    def free(self, chosen: Sequence[Effect]) -> tuple[list[int], list[int]]:
+        """Indices of the parameters free under some hypotheses together, and of those whose prior is lifted."""
+        moved = [self.index(p.name) for effect in chosen for p in effect.parameters]
+        lifted = [self.index(name) for effect in chosen for name in effect.lifts]
+        return sorted({*range(self.known), *moved}), sorted(set(lifted))
+
+    def deviations(self) -> list[Real]:
+        """Relative standard deviation (n,) of every point of every fitted state."""
+        return [state.noise for state in self.campaign.fitted]
+
+
+def model(
+    campaign: Campaign, *, elements_per_wavelength: float = 10.0, tolerance: float = TOLERANCE,
+    cache: Path | None = None, progress: Callable[[float], None] = lambda _share: None,
+) -> Model:
+    """Mesh every state and put known physics and all hypotheses into its problem.
+
+    Raises:
+        InputError: as `workbench.problem.build`.
+        MeshError: a mesh could not be made.
+    """
+    device = Device(campaign.states, campaign.known, campaign.fixed)
+    hypotheses = effects(device)
+    recordings: dict[str, Recording] = {}
+    meshes: dict[Section, SectionMesh] = {}
+    for number, state in enumerate(campaign.states):
+        progress(number / len(campaign.states))
+        problem = build(state.chip, state.state, campaign.registry, elements_per_wavelength=elements_per_wavelength,
+                        band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])), cache=cache)
+        problem = problem.with_terms(known_physics(state), {})
+        for effect in hypotheses:
+            values = {name: complex(value) for name, value in effect.values.get(state.name, {}).items()
+                      if name not in problem.values}
+            problem = problem.with_terms(effect.terms.get(state.name, ()), values)
+        # One mesh for states of one chip, so that they share what is solved on it.
+        problem = layered(problem, state.chip)
+        problem = replace(problem, mesh=meshes.setdefault(problem.mesh.section, problem.mesh))
+        recordings[state.name] = Recording(state.name, problem, state.measured, state.chip)
+    problems = [r.problem for r in recordings.values()]
+    known = tuple(_known(name, error, campaign, problems) for name, error in campaign.known.items())
+    more: dict[str, Parameter] = {}
+    for effect in hypotheses:
+        for parameter in effect.parameters:
+            more.setdefault(parameter.name, parameter)
+    parameters = (*known, *more.values())
+    likely = tuple(p.name for p in known)
+
+    def over(states: Sequence[DeviceState]) -> Objective:
+        return Objective([recordings[s.name] for s in states], parameters, tolerance=tolerance, likely=likely,
+                         reach=Reach(WIDE, UNNEEDED, present=PRESENT))
+
+    return Model(campaign, parameters, len(known), hypotheses, over(campaign.fitted),
+                 over(campaign.held_out) if campaign.held_out else None)
+
+
+def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
+    """A parameter that may move within what is known of it, and further only where a hypothesis lifts that."""
+    value, unit = value_of(name, campaign.states), unit_of(name, campaign.states)
+    if name.startswith(BENCH):
+        found = bench_parameter(name)
+        return Parameter(found.name, 0.0, found.low, found.high, error, unit)
+    region, _, last = name.rpartition(".")
+    if last in LENGTHS:
+        share = MISTAKEN_RADIUS if last != "thickness" else MISTAKEN.get(region, MISTAKEN_LENGTH)
+        reach = min(max(share * value, 5.0 * error), 0.95 * value)
+        return Parameter(name, value, value - reach, value + reach, error, unit)
+    material = name.removesuffix(LOSS).rpartition(".")[0]
+    problem = next(p for p in problems if f"{material}.{_coefficient(name)}" in p.values)
+    if any(isinstance(term, Fluid) and term.material == material for p in problems for term in _plain(p)):
+        reach = max(0.1, 5.0 * error / value)
+        return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, error / value, "1", relative=True)
+    found = material_parameter(problem, material, name.removeprefix(f"{material}."))
+    return Parameter(name, found.start, min(found.low, found.start - 5.0 * error) if not found.is_loss else found.low,
+                     max(found.high, found.start + 5.0 * error) if not found.is_loss else found.high, error, unit)
+
+
+def _coefficient(name: str) -> str:
+    return name.removesuffix(LOSS).rpartition(".")[2]
+
+
+def _plain(problem: Problem) -> list[object]:
+    return [getattr(term, "term", term) for term in problem.terms]
+
+
