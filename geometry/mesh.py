@@ -39,9 +39,6 @@ CACHE_VERSION = 1
 #: Regions with these roles hold a fluid as a rule; the mesh is refined towards their rims.
 RIM_ROLES = (CAVITY, "couplant")
 
-#: Largest ratio between neighbouring elements of a panel long enough to choose it.
-GROWTH = 1.2
-
 #: Agreement demanded between a region of the mesh and the section's own arithmetic, relative. Rounding accumulates to
 #: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
 VOLUME_TOLERANCE = 1e-9
@@ -58,7 +55,8 @@ class MeshSize:
     ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` where nothing propagates (a
     vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
     ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: size of the elements at
-    the rims of cavity and couplant relative to the others; 1 leaves them alike.
+    the rims of cavity and couplant relative to the others; 1 leaves them alike. ``growth``: largest ratio between
+    neighbouring elements from there on, in a panel long enough to choose it.
     """
 
     slowest_wave: Mapping[str, float]
@@ -67,6 +65,7 @@ class MeshSize:
     order: int = 2
     minimum_through_thickness: int = 2
     corner_refinement: float = 0.5
+    growth: float = 1.2
 
     def __post_init__(self) -> None:
         def refuse(name: str, value: object, expected: str) -> None:
@@ -85,6 +84,8 @@ class MeshSize:
             refuse("minimum_through_thickness", self.minimum_through_thickness, "1 or more")
         if not 0.0 < self.corner_refinement <= 1.0:
             refuse("corner_refinement", self.corner_refinement, "a ratio above 0 and up to 1")
+        if not self.growth > 1.0:
+            refuse("growth", self.growth, "a ratio above 1")
 
     def largest_element(self, region: str) -> float:
         """Largest edge of an element in the region, metres.
@@ -234,7 +235,7 @@ def _panels(
     panels: list[_Panel] = []
     for i, (start, end, limit) in enumerate(zip(breaks, breaks[1:], largest, strict=False)):
         ends = (start in refined_breaks, end in refined_breaks)
-        lengths, counts, ratios = _divide(end - start, limit, ends, size.corner_refinement, minimum)
+        lengths, counts, ratios = _divide(end - start, limit, ends, size, minimum)
         knots = start + np.concatenate([[0.0], np.cumsum(lengths)])
         knots[-1] = end
         panels += [
@@ -244,17 +245,18 @@ def _panels(
 
 
 def _divide(
-    length: float, largest: float, graded: tuple[bool, bool], refinement: float, minimum: int
+    length: float, largest: float, graded: tuple[bool, bool], size: MeshSize, minimum: int
 ) -> tuple[list[float], list[int], list[float]]:
     """Lengths, counts and ratios of the panels of one interval.
 
-    A graded end begins with elements of `refinement` times the regular size and grows towards the middle by at most
-    :data:`GROWTH` an element. An interval too short for that is graded over its whole length.
+    A graded end begins with elements of ``corner_refinement`` times the regular size, which grow towards the middle by
+    at most ``growth``. An interval too short for that is graded over its whole length.
     """
+    refinement = size.corner_refinement
     sides = sum(graded) if refinement < 1.0 else 0
     if sides == 0:
         return [length], [max(minimum, _ceiling(length / largest))], [1.0]
-    growing = math.ceil(math.log(1.0 / refinement) / math.log(GROWTH))
+    growing = math.ceil(math.log(1.0 / refinement) / math.log(size.growth))
     ratio = refinement ** (-1.0 / growing)
     zone = refinement * largest * sum(ratio**k for k in range(growing))
     middle = length - sides * zone

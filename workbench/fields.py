@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from skfem import Basis, ElementQuad2
+from skfem import Basis
 
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from workbench.drive import Drive, VoltageDrive
+from workbench.elements import Lagrange
 from workbench.nodal import NodalMesh, gradient
 from workbench.operators import FullOperators
 from workbench.physics.piezoelectric import VACUUM_PERMITTIVITY
@@ -110,7 +111,7 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
 def nodal_mesh(operators: FullOperators) -> tuple[NodalMesh, NDArray[np.int64]]:
     """The mesh with its nodes doubled between regions, and the scalar mesh dof (N,) of every node."""
     mesh = operators.mesh
-    basis = Basis(mesh.mesh, ElementQuad2(), intorder=1)
+    basis = Basis(mesh.mesh, Lagrange(mesh.order), intorder=1)
     locations = np.asarray(basis.doflocs)
     cells, region, points, dofs = [], [], [], []
     names = mesh.section.regions

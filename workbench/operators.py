@@ -15,10 +15,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from skfem import Basis, ElementQuad2, FacetBasis
+from skfem import Basis, FacetBasis
 
 from geometry.mesh import SectionMesh
 from geometry.names import whole
+from workbench.elements import Lagrange
 from workbench.physics.term import (
     COMPONENTS,
     FACING,
@@ -122,7 +123,7 @@ def _volume_place(mesh: SectionMesh, region: str, beyond: float | None) -> Place
             raise ModelError(f"region {region!r} has no element beyond {beyond:g} m; its outermost one is centred at "
                              f"{radius.max():g} m")
     # Nine Gauss points integrate r times a product of two biquadratic functions exactly (degree 5 per direction).
-    basis = Basis(mesh.mesh, _element(mesh), elements=cells, intorder=2 * mesh.order + 1)
+    basis = Basis(mesh.mesh, Lagrange(mesh.order), elements=cells, intorder=2 * mesh.order + 1)
     return _tabulate(basis, cells)
 
 
@@ -155,7 +156,7 @@ def _facing_place(near: Place, far: Place) -> Place:
 
 
 def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
-    basis = FacetBasis(mesh.mesh, _element(mesh), facets=facets, intorder=2 * mesh.order + 1)
+    basis = FacetBasis(mesh.mesh, Lagrange(mesh.order), facets=facets, intorder=2 * mesh.order + 1)
     owners = mesh.mesh.f2t[0, facets]
     solid_cells = np.zeros(mesh.mesh.t.shape[1], dtype=bool)
     solid_cells[mesh.mesh.subdomains[solid]] = True
@@ -171,12 +172,6 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
     dofs = np.take_along_axis(place.dofs.T, keep, axis=1).T
     normal = np.asarray(basis.normals) * sign[None, :, None]
     return Place(np.ascontiguousarray(dofs), place.weights, shapes, owners, normal)
-
-
-def _element(mesh: SectionMesh) -> ElementQuad2:
-    if mesh.order != 2:
-        raise ModelError(f"fields of order {mesh.order} are not available; expected order 2")
-    return ElementQuad2()
 
 
 def _tabulate(basis: Basis | FacetBasis, elements: NDArray[np.int64]) -> Place:
@@ -417,6 +412,12 @@ class ReducedOperators:
                           + 1j * np.einsum("in,qin->nq", left, images[:, :, 1]))
 
 
+def combined(constants: Complex, matrices: Real) -> Complex:
+    """sum_q constants_q matrices_q for real matrices (integrals, ...), which are not made complex for it."""
+    flat = matrices.reshape(len(matrices), -1)
+    return np.asarray(constants.real @ flat + 1j * (constants.imag @ flat)).reshape(matrices.shape[1:])
+
+
 def _operators_of(integrals: Iterable[Integral]) -> list[str]:
     return list(dict.fromkeys(name for integral in integrals for p in integral.products for name in (p.row, p.column)))
 
@@ -464,7 +465,7 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
 def _number(
     mesh: SectionMesh, unknowns: set[tuple[str, str]], conditions: tuple[Condition, ...]
 ) -> tuple[dict[str, NDArray[np.int64]], int]:
-    basis = Basis(mesh.mesh, _element(mesh), intorder=1)
+    basis = Basis(mesh.mesh, Lagrange(mesh.order), intorder=1)
     numbering: dict[str, NDArray[np.int64]] = {}
     live: dict[str, NDArray[np.bool_]] = {}
     count = 0

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from workbench.operators import FullOperators, ReducedOperators
+from workbench.operators import FullOperators, ReducedOperators, combined
 from workbench.physics.term import Values
 from workbench.solve import NotConverged, Solution, System, one_thread, solve_dense, solve_reduced
 
@@ -219,9 +219,9 @@ class _Growing:
         self.sketch = np.zeros((groups, PROJECTIONS, 0), dtype=complex)
         if start is not None:
             self.basis = start.basis
-            constants = np.stack(self.system.constants)
-            self.projected = np.tensordot(constants, start.operators.matrices, axes=1)
-            self.sketch = np.tensordot(constants, start.sketch, axes=1)
+            constants = self.system.constants
+            self.projected = np.stack([combined(each, start.operators.matrices) for each in constants])
+            self.sketch = np.stack([combined(each, start.sketch) for each in constants])
 
     def add(self, states: Complex) -> None:
         """Take the real and imaginary parts of `states` (size, n), the first at unit voltage, into the basis."""

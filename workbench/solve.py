@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from threadpoolctl import ThreadpoolController
 
-from workbench.operators import FullOperators, Operators, ReducedOperators, coefficients, frequency_groups
+from workbench.operators import FullOperators, Operators, ReducedOperators, coefficients, combined, frequency_groups
 from workbench.physics.term import Formula, Integral, Monomial, Values
 
 Real = NDArray[np.float64]
@@ -321,7 +321,7 @@ def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values
     omega = 2.0 * np.pi * frequencies
     g = coefficients(operators.integrals, omega, values)
     groups = frequency_groups(operators.integrals, omega, values)
-    summed = np.stack([np.tensordot(constants, operators.matrices, axes=1) for _, constants in groups])
+    summed = np.stack([combined(constants, operators.matrices) for _, constants in groups])
     states, residual = solve_dense(np.stack([h for h, _ in groups]), summed)
     return Solution(operators, frequencies, g, states, residual)
 
@@ -358,7 +358,7 @@ def reduced_tangents(solution: Solution, values: Values, names: tuple[str, ...])
     right = -np.einsum("kqn,qin->kin", slopes, images, optimize=True)
     groups = frequency_groups(operators.integrals, solution.omega, values)
     factors = np.stack([h for h, _ in groups])
-    matrices = np.stack([np.tensordot(constants, operators.matrices[:, :-1, :-1], axes=1) for _, constants in groups])
+    matrices = np.stack([combined(constants, operators.matrices)[:-1, :-1] for _, constants in groups])
     with one_thread():
         pencil = Pencil.of(factors, matrices)
         if pencil is not None:

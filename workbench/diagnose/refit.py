@@ -7,6 +7,7 @@ parameter at one of a thousand admissible places is worth less than one that wou
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,17 +27,26 @@ Complex = NDArray[np.complex128]
 #: A relative fall of chi-square that ends a refit; of a thousand points, one tenth of a unit.
 ENOUGH = 1e-4
 
-#: Estimated relative error of predictions on the way down, which is ten to a hundred times the true one.
-ROUGH = 0.5
-
-#: The same of refits, which start in the neighbourhood that the bases were made for; the best is fitted once more.
-REFITTED = 0.15
-
 #: The first bases serve while the known parameters move by so many of their uncertainties.
 MOVES = 1.5
 
-#: Steps of a refit.
-STEPS = 25
+#: Bases are made again about each optimum, at most so many times, until that finds no chi-square better by this, or by
+#: this share of what noise does not explain.
+CENTRED, SAME, SHARE = 3, 2.0, 0.02
+
+#: They serve while parameters move by so many of their standard errors there.
+ERRORS = 3.0
+
+#: Steps of a refit, and of a look at another basin.
+STEPS, GLANCE = 25, 8
+
+#: Reduced chi-square of a fit that leaves nothing: three standard deviations above one for a thousand numbers, and
+#: what the model's own error adds; of all states, and of one.
+GOOD, GOOD_STATE = 1.15, 1.3
+
+#: A parameter known no better than this, relative, may have several optima: a thin layer may be too thick or too thin.
+#: A fit that is not good is begun again with it at so many of its uncertainties.
+LEVER, HOPS = 0.05, (-2.0, -1.0, 0.0, 1.0, 2.0)
 
 #: A refit searches so many times what the score test asks for, or the standard errors it gives.
 WIDEST = 30.0
@@ -98,6 +108,11 @@ class Refit:
     def name(self) -> str:
         return " and ".join(e.name for e in self.effects)
 
+    @property
+    def good(self) -> bool:
+        """Whether it leaves nothing but noise."""
+        return self.reduced < GOOD and all(s.reduced < GOOD_STATE for s in self.states)
+
     def tangents(self) -> Tangents:
         return Tangents.at(self.search, self.here)
 
@@ -109,32 +124,66 @@ class Refit:
         return (float(max(value - DEVIATIONS * error, known.low)), float(min(value + DEVIATIONS * error, known.high)))
 
 
-def base_fit(model: Model) -> Refit:
-    """The known parameters alone, from where they are stated, through smoothed spectra first."""
+def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit]:
+    """The states as stated, and the known parameters alone fitted from there, through smoothed spectra first."""
     free, lifted = model.free(())
     search = Search(model.fitted, free=free, lifted=lifted)
-    objective, exact = model.fitted, model.fitted.tolerance
-    objective.surround(search.centre, {p.name: MOVES * p.prior for p in model.parameters[:model.known] if p.prior})
-    objective.tolerance = ROUGH
+    deviation = model.deviations()
+    model.fitted.surround(search.centre, {p.name: MOVES * p.prior for p in model.parameters[:model.known] if p.prior})
+    stated = model.fitted(search.centre, deviation=deviation)
+    nominal = tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
+        model.campaign.fitted, stated.log_ratio, stated.impedance, strict=True))
     x = search.descend(search.centre, lambda: None).x
-    found = _judged(model, (), search, search.minimise(x, model.deviations(), limit=STEPS, tolerance=ENOUGH))
-    objective.tolerance = exact
-    return found
+    found = _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH))
+    return nominal, elsewhere(model, found)
+
+
+def elsewhere(model: Model, fit: Refit) -> Refit:
+    """A fit that is not good, or a better one from where its levers lie otherwise: it may be in the wrong basin."""
+    levers = [i for i, p in enumerate(model.parameters[:model.known])
+              if p.prior is not None and not p.is_loss and p.prior > LEVER * abs(p.start) > 0.0]
+    search, deviation = fit.search, model.deviations()
+    better = not fit.good
+    while better:
+        better = False
+        for i, hop in itertools.product(levers, HOPS):
+            known = model.parameters[i]
+            assert known.prior is not None
+            there = known.start + hop * known.prior
+            if abs(there - fit.x[i]) < 0.5 * known.prior:
+                continue
+            x = fit.x.copy()
+            x[i] = there
+            try:
+                found = search.minimise(x, deviation, limit=GLANCE, tolerance=0.01)
+                if 2.0 * found.cost < fit.chi_square - SAME - SHARE * (fit.chi_square - 2.0 * fit.points):
+                    found = search.minimise(found.x, deviation, limit=STEPS, tolerance=ENOUGH)
+                    fit, better = _judged(model, fit.effects, search, found), True
+            except NO_END:
+                continue
+        better = better and not fit.good
+    return fit
 
 
 def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
     """A fit once more, with bases made for its own neighbourhood and that of the hypotheses in `scores`."""
-    free = fit.search.free
-    jacobian = fit.here.jacobian[:, free] * fit.search.scale[free]
-    spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian))) * fit.search.scale[free]
-    reach = {model.parameters[i].name: float(error) for i, error in zip(free, spread, strict=True)}
-    for scored in scores:
-        for name, amplitude, error in zip(scored.effect.names, scored.amplitude, scored.error, strict=True):
-            if np.isfinite(error):
-                reach[name] = max(reach.get(name, 0.0), abs(float(amplitude)) + float(error))
-    model.fitted.surround(fit.x, reach)
-    found = fit.search.minimise(fit.x, model.deviations(), limit=STEPS, tolerance=ENOUGH, radius=0.3)
-    return _judged(model, fit.effects, fit.search, found)
+    deviation = model.deviations()
+    for _ in range(CENTRED):
+        free = fit.search.free
+        jacobian = fit.here.jacobian[:, free] * fit.search.scale[free]
+        spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian))) * fit.search.scale[free]
+        reach = {model.parameters[i].name: ERRORS * float(error) for i, error in zip(free, spread, strict=True)}
+        for scored in scores:
+            for name, amplitude, error in zip(scored.effect.names, scored.amplitude, scored.error, strict=True):
+                if np.isfinite(error):
+                    reach[name] = max(reach.get(name, 0.0), abs(float(amplitude)) + ERRORS * float(error))
+        model.fitted.surround(fit.x, reach)
+        centre = fit.search.evaluate(fit.x, deviation).vector
+        found = fit.search.minimise(fit.x, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3)
+        fit = _judged(model, fit.effects, fit.search, found)
+        if float(centre @ centre) - fit.chi_square < SAME + SHARE * max(fit.chi_square - 2.0 * fit.points, 0.0):
+            break
+    return fit
 
 
 def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence[Score]) -> Refit | None:
@@ -155,14 +204,10 @@ def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence
                 search.high[i] = min(search.high[i], start[i] + WIDEST * search.scale[i])
             width = search.high[i] - search.low[i]
             x[i] = np.clip(start[i] + amplitude, search.low[i] + AT_END * width, search.high[i] - AT_END * width)
-    objective, exact = model.fitted, model.fitted.tolerance
-    objective.tolerance = REFITTED
     try:
         found = search.minimise(x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
     except NO_END:
         return None
-    finally:
-        objective.tolerance = exact
     return _judged(model, tuple(effects), search, found)
 
 
@@ -216,6 +261,7 @@ def predicted(model: Model, fit: Refit) -> tuple[StateFit, ...]:
     """The states held out, as a refit predicts them."""
     if model.held_out is None:
         return ()
+    model.held_out.surround(fit.x, {})
     found = model.held_out(fit.x, deviation=[s.noise for s in model.campaign.held_out])
     return tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.held_out, found.log_ratio, found.impedance, strict=True))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from workbench.diagnose.campaign import Campaign
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
-from workbench.diagnose.refit import Refit, StateFit, base_fit, gather, predicted, refit, state_fit
+from workbench.diagnose.refit import GOOD_STATE, Refit, StateFit, base_fit, gather, predicted, refit
 from workbench.diagnose.score import Score, confusion, ranked, score
 
 Real = NDArray[np.float64]
@@ -27,10 +27,6 @@ ACCEPTED = 10.0
 
 #: Evidence this close to the best leaves a hypothesis in the race: odds of 20 to 1.
 RIVAL = 6.0
-
-#: Reduced chi-square of a fit that leaves nothing: three standard deviations above one for a thousand numbers, and
-#: what the model's own error adds.
-GOOD, GOOD_STATE = 1.15, 1.3
 
 #: A known parameter that left what was known of it by more than this many uncertainties is a finding of its own.
 STRAYED = 3.5
@@ -100,8 +96,7 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     started = time.perf_counter()
     campaign = model.campaign
     progress("known parameters", 0.0)
-    base = base_fit(model)
-    nominal = _nominal(model)
+    nominal, base = base_fit(model)
     first = ranked([score(model, base.x, base.here, base.tangents(), e) for e in model.effects])
     progress("neighbourhood", 0.3)
     base = gather(model, base, first[:SINGLES])
@@ -110,7 +105,7 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     singles = _singles(model, base, scores, progress)
     pairs: list[Refit] = []
     best = min([base, *singles], key=lambda f: f.evidence)
-    if best.effects and not _good(best):
+    if best.effects and not best.good:
         pairs = _pairs(model, singles, progress)
         best = min([best, *pairs], key=lambda f: f.evidence)
     if best.effects:
@@ -119,13 +114,6 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     held_before, held_after = predicted(model, base), predicted(model, best)
     return _judged(campaign, model, nominal, base, best, scores, singles, pairs, held_before, held_after,
                    time.perf_counter() - started)
-
-
-def _nominal(model: Model) -> tuple[StateFit, ...]:
-    x = np.array([p.start for p in model.parameters])
-    found = model.fitted(x, deviation=model.deviations())
-    return tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
-        model.campaign.fitted, found.log_ratio, found.impedance, strict=True))
 
 
 def _singles(model: Model, base: Refit, scores: Sequence[Score], progress: Progress) -> list[Refit]:
@@ -160,11 +148,6 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
     return sorted(found, key=lambda f: f.evidence)
 
 
-def _good(fit: Refit) -> bool:
-    """Whether a fit leaves nothing but noise."""
-    return fit.reduced < GOOD and all(s.reduced < GOOD_STATE for s in fit.states)
-
-
 def _judged(
     campaign: Campaign, model: Model, nominal: tuple[StateFit, ...], base: Refit, best: Refit,
     scores: Sequence[Score], singles: Sequence[Refit], pairs: Sequence[Refit], held_before: tuple[StateFit, ...],
@@ -188,11 +171,11 @@ def _judged(
                                                                             key=lambda f: f.evidence)
                        if f.name != best.name and f.evidence - best.evidence < RIVAL and _simplest(f, best))
     admissible = all(_inside(best, name) for name in best.estimate) if accepted else True
-    if accepted and not _good(chosen):
+    if accepted and not chosen.good:
         verdict = "unexplained"
     elif accepted:
         verdict = "ambiguous" if rivals else "missing_physics"
-    elif not _good(base):
+    elif not base.good:
         verdict = "unexplained"
     elif scores and scores[0].sigmas > HINT:
         verdict = "below_detection"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import SAME_LENGTH, Chip
 from geometry.stretch import stretch
-from workbench.operators import FullOperators, assemble, coefficients, frequency_groups
+from workbench.operators import FullOperators, assemble, coefficients, combined, frequency_groups
 from workbench.problem import Problem
 from workbench.reduce import ReducedModel, narrowed, projected, reduce, reduce_around
 from workbench.solve import Solution, reduced_tangents, solve_full
@@ -98,7 +98,7 @@ class Prediction:
         states, operators = self.solution.states, self.solution.operators
         groups = frequency_groups(operators.integrals, self.solution.omega, self.values)
         matrices = self.slopes[dimension]
-        change = sum(factors * np.einsum("in,in->n", states, np.tensordot(constants, matrices, axes=1) @ states)
+        change = sum(factors * np.einsum("in,in->n", states, combined(constants, matrices) @ states)
                      for factors, constants in groups)
         # ln Z = -ln Q + const, dQ = -x^T (dA) x
         return np.asarray(change / self.solution.charge)

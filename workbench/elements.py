@@ -1,0 +1,70 @@
+"""Lagrange elements of any order on quadrilaterals, on Gauss-Lobatto nodes.
+
+The cells of a section are rectangles whose local coordinates run along r and along z in every cell
+(`geometry.mesh.SectionMesh`), so the nodes of an edge are met in one order from both sides.
+"""
+
+from __future__ import annotations
+
+from functools import cache, lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from skfem import ElementH1
+from skfem.refdom import RefQuad
+
+Real = NDArray[np.float64]
+
+
+class Lagrange(ElementH1):  # type: ignore[misc]
+    """Products of Lagrange polynomials of one order, 1 at one Gauss-Lobatto node and 0 at the others.
+
+    Of order 2 it is the biquadratic element of nine nodes.
+    """
+
+    refdom = RefQuad
+    nodal_dofs = 1
+
+    def __init__(self, order: int) -> None:
+        self.order = order
+        self.facet_dofs, self.interior_dofs = order - 1, (order - 1) ** 2
+        self.maxdeg = 2 * order
+        self.dofnames = ["u"] * (1 + self.facet_dofs + self.interior_dofs)
+        inner = range(1, order)
+        # Corners, then the edges bottom, right, top, left, then inside; indices along both directions.
+        self.indices = [(0, 0), (order, 0), (order, order), (0, order),
+                        *((k, 0) for k in inner), *((order, k) for k in inner),
+                        *((k, order) for k in inner), *((0, k) for k in inner),
+                        *((i, j) for j in inner for i in inner)]
+        nodes = gauss_lobatto(order)
+        self.doflocs = np.array([[nodes[i], nodes[j]] for i, j in self.indices])
+
+    def lbasis(self, X: Real, i: int) -> tuple[Real, Real]:  # noqa: N803 - scikit-fem's name
+        """Value (n,) and gradient (2, n) of function `i` at local points X (2, n)."""
+        if not 0 <= i < len(self.indices):
+            self._index_error()
+        (f, df), (g, dg) = (_polynomials(self.order, x.tobytes(), x.shape) for x in X)
+        one, other = self.indices[i]
+        return f[one] * g[other], np.stack([df[one] * g[other], f[one] * dg[other]])
+
+
+@cache
+def gauss_lobatto(order: int) -> Real:
+    """The order + 1 Gauss-Lobatto nodes of [0, 1]."""
+    inner = legendre.legroots(legendre.legder([0.0] * order + [1.0])).real
+    return np.asarray(0.5 * (1.0 + np.concatenate([[-1.0], np.sort(inner), [1.0]])))
+
+
+@lru_cache(maxsize=64)
+def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real]:
+    """(order + 1, *shape) polynomials, each 1 at one node and 0 at the others, at some points, and their slopes."""
+    x, nodes = np.frombuffer(points).reshape(shape), gauss_lobatto(order)
+    values, slopes = [], []
+    for node in range(order + 1):
+        others = np.delete(nodes, node)
+        gaps = x[..., None] - others
+        scale = np.prod(nodes[node] - others)
+        values.append(np.prod(gaps, axis=-1) / scale)
+        slopes.append(sum(np.prod(np.delete(gaps, k, axis=-1), axis=-1) for k in range(order)) / scale)
+    return np.array(values), np.array(slopes)
