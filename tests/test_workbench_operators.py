@@ -212,12 +212,6 @@ def test_an_operator_of_an_unknown_that_no_term_brings_in_is_refused(filled: Pro
         assemble(filled.mesh, (PZT, ELECTRODES, Fluid("cavity", "water"), Loaded()))  # type: ignore[arg-type]
 
 
-def test_fields_of_another_order_are_refused(filled: Problem) -> None:
-    mesh = SectionMesh(filled.mesh.mesh, 3, filled.mesh.section)
-    with pytest.raises(ModelError, match="order 3"):
-        assemble(mesh, filled.terms)
-
-
 def test_a_missing_parameter_is_named(filled: Problem, filled_operators: FullOperators) -> None:
     values = {name: value for name, value in filled.values.items() if name != "pla.density"}
     with pytest.raises(KeyError, match=r"pla\.density"):

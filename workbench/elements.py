@@ -17,7 +17,7 @@ from skfem.refdom import RefQuad
 Real = NDArray[np.float64]
 
 
-class Lagrange(ElementH1):  # type: ignore[misc]
+class Lagrange(ElementH1):
     """Products of Lagrange polynomials of one order, 1 at one Gauss-Lobatto node and 0 at the others.
 
     Of order 2 it is the biquadratic element of nine nodes.
@@ -40,7 +40,7 @@ class Lagrange(ElementH1):  # type: ignore[misc]
         nodes = gauss_lobatto(order)
         self.doflocs = np.array([[nodes[i], nodes[j]] for i, j in self.indices])
 
-    def lbasis(self, X: Real, i: int) -> tuple[Real, Real]:  # noqa: N803 - scikit-fem's name
+    def lbasis(self, X: Real, i: int) -> tuple[Real, Real]:
         """Value (n,) and gradient (2, n) of function `i` at local points X (2, n)."""
         if not 0 <= i < len(self.indices):
             self._index_error()

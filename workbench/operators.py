@@ -7,6 +7,7 @@ diagnosing do not know which of the two they hold. Parameter values are never st
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -270,12 +271,15 @@ class FullOperators:
                         result[self._index[id(integral)]] += 0.5 * p.weight * grams[pair]
         return result
 
-    def images(self, state: Complex) -> Complex:
-        """A_q x of every integral for one state x (size,): (number of integrals, size)."""
+    def images(self, state: Complex, wanted: NDArray[np.bool_] | None = None) -> Complex:
+        """A_q x of every integral for one state x (size,): (number of integrals, size), zero where not wanted."""
         # The entry after the last takes what is no unknown.
         result = np.zeros((len(self.integrals), self.size + 1), dtype=complex)
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
+            group = [integral for integral in group if wanted is None or wanted[self._index[id(integral)]]]
+            if not group:
+                continue
             seen = self.evaluate(place, _operators_of(group), state[:, None])
             tested = {name: self._test(name, place) for name in seen}
             for integral in group:
@@ -309,16 +313,20 @@ class FullOperators:
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
             components = self._components(group)
-            nb = place.dofs.shape[0]
-            block = np.zeros((place.dofs.shape[1], len(components) * nb, len(components) * nb), dtype=complex)
-            for (a, b), weights in self._kinds(group, constants).items():
+            nb, count = place.dofs.shape
+            shape = (count, len(components) * nb, len(components) * nb)
+            positions = self._positions[offset : offset + math.prod(shape)]
+            offset += positions.size
+            kinds = self._kinds(group, constants)
+            if not kinds:
+                continue
+            block = np.zeros(shape, dtype=complex)
+            for (a, b), weights in kinds.items():
                 self._add_block(block, place, components, a, b, weights)
-            positions = self._positions[offset : offset + block.size]
-            flat = block.ravel()
-            kept = positions >= 0
+            flat, kept = block.ravel(), positions >= 0
             for part, unit in ((flat.real, 1.0), (flat.imag, 1j)):
-                entries += unit * np.bincount(positions[kept], part[kept], minlength=entries.size)
-            offset += block.size
+                if part.any():
+                    entries += unit * np.bincount(positions[kept], part[kept], minlength=entries.size)
         return entries
 
     def _components(self, group: Iterable[Integral]) -> list[str]:

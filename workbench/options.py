@@ -219,8 +219,8 @@ def _fit(sub: argparse.ArgumentParser) -> None:
 def _diagnose(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
                      help="states of a device with their recordings, and what is known of it")
-    sub.add_argument("--elements-per-wavelength", type=float, default=10.0, metavar="N",
-                     help="quadratic elements per slowest wavelength (default 10)")
+    sub.add_argument("--elements-per-wavelength", type=float, default=3.0, metavar="N",
+                     help="elements of the fourth order per slowest wavelength (default 3)")
     _with_materials(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 

@@ -21,7 +21,7 @@ A900: randomized residual-based error estimators for parametrized equations).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,6 +43,9 @@ PROJECTIONS = 24
 
 #: Vectors taken from each factorisation (`System.krylov`): a back substitution costs a thirtieth of a factorisation.
 DEPTH = 12
+
+#: The same at other parameter values.
+CORNER_DEPTH = 3
 
 #: A new vector whose part outside the basis is smaller than this (relative) adds nothing but rounding.
 DEPENDENT = 1e-9
@@ -82,7 +85,6 @@ class ReducedModel:
     weights: Real
     test: Real
     sketch: Real
-    tolerance: float
     solves: int
     residual: float
 
@@ -131,11 +133,7 @@ def reduce(
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    # The given frequencies next to Chebyshev's nodes.
-    angles = np.pi * (np.arange(min(first, max(limit - 1, 1))) + 0.5) / first
-    nodes = np.unique(np.round(0.5 * (frequencies.size - 1) * (1.0 - np.cos(angles))).astype(int))
-    if start is not None:
-        nodes = nodes[:0]
+    nodes = chebyshev(frequencies.size, first)[: max(limit - 1, 1)] if start is None else np.zeros(0, dtype=int)
     known = 0 if start is None else start.solves
     solves, largest = known, 0.0 if start is None else start.residual
 
@@ -172,7 +170,7 @@ def reduce(
             basis = growing.compressed()
             matrices, sketch = _extended(operators, basis, growing.test, None)
     reduced = ReducedOperators(operators.integrals, matrices)
-    return ReducedModel(operators, reduced, basis, growing.weights, growing.test, sketch, tolerance, solves, largest)
+    return ReducedModel(operators, reduced, basis, growing.weights, growing.test, sketch, solves, largest)
 
 
 def _extended(
@@ -208,12 +206,7 @@ class _Growing:
         self.factors = self.system.factors(frequencies)
         self.matrices = self.system.group_matrices()
         size, groups = operators.size, len(self.matrices)
-        if start is None:
-            middle = float(np.median(frequencies))
-            self.weights = np.sqrt(np.abs(self.system.matrix(middle).diagonal()))
-            self.test = test_vectors(self.system, middle)
-        else:
-            self.weights, self.test = start.weights, start.test
+        self.weights, self.test = norms(self.system, frequencies) if start is None else (start.weights, start.test)
         self.basis = np.zeros((size, 0))
         self.projected = np.zeros((groups, 0, 0), dtype=complex)
         self.sketch = np.zeros((groups, PROJECTIONS, 0), dtype=complex)
@@ -363,33 +356,29 @@ def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[Re
     return model, within
 
 
-
 def reduce_around(
     operators: FullOperators,
     frequencies: Real,
     values: Values,
     moves: Mapping[str, float],
     *,
-    tolerance: float,
     unneeded: float,
+    corners: Sequence[Values] = (),
     nodes: int = 5,
     depth: int = DEPTH,
 ) -> ReducedModel:
     """A reduced model for a neighbourhood: every parameter named in `moves` may change by about so much.
 
     From `nodes` full solves at Chebyshev's frequencies, the states and their neighbours in frequency, and of what the
-    moves change them by, the directions of more than `unneeded` (relative to the states). Whether that is enough,
-    :meth:`ReducedModel.error` says, with :func:`reduce` to add to it; `tolerance` is only noted.
+    moves change them by, the directions of more than `unneeded` (relative to the states); likewise of the states at
+    other values, `corners`, where a parameter moves so far that its derivative does not tell where to. Whether that
+    is enough, :meth:`ReducedModel.error` says.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    angles = np.pi * (np.arange(nodes) + 0.5) / nodes
-    at = np.unique(np.round(0.5 * (frequencies.size - 1) * (1.0 - np.cos(angles))).astype(int))
-    names = tuple(moves)
+    at, names = chebyshev(frequencies.size, nodes), tuple(moves)
     with one_thread():
         system = System(operators, values)
-        middle = float(np.median(frequencies))
-        weights = np.sqrt(np.abs(system.matrix(middle).diagonal()))
-        test = test_vectors(system, middle)
+        weights, test = norms(system, frequencies)
         basis, changes, worst = np.zeros((operators.size, 0)), [], 0.0
         for index in at:
             found, residual = system.krylov(float(frequencies[index]), depth, tangents=names)
@@ -400,8 +389,17 @@ def reduce_around(
             basis = _joined(basis, new_directions(basis, states, weights))
             moved = slopes * np.array([moves[name] for name in names]) / np.linalg.norm(weights * states[:, 0])
             changes.append(weights[:, None] * moved)
+        for values_there in corners:
+            there = System(operators, values_there)
+            for index in at:
+                states, residual = there.krylov(float(frequencies[index]), CORNER_DEPTH)
+                worst = max(worst, residual)
+                states[:, 0] -= basis[:, -1]
+                # The others have unit length already.
+                states[:, 0] /= np.linalg.norm(weights * states[:, 0])
+                changes.append(weights[:, None] * states)
         inside = weights[:, None] * basis[:, :-1]
-        whole = np.concatenate(changes, axis=1) if names else np.zeros((operators.size, 0))
+        whole = np.concatenate(changes, axis=1)
         parts = np.concatenate([whole.real, whole.imag], axis=1)
         parts = parts - inside @ (inside.T @ parts)
         # The larger half of a Gram matrix costs less than a singular value decomposition, and loses nothing needed.
@@ -411,7 +409,19 @@ def reduce_around(
         basis = _joined(basis, new / weights[:, None])
         matrices, sketch = _extended(operators, basis, test, None)
     return ReducedModel(operators, ReducedOperators(operators.integrals, matrices), basis, weights, test, sketch,
-                        tolerance, at.size, worst)
+                        at.size * (1 + len(corners)), worst)
+
+
+def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
+    """Indices of `count` frequencies next to Chebyshev's nodes, as many as those fall on."""
+    angles = np.pi * (np.arange(nodes) + 0.5) / nodes
+    return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
+
+
+def norms(system: System, frequencies: Real) -> tuple[Real, Real]:
+    """What unknowns (size,) and residuals (size, PROJECTIONS) are measured with, from the middle of the band."""
+    middle = float(np.median(frequencies))
+    return np.sqrt(np.abs(system.matrix(middle).diagonal())), test_vectors(system, middle)
 
 
 def _joined(basis: Real, new: Real) -> Real:

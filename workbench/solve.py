@@ -272,7 +272,7 @@ class System:
             [integral.coefficient.derivative(omega, self.values, name)[0] for name in names]
             for integral in self.operators.integrals
         ])
-        return self.operators.images(state).T @ slopes
+        return self.operators.images(state, np.asarray(slopes.any(axis=1))).T @ slopes
 
 
 def factorise(matrix: sparse.csc_matrix, frequency: float) -> Factor:

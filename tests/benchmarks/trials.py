@@ -1,4 +1,4 @@
-"""Trials of the diagnosis on devices in which an effect is concealed: how often it is right, and how often it is fooled.
+"""Trials of the diagnosis on devices in which an effect is concealed: how often it is right, how often it is fooled.
 
     .venv/bin/python tests/benchmarks/trials.py make FOLDER [--trials 300] [--seed 1]
     .venv/bin/python tests/benchmarks/trials.py run FOLDER
@@ -17,8 +17,10 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -26,6 +28,7 @@ from threadpoolctl import threadpool_limits
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
+from concealed.device import GEL, PLA, PZT, REFERENCE_TEMPERATURE, WATER, water  # noqa: E402
 from concealed.mechanisms import CATALOGUED, NONE, OUTSIDE  # noqa: E402
 from concealed.trial import make_trial  # noqa: E402
 
@@ -34,6 +37,7 @@ from workbench.commands.diagnose import record  # noqa: E402
 from workbench.diagnose.campaign import read_campaign  # noqa: E402
 from workbench.diagnose.device import model  # noqa: E402
 from workbench.diagnose.verdict import diagnose  # noqa: E402
+from workbench.fit.parameter import BENCH_ELEMENTS  # noqa: E402
 
 #: In one round every mechanism of the catalogue is hidden once, and so many times nothing, something outside the
 #: catalogue, and two effects at once.
@@ -81,9 +85,178 @@ def run(folder: Path) -> None:
         with threadpool_limits(limits=1):
             campaign = read_campaign(trial / "campaign.toml")
             found = diagnose(model(campaign))
-        write_atomic(result, json.dumps({**record(found), "cpu_seconds": time.process_time() - started}, indent=1) + "\n")
+        said = {**record(found), "cpu_seconds": time.process_time() - started}
+        write_atomic(result, json.dumps(said, indent=1) + "\n")
         print(f"{trial.name} {found.verdict} {' and '.join(e.name for e in found.effects)} "
               f"{time.process_time() - started:.0f} s", flush=True)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Scoring: the only place that opens the truth
+
+
+def right_names(effect: Mapping[str, Any]) -> set[str]:
+    """What the catalogue calls a concealed effect."""
+    parameters, region = effect["parameters"], effect["region"]
+    moved = next(iter(parameters))
+    match effect["name"]:
+        case "stiffness loss":
+            return {f"loss of {moved.removesuffix('.loss').rpartition('.')[2]} of the transducer"}
+        case "wrong dimension":
+            return {f"{moved.rpartition('.')[2]} of the {region}"}
+        case "wrong density":
+            return {"density of the transducer" if region == "transducer" else f"density of {PLA}"}
+        case "surface load":
+            return {"load on the face of the transducer" if region == "transducer" else "load on the lid"}
+        case name if name.startswith("bench "):
+            return {BENCH_ELEMENTS[name.removeprefix("bench ").replace(" ", "_")].text}
+        case name:
+            return {CALLED.get(name, name)}
+
+
+#: Names of effects that are not those of the catalogue.
+CALLED: Mapping[str, str] = {
+    "fluid temperature": "fluid sound speed (temperature)",
+    "gel viscosity": "shear through the couplant",
+    "gel thickness": "thickness of the couplant",
+    "partial coverage": "couplant missing at its rim",
+    "fractional loss": f"fractional loss of {PLA}",
+    "anisotropic polymer": f"anisotropy of {PLA}",
+    "water uptake": f"liquid taken up by {PLA}",
+    "partial electrode": "rim of the transducer without piezoelectricity",
+    "depoled rim": "rim of the transducer without piezoelectricity",
+    "softening": "softening with the drive",
+}
+
+#: Parts that touch along a face: what sits in a polymer may be laid to either of them.
+TOUCHING = {"sidewall": "substrate"}
+
+
+def true_values(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> dict[str, float]:
+    """The true numbers of an effect under the names of the catalogue, of those that have one."""
+    told, values = effect["parameters"], truth["values"]
+    match effect["name"]:
+        case "fluid absorption":
+            known = water(REFERENCE_TEMPERATURE)
+            return {f"{WATER}.diffusivity_of_sound": told["diffusivity_of_sound"] + (known.diffusivity_of_sound or 0.0)}
+        case "small bubbles in the cavity":
+            return {"wood.void_fraction": told["cavity.void_fraction"]}
+        case "resonant bubbles in the cavity":
+            return {"bubbles.void_fraction": told["cavity.void_fraction"],
+                    "bubbles.radius": told["cavity.bubble_radius"]}
+        case "fluid temperature":
+            stated, there = (water(REFERENCE_TEMPERATURE + t).sound_speed for t in (0.0, told["temperature.offset"]))
+            return {f"{WATER}.sound_speed": values[f"{WATER}.sound_speed"] / stated * there / stated}
+        case "bubbles in the couplant":
+            return {"couplant bubbles.void_fraction": told["gel.void_fraction"]}
+        case "gel viscosity":
+            return {f"{GEL}.gel_viscosity_root": told["gel.viscosity"] ** 0.5}
+        case "anisotropic polymer":
+            return {f"{PLA}.axial_excess": told["anisotropy.c33"], f"{PLA}.shear_excess": told["anisotropy.c44"]}
+        case "water uptake":
+            return {f"{PLA}, wet.density": told["uptake.fraction"] * values[f"{PLA}.density"],
+                    f"{PLA}, wet.shear_modulus": -told["uptake.softening"] * values[f"{PLA}.shear_modulus"],
+                    f"{PLA}, wet.shear_modulus.loss": -told["uptake.loss"] * values[f"{PLA}.shear_modulus"]
+                    - told["uptake.softening"] * values[f"{PLA}.shear_modulus.loss"]}
+        case "imperfect bond":
+            return {f"bond.{kind}_compliance": 1.0 / told[f"bond.{kind}_stiffness"]
+                    for kind in ("normal", "tangential")}
+        case "electrode mass":
+            return {"electrodes.surface_density": told["surface_density"]}
+        case "surface load":
+            return {"backing.normal_impedance": told["clamp.normal"]} if "clamp.normal" in told else {}
+        case _:
+            return {name: value for name, value in told.items() if name.partition(".")[0] in OWN}
+
+
+#: What the names of true numbers begin with that are those of a campaign.
+OWN = (PZT.partition(".")[0], PLA, "bench", "transducer", "couplant", "substrate", "sidewall", "superstrate", "cavity")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One trial: what was concealed, what was said, and whether that is right."""
+
+    number: str
+    mechanism: str
+    group: str
+    detectability: float
+    verdict: str
+    said: str
+    first: bool
+    among: bool
+    region: bool
+    claimed: bool
+    covered: tuple[bool, ...]
+    held_out: float
+    best_score: bool
+    seconds: float
+
+
+def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> Outcome:
+    """Compare what was found with the truth."""
+    effects = truth["effects"]
+    seen = [e for e in effects if e["detectability"] > DETECTABLE]
+    group = ("nothing" if not effects else "foreign" if not all(e["catalogued"] for e in effects)
+             else "below" if not seen else "pair" if len(effects) > 1 else "single")
+    names = {name for effect in seen for name in right_names(effect)}
+    said = {e["name"] for e in found["effects"]}
+    rivals = [set(r["effects"]) for r in found["rivals"]]
+    regions = {r for effect in effects for r in (effect["region"], TOUCHING.get(effect["region"], effect["region"]))}
+    where = [e["region"] for e in found["effects"]] or [e["region"] for e in found["location"][:1]]
+    intervals = {n: p for e in found["effects"] for n, p in e["parameters"].items()}
+    covered = tuple(intervals[n]["low"] <= value <= intervals[n]["high"] for effect in seen
+                    for n, value in true_values(truth, effect).items() if n in intervals)
+    return Outcome(
+        number, " and ".join(truth["mechanism"]), group, truth["detectability"], found["verdict"],
+        " and ".join(sorted(said)), bool(names) and names <= said,
+        bool(names) and (names <= said or any(names <= r for r in rivals)),
+        any(TOUCHING.get(r, r) in {TOUCHING.get(x, x) for x in regions} for r in where),
+        found["verdict"] in CLAIMS, covered, max(s["after"]["reduced_chi_square"] for s in found["held_out"].values()),
+        found["scores"][0]["effect"] in said, found["cpu_seconds"])
+
+
+#: Verdicts that name an effect.
+CLAIMS = ("missing_physics", "ambiguous")
+
+
+def score(folder: Path) -> None:
+    """Print what was concealed and what was said, and the rates the diagnosis is judged by."""
+    outcomes = []
+    for path in sorted((folder / "found").glob("*.json")):
+        truth = json.loads((folder / "truth" / path.name).read_text())
+        outcomes.append(outcome(path.stem, truth, json.loads(path.read_text())))
+    for o in outcomes:
+        print(f"{o.number} {o.group:8} {o.detectability:7.1f} {'first' if o.first else 'among' if o.among else '-':5} "
+              f"{'region' if o.region else '-':6} {o.held_out:5.2f} {o.mechanism:32} {o.verdict:18} {o.said}")
+
+    def rate(label: str, group: Sequence[Outcome], right: Callable[[Outcome], bool]) -> None:
+        count = sum(right(o) for o in group)
+        print(f"{label:62} {count:3} of {len(group):3}" + (f"  {100.0 * count / len(group):5.1f} %" if group else ""))
+
+    by = {name: [o for o in outcomes if o.group == name] for name in ("single", "pair", "below", "nothing", "foreign")}
+    seen = by["single"]
+    print()
+    rate("detectable: right effect first", seen, lambda o: o.first and o.claimed)
+    rate("detectable: right effect in the rival set", seen, lambda o: o.among and o.claimed)
+    rate("detectable: right effect first, whatever the verdict", seen, lambda o: o.first)
+    rate("detectable: right region", seen, lambda o: o.region)
+    covered = [c for o in seen if o.first for c in o.covered]
+    print(f"{'intervals of its parameters that hold the truth':62} {sum(covered):3} of {len(covered):3}")
+    rate("detectable: held-out chi-square at most 1.3", seen, lambda o: o.held_out <= HELD)
+    rate("score test names what the refits end with", [o for o in seen if o.claimed], lambda o: o.best_score)
+    rate("two at once: both found", by["pair"], lambda o: o.first)
+    rate("nothing concealed: false alarm", by["nothing"], lambda o: o.claimed)
+    rate("not detectable: claimed", by["below"], lambda o: o.claimed)
+    foreign = [o for o in by["foreign"] if o.detectability > DETECTABLE]
+    rate("outside the catalogue: not attributed", foreign, lambda o: not o.claimed)
+    rate("outside the catalogue: right region", foreign, lambda o: o.region)
+    if outcomes:
+        print(f"CPU time of a diagnosis: median {np.median([o.seconds for o in outcomes]):.0f} s")
+
+
+#: An effect of more standard deviations than this is detectable; a held-out state is back to noise below that.
+DETECTABLE, HELD = 5.0, 1.3
 
 
 def _claimed(folder: Path, number: int) -> bool:
@@ -114,6 +287,8 @@ def main() -> None:
             make(options.folder, options.trials, options.seed)
         case "run":
             run(options.folder)
+        case "score":
+            score(options.folder)
 
 
 if __name__ == "__main__":

@@ -42,6 +42,9 @@ POLYMER = "from none to a rubber"
 MISTAKEN: Mapping[str, float] = {"couplant": 0.9, "bond": 0.8}
 MISTAKEN_LENGTH, MISTAKEN_RADIUS = 0.2, 0.05
 
+#: Roles of the parts that are printed, layer on layer.
+PRINTED = {"substrate", "sidewall"}
+
 #: A rim begins at this share of the radius.
 RIM = 0.85
 
@@ -358,7 +361,8 @@ def solids(device: Device) -> Iterator[Effect]:
                              _about(material.density, MISTAKEN_DENSITY, "kg/m^3"), "a wrong density")
         if not _is_hard(material):
             yield from _dispersive(device, material, regions)
-            yield from _printed(device, material, regions)
+            if {role_of(region) for region in regions} & PRINTED:
+                yield from _printed(device, material, regions)
 
 
 def _printed(device: Device, material: IsotropicSolid, regions: Sequence[str]) -> Iterator[Effect]:

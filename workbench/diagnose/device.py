@@ -24,7 +24,6 @@ from workbench.diagnose.catalogue import (
 )
 from workbench.fit.objective import Objective, Recording
 from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter
-from workbench.fit.predict import Reach
 from workbench.layers import layered
 from workbench.physics.fluid import Fluid
 from workbench.problem import Problem, build
@@ -33,10 +32,6 @@ Real = NDArray[np.float64]
 
 #: Order of the fields: a recording of 0.3 % noise sees what the second order leaves at the usual size of elements.
 ORDER = 4
-
-#: Directions that the moves of all parameters bring into a basis are left out below this, relative to the states: Z is
-#: of second order in that.
-UNNEEDED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +64,8 @@ class Model:
 
 
 def model(
-    campaign: Campaign, *, elements_per_wavelength: float | None = None, cache: Path | None = None, progress: Callable[[float], None] = lambda _share: None,
+    campaign: Campaign, *, elements_per_wavelength: float | None = None, cache: Path | None = None,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> Model:
     """Mesh every state and put known physics and all hypotheses into its problem.
 
@@ -102,12 +98,10 @@ def model(
         for parameter in effect.parameters:
             more.setdefault(parameter.name, parameter)
     parameters = (*known, *more.values())
-    likely = tuple(p.name for p in known)
 
     def over(states: Sequence[DeviceState]) -> Objective:
         # Bases are made about one point after the other (`Objective.surround`), not enriched on the way.
-        return Objective([recordings[s.name] for s in states], parameters, tolerance=math.inf, likely=likely,
-                         reach=Reach(unneeded=UNNEEDED))
+        return Objective([recordings[s.name] for s in states], parameters, tolerance=math.inf)
 
     return Model(campaign, parameters, len(known), hypotheses, over(campaign.fitted),
                  over(campaign.held_out) if campaign.held_out else None)

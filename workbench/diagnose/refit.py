@@ -19,7 +19,7 @@ from workbench.diagnose.device import Model
 from workbench.diagnose.score import Score, Tangents, columns
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
-from workbench.fit.joint import NO_END, Search, Weighted
+from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,8 +34,13 @@ MOVES = 1.5
 #: this share of what noise does not explain.
 CENTRED, SAME, SHARE = 3, 2.0, 0.02
 
-#: They serve while parameters move by so many of their standard errors there.
-ERRORS = 3.0
+#: Directions that these moves bring into a basis are left out below this, relative to the states: Z is of second order
+#: in that.
+UNNEEDED = 1e-3
+
+#: They serve while parameters move by so many of their standard errors there, and need not be made again where the
+#: estimated relative error of Z, which is ten to a hundred times the true one, is below the second number.
+ERRORS, TRUSTED = 3.0, 0.03
 
 #: Steps of a refit, and of a look at another basin.
 STEPS, GLANCE = 25, 8
@@ -44,16 +49,26 @@ STEPS, GLANCE = 25, 8
 #: what the model's own error adds; of all states, and of one.
 GOOD, GOOD_STATE = 1.15, 1.3
 
-#: A parameter known no better than this, relative, may have several optima: a thin layer may be too thick or too thin.
-#: A fit that is not good is begun again with it at so many of its uncertainties.
-LEVER, HOPS = 0.05, (-2.0, -1.0, 0.0, 1.0, 2.0)
+#: A parameter known no better than the first number, relative, whose uncertainty changes Z by more than the second, may
+#: have several optima: a thin layer may be too thick or too thin. A fit that is not good is begun again with it at so
+#: many of its uncertainties.
+LEVER, SHIFTING, HOPS = 0.05, 0.05, (-0.5, 0.5, -1.0, 1.0, -1.5, 1.5, -2.0, 2.0)
+
+#: Bases for that hold the states with a lever at so many of its uncertainties.
+CORNERS = (-1.7, 1.7)
 
 #: A refit searches so many times what the score test asks for, or the standard errors it gives.
 WIDEST = 30.0
 
+#: It begins with the best of these shares of what the score test asks for.
+SHARES = (1.0, 0.1, 0.0)
+
 #: It begins no closer to the end of its range than this share of it.
 AT_END = 1e-4
 
+#: With the lever held, so many times the cost of the best end is no reason to let it go there; an end that costs less
+#: than this share of the first is in the right basin.
+PROMISING, RIGHT = 2.5, 0.75
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
@@ -113,6 +128,11 @@ class Refit:
         """Whether it leaves nothing but noise."""
         return self.reduced < GOOD and all(s.reduced < GOOD_STATE for s in self.states)
 
+    @property
+    def worth(self) -> float:
+        """A fall of chi-square that is worth a further step."""
+        return SAME + SHARE * max(self.chi_square - 2.0 * self.points, 0.0)
+
     def tangents(self) -> Tangents:
         return Tangents.at(self.search, self.here)
 
@@ -124,45 +144,71 @@ class Refit:
         return (float(max(value - DEVIATIONS * error, known.low)), float(min(value + DEVIATIONS * error, known.high)))
 
 
-def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit]:
-    """The states as stated, and the known parameters alone fitted from there, through smoothed spectra first."""
+def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
+    """The states as stated, the known parameters alone fitted from there, and the end (p,) of the way down to that.
+
+    The way leads through smoothed spectra (`joint.Search.descend`).
+    """
     free, lifted = model.free(())
     search = Search(model.fitted, free=free, lifted=lifted)
     deviation = model.deviations()
-    model.fitted.surround(search.centre, {p.name: MOVES * p.prior for p in model.parameters[:model.known] if p.prior})
+    model.fitted.surround(search.centre, _moves(model), UNNEEDED)
     stated = model.fitted(search.centre, deviation=deviation)
     nominal = tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.fitted, stated.log_ratio, stated.impedance, strict=True))
     x = search.descend(search.centre, lambda: None).x
-    found = _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH))
-    return nominal, elsewhere(model, found)
+    return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH)), x
 
 
-def elsewhere(model: Model, fit: Refit) -> Refit:
-    """A fit that is not good, or a better one from where its levers lie otherwise: it may be in the wrong basin."""
-    levers = [i for i, p in enumerate(model.parameters[:model.known])
-              if p.prior is not None and not p.is_loss and p.prior > LEVER * abs(p.start) > 0.0]
+def _moves(model: Model) -> dict[str, float]:
+    return {p.name: MOVES * p.prior for p in model.parameters[:model.known] if p.prior}
+
+
+def _levers(search: Search, known: int, here: Weighted) -> list[int]:
+    """Indices of the known parameters that may have several optima."""
+    points = sum(log.size for log in here.data.log_ratio)
+    found = []
+    for i, p in enumerate(search.parameters[:known]):
+        if p.prior is not None and not p.is_loss and p.prior > LEVER * abs(p.start) > 0.0:
+            change = EXPLORATION * p.prior * float(np.linalg.norm(here.data.jacobian[:, i])) / np.sqrt(points)
+            if change > SHIFTING:
+                found.append(i)
+    return found
+
+
+def elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
+    """`fit`, or a better one from another basin about x (p,), the end of the way down.
+
+    A wrong basin strains the known parameters. Where the data weigh little against these (`joint.EXPLORATION`), it
+    costs more than the right one, and few steps lead from one to the other.
+    """
     search, deviation = fit.search, model.deviations()
-    better = not fit.good
-    while better:
-        better = False
-        for i, hop in itertools.product(levers, HOPS):
-            known = model.parameters[i]
-            assert known.prior is not None
-            there = known.start + hop * known.prior
-            if abs(there - fit.x[i]) < 0.5 * known.prior:
-                continue
-            x = fit.x.copy()
-            x[i] = there
-            try:
-                found = search.minimise(x, deviation, limit=GLANCE, tolerance=0.01)
-                if 2.0 * found.cost < fit.chi_square - SAME - SHARE * (fit.chi_square - 2.0 * fit.points):
-                    found = search.minimise(found.x, deviation, limit=STEPS, tolerance=ENOUGH)
-                    fit, better = _judged(model, fit.effects, search, found), True
-            except NO_END:
-                continue
-        better = better and not fit.good
-    return fit
+    weak = [EXPLORATION] * len(deviation)
+    levers = _levers(search, model.known, search.evaluate(x, weak))
+    if not levers:
+        return fit
+    corners = []
+    for i, side in itertools.product(levers, CORNERS):
+        corner = search.centre.copy()
+        corner[i] += side * search.scale[i]
+        corners.append(corner)
+    model.fitted.surround(search.centre, _moves(model), UNNEEDED, corners)
+    best = search.minimise(x, weak, limit=GLANCE, tolerance=0.01)
+    before = best.cost
+    for i, hop in itertools.product(levers, HOPS):
+        there = best.x.copy()
+        there[i] = search.centre[i] + hop * search.scale[i]
+        try:
+            held = search.minimise(there, weak, limit=GLANCE, tolerance=0.01, fixed=(i,))
+            if held.cost < PROMISING * best.cost:
+                freed = search.minimise(held.x, weak, limit=GLANCE, tolerance=0.01)
+                best = min(best, freed, key=lambda end: end.cost)
+        except NO_END:
+            continue
+        if best.cost < RIGHT * before:
+            break
+    ended = _judged(model, fit.effects, search, search.minimise(best.x, deviation, limit=STEPS, tolerance=ENOUGH))
+    return ended if ended.chi_square < fit.chi_square - fit.worth else fit
 
 
 def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
@@ -177,11 +223,11 @@ def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
             for name, amplitude, error in zip(scored.effect.names, scored.amplitude, scored.error, strict=True):
                 if np.isfinite(error):
                     reach[name] = max(reach.get(name, 0.0), abs(float(amplitude)) + ERRORS * float(error))
-        model.fitted.surround(fit.x, reach)
+        model.fitted.surround(fit.x, reach, UNNEEDED)
         centre = fit.search.evaluate(fit.x, deviation).vector
         found = fit.search.minimise(fit.x, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3)
         fit = _judged(model, fit.effects, fit.search, found)
-        if float(centre @ centre) - fit.chi_square < SAME + SHARE * max(fit.chi_square - 2.0 * fit.points, 0.0):
+        if fit.here.data.error < TRUSTED or float(centre @ centre) - fit.chi_square < fit.worth:
             break
     return fit
 
@@ -193,19 +239,28 @@ def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence
     """
     free, lifted = model.free(effects)
     search = Search(model.fitted, free=free, lifted=lifted)
-    x = start.copy()
+    asked = np.zeros(start.size)
     for scored in scores:
         for name, amplitude, error in zip(scored.effect.names, scored.amplitude, scored.error, strict=True):
             i = model.index(name)
+            asked[i] = amplitude
             if np.isfinite(error):
                 # What is admissible may be a million times what the data see: the search needs a range of its own.
                 search.scale[i] = min(max(abs(amplitude), 3.0 * error), search.high[i] - search.low[i])
                 search.low[i] = max(search.low[i], start[i] - WIDEST * search.scale[i])
                 search.high[i] = min(search.high[i], start[i] + WIDEST * search.scale[i])
-            width = search.high[i] - search.low[i]
-            x[i] = np.clip(start[i] + amplitude, search.low[i] + AT_END * width, search.high[i] - AT_END * width)
+    own = np.array([model.index(name) for effect in effects for name in effect.names])
+    margin = AT_END * (search.high - search.low)[own]
+    begins = []
+    for share in SHARES:
+        x = start.copy()
+        x[own] = np.clip((start + share * asked)[own], search.low[own] + margin, search.high[own] - margin)
+        begins.append(x)
+    deviation = model.deviations()
     try:
-        found = search.minimise(x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
+        # What is asked for goes with moves of the known parameters, without which less of it may be closer.
+        x = min(begins, key=lambda begin: float(np.sum(search.evaluate(begin, deviation).vector ** 2)))
+        found = search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH)
     except NO_END:
         return None
     return _judged(model, tuple(effects), search, found)
@@ -261,7 +316,7 @@ def predicted(model: Model, fit: Refit) -> tuple[StateFit, ...]:
     """The states held out, as a refit predicts them."""
     if model.held_out is None:
         return ()
-    model.held_out.surround(fit.x, {})
+    model.held_out.surround(fit.x, {}, UNNEEDED)
     found = model.held_out(fit.x, deviation=[s.noise for s in model.campaign.held_out])
     return tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.held_out, found.log_ratio, found.impedance, strict=True))

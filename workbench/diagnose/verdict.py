@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from workbench.diagnose.campaign import Campaign
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
-from workbench.diagnose.refit import GOOD_STATE, Refit, StateFit, base_fit, gather, predicted, refit
+from workbench.diagnose.refit import (
+    GOOD_STATE,
+    Refit,
+    StateFit,
+    base_fit,
+    elsewhere,
+    gather,
+    predicted,
+    refit,
+)
 from workbench.diagnose.score import Score, confusion, ranked, score
 
 Real = NDArray[np.float64]
@@ -96,12 +105,17 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     started = time.perf_counter()
     campaign = model.campaign
     progress("known parameters", 0.0)
-    nominal, base = base_fit(model)
-    first = ranked([score(model, base.x, base.here, base.tangents(), e) for e in model.effects])
-    progress("neighbourhood", 0.3)
-    base = gather(model, base, first[:SINGLES])
-    tangents = base.tangents()
-    scores = ranked([score(model, base.x, base.here, tangents, e) for e in model.effects])
+    nominal, base, end = base_fit(model)
+    progress("neighbourhood", 0.2)
+    base = gather(model, base, _scores(model, base)[:SINGLES])
+    if not base.good:
+        progress("other basins", 0.3)
+        other = elsewhere(model, base, end)
+        if other is not base:
+            base = gather(model, other, _scores(model, other)[:SINGLES])
+        else:
+            base = gather(model, base, _scores(model, base)[:SINGLES])
+    scores = _scores(model, base)
     singles = _singles(model, base, scores, progress)
     pairs: list[Refit] = []
     best = min([base, *singles], key=lambda f: f.evidence)
@@ -114,6 +128,12 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     held_before, held_after = predicted(model, base), predicted(model, best)
     return _judged(campaign, model, nominal, base, best, scores, singles, pairs, held_before, held_after,
                    time.perf_counter() - started)
+
+
+def _scores(model: Model, fit: Refit, effects: Sequence[Effect] | None = None) -> list[Score]:
+    """The scores of the hypotheses (all, or those given) at a fit, best first."""
+    tangents = fit.tangents()
+    return ranked([score(model, fit.x, fit.here, tangents, e) for e in (model.effects if effects is None else effects)])
 
 
 def _singles(model: Model, base: Refit, scores: Sequence[Score], progress: Progress) -> list[Refit]:
@@ -132,11 +152,9 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
     """Refits of pairs: for the best single hypotheses, what the score test at their own optimum would add."""
     tried: dict[frozenset[str], tuple[Refit, Score]] = {}
     for single in singles[:PAIRED]:
-        tangents = single.tangents()
         (own,) = single.effects
         others = [e for e in model.effects if not set(e.names) & set(own.names)]
-        best = ranked([score(model, single.x, single.here, tangents, e) for e in others])
-        for scored in best[:PAIRS]:
+        for scored in _scores(model, single, others)[:PAIRS]:
             tried.setdefault(frozenset((own.name, scored.effect.name)), (single, scored))
     chosen = sorted(tried.values(), key=lambda pair: pair[0].chi_square - pair[1].gain)[:PAIRS]
     found = []

@@ -13,7 +13,7 @@ the one broad resonance that every parameter set has. The width is then let down
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from workbench.fit.parameter import BENCH, Parameter, part, placed
-from workbench.fit.predict import FIT_REACH, Prediction, Predictor, Reach
+from workbench.fit.predict import Prediction, Predictor
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
 
@@ -63,18 +63,11 @@ class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
     A parameter that is among the values of a recording's problem moves these; a dimension that is not stretches the
-    mesh of its chip. Recordings of one problem share a predictor. The reduced bases prepare for the parameters called
-    `likely` to move (all by default), as far as `reach` says.
+    mesh of its chip. Recordings of one problem share a predictor. ``tolerance`` as of a `Predictor`.
     """
 
     def __init__(
-        self,
-        recordings: Sequence[Recording],
-        parameters: Sequence[Parameter],
-        *,
-        tolerance: float,
-        likely: Collection[str] | None = None,
-        reach: Reach = FIT_REACH,
+        self, recordings: Sequence[Recording], parameters: Sequence[Parameter], *, tolerance: float
     ) -> None:
         self.recordings, self.parameters = tuple(recordings), tuple(parameters)
         names = [r.name for r in self.recordings]
@@ -85,37 +78,27 @@ class Objective:
         #: Of every recording, the coefficients that parameters move.
         self.coefficients = [tuple(dict.fromkeys(p.coefficient for _, p in acting if p.coefficient in r.problem.values))
                              for r, acting in zip(self.recordings, self._acting, strict=True)]
-        expected = [tuple(dict.fromkeys(p.coefficient for _, p in acting if p.coefficient in coefficients
-                                        and (likely is None or p.name in likely)))
-                    for acting, coefficients in zip(self._acting, self.coefficients, strict=True)]
         shared: dict[Any, Predictor] = {}
         predictors = []
-        for r, acting, tangents in zip(self.recordings, self._acting, expected, strict=True):
+        for r, acting, tangents in zip(self.recordings, self._acting, self.coefficients, strict=True):
             dimensions = tuple(p.name for _, p in acting if _stretches(p, r))
             frequency = r.measured.frequency
             key = (id(r.problem.mesh), r.problem.terms, dimensions, tangents, frequency.tobytes())
             if key not in shared:
                 shared[key] = Predictor(r.problem, frequency, chip=r.chip, tolerance=tolerance, tangents=tangents,
-                                        dimensions=dimensions, reach=reach)
+                                        dimensions=dimensions)
             predictors.append(shared[key])
         self.predictors = tuple(predictors)
-
-    @property
-    def tolerance(self) -> float:
-        """Largest estimated relative error of a prediction; all predictors follow when it is set."""
-        return max(p.tolerance for p in self.predictors)
-
-    @tolerance.setter
-    def tolerance(self, tolerance: float) -> None:
-        for predictor in self.predictors:
-            predictor.tolerance = tolerance
 
     @property
     def solves(self) -> int:
         return sum(p.solves for p in set(self.predictors))
 
-    def surround(self, x: Real, reach: Mapping[str, float]) -> None:
-        """Make every basis anew about x (p,), for parameters that move by so much, by name."""
+    def surround(self, x: Real, reach: Mapping[str, float], unneeded: float, corners: Sequence[Real] = ()) -> None:
+        """Make every basis anew about x (p,), for parameters that move by so much, by name (`Predictor.surround`).
+
+        `corners` are further points (p,) to hold the states of, as far as they differ by more than dimensions.
+        """
         done: set[int] = set()
         for index, predictor in enumerate(self.predictors):
             if id(predictor) in done:
@@ -128,7 +111,9 @@ class Objective:
                 if p.name in reach and p.coefficient in problem.values:
                     size = abs(problem.values[p.coefficient]) if p.relative else 1.0
                     moves[p.coefficient] = max(moves.get(p.coefficient, 0.0), reach[p.name] * size)
-            predictor.surround({**problem.values, **values}, lengths, moves)
+            others = [settings[0] for settings in (self.settings(corner, index) for corner in corners)]
+            predictor.surround({**problem.values, **values}, lengths, moves, unneeded,
+                               [other for other in others if other != values])
 
     def measured_as(self, spectra: Sequence[Spectrum]) -> Objective:
         """The same with other spectra at the same frequencies, sharing what the predictors have learnt.

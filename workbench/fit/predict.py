@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,27 +45,6 @@ MOVED = 0.1
 
 #: A basis of more columns is narrowed: the dense algebra grows with their cube.
 WIDE = 200
-
-
-@dataclass(frozen=True)
-class Reach:
-    """How far a search goes, and so how much a basis must hold.
-
-    A basis of more than ``wide`` columns is narrowed to what the states need, to ``unneeded`` relative
-    (:data:`UNNEEDED` per tolerance if zero), when the coefficients called in ``moves`` change by so much; others change
-    by :data:`MOVED` of themselves. What the states themselves need is kept more exactly by the factor ``present``.
-    Where ``moves`` are given, the first basis is made for that neighbourhood (`reduce.reduce_around`), and what is
-    added later are states.
-    """
-
-    wide: int = WIDE
-    unneeded: float = 0.0
-    moves: Mapping[str, float] = field(default_factory=dict)
-    present: float = 1.0
-
-
-#: The reach of a fit that knows little beforehand.
-FIT_REACH = Reach()
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +133,8 @@ class Predictor:
     """Spectra of one problem at fixed frequencies (n,) Hz, for any values of its parameters and free `dimensions`.
 
     ``tangents`` are the parameters about to be moved: the basis prepares for them. ``tolerance`` bounds the relative
-    error of the impedance; ``reach`` how wide a basis may get. ``solves`` counts the full solves spent. A dimension
+    error of the impedance; infinite, a basis made by :meth:`surround` is never added to. ``solves`` counts the full
+    solves spent. A dimension
     moves together with all radii of the same length, whose edges coincide (see `geometry.stretch`).
     """
 
@@ -167,12 +147,11 @@ class Predictor:
         dimensions: tuple[str, ...] = (),
         tangents: tuple[str, ...] = (),
         tolerance: float = 1e-4,
-        reach: Reach = FIT_REACH,
     ) -> None:
         if dimensions and chip is None:
             raise ValueError("dimensions can only be free where the chip of the problem is given")
         self.problem, self.chip, self.frequencies = problem, chip, np.asarray(frequencies, dtype=float)
-        self.names, self.tangents, self.tolerance, self.reach = dimensions, tangents, tolerance, reach
+        self.names, self.tangents, self.tolerance = dimensions, tangents, tolerance
         self.solves = 0
         self._expansion: _Expansion | None = None
         self._latest: Prediction | None = None
@@ -214,15 +193,20 @@ class Predictor:
         return prediction
 
     def surround(
-        self, values: Mapping[str, complex], dimensions: Mapping[str, float], moves: Mapping[str, float]
+        self, values: Mapping[str, complex], dimensions: Mapping[str, float], moves: Mapping[str, float],
+        unneeded: float, corners: Sequence[Mapping[str, complex]] = (),
     ) -> None:
-        """Make the basis anew for the neighbourhood of these parameters in which each of `moves` changes by so much."""
+        """Make the basis anew for the neighbourhood of these parameters in which each of `moves` changes by so much.
+
+        What that needs less than `unneeded` of, relative to the states, is left out; `corners` are further values that
+        the basis must hold the states of (`reduce.reduce_around`).
+        """
         lengths = self._lengths(dimensions)
-        self.reach = replace(self.reach, moves=moves)
-        model = reduce_around(self._operators(lengths), self.frequencies, {**self.problem.values, **values}, moves,
-                              tolerance=self.tolerance, unneeded=self.reach.unneeded, depth=DEPTH)
+        around = {**self.problem.values, **values}
+        model = reduce_around(self._operators(lengths), self.frequencies, around, moves, unneeded=unneeded, depth=DEPTH,
+                              corners=[{**around, **corner} for corner in corners])
         self.solves += model.solves
-        self._expansion, self._latest = self._expanded(model, lengths), None
+        self._expansion, self._latest = _Expansion(model, lengths, tuple(self._slopes(model, lengths)), {}), None
 
     def settle(self, settings: Sequence[tuple[Mapping[str, complex], Mapping[str, float]]]) -> None:
         """Narrow the basis to what the spectra at these (values, dimensions) need: a neighbourhood to be searched.
@@ -263,31 +247,23 @@ class Predictor:
             if not np.array_equal(lengths, expansion.centre):
                 start = projected(start, self._operators(lengths))
         operators = self._operators(lengths) if start is None else start.full
-        before, moves = 0 if start is None else start.solves, self.reach.moves
-        if start is None and moves:
-            start = reduce_around(operators, self.frequencies, values, moves, tolerance=self.tolerance,
-                                  unneeded=self.reach.unneeded, depth=DEPTH)
-        model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance,
-                       tangents=() if moves else self.tangents, start=start,
-                       depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False)
+        before = 0 if start is None else start.solves
+        model = reduce(operators, self.frequencies, values, tolerance=0.5 * self.tolerance, tangents=self.tangents,
+                       start=start, depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False)
         self.solves += model.solves - before
-        if model.basis.shape[1] > self.reach.wide:
-            model, _ = narrowed(model, self._states_around(model, values), self.reach.unneeded or
-                                UNNEEDED * self.tolerance)
+        if model.basis.shape[1] > WIDE:
+            model, _ = narrowed(model, self._states_around(model, values), UNNEEDED * self.tolerance)
         return self._expanded(model, lengths)
 
     def _states_around(self, model: ReducedModel, values: Mapping[str, complex]) -> Complex:
         """Reduced states at these parameters, and what each parameter about to be moved changes them by."""
         solution = model.solve(self.frequencies, values)
         tangents = reduced_tangents(solution, values, self.tangents)
-        changes = [self.reach.moves.get(name, MOVED * abs(values[name])) * each
-                   for name, each in zip(self.tangents, tangents, strict=True)]
-        return np.concatenate([self.reach.present * solution.states, *changes], axis=1)
+        changes = [MOVED * abs(values[name]) * each for name, each in zip(self.tangents, tangents, strict=True)]
+        return np.concatenate([solution.states, *changes], axis=1)
 
     def _expanded(self, model: ReducedModel, lengths: Real) -> _Expansion:
         """`model`, whose operators are those of `lengths`, with its expansion about them."""
-        if self.reach.moves:
-            return _Expansion(model, lengths, tuple(self._slopes(model, lengths)), {})
         steps = REACH * lengths
         count = len(self.names)
 
@@ -315,7 +291,7 @@ class Predictor:
         return _Expansion(model, lengths, tuple(first), second)
 
     def _slopes(self, model: ReducedModel, lengths: Real) -> Iterator[tuple[Real, Real]]:
-        """The derivatives of (matrices, sketch) by every dimension, which is enough for the small moves of a reach."""
+        """The derivatives of (matrices, sketch) by every dimension, which is enough for small moves."""
         matrices, sketch = _parts(model)
         for i in range(len(self.names)):
             step = np.zeros_like(lengths)
