@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Basis
 
+from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from workbench.drive import Drive, VoltageDrive
 from workbench.elements import Lagrange
@@ -61,9 +62,14 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
     """The fields of a full `solution` of `operators` at one frequency, under `drive`.
 
     Stress and velocity in fluids come from gradients recovered at the nodes (`nodal.gradient`).
+
+    Raises:
+        ValueError: a mesh for fields of another order than the second.
     """
     frequency, omega = float(solution.frequency[0]), float(solution.omega[0])
-    mesh, dofs = nodal_mesh(operators)
+    if operators.mesh.order != 2:
+        raise ValueError(f"fields of order {operators.mesh.order} cannot be shown node by node; expected order 2")
+    mesh, dofs = section_nodes(operators.mesh)
     values = problem.values
     impedance = complex(solution.impedance[0])
     voltage = complex(drive.amplitude(np.array([impedance]))[0])
@@ -108,10 +114,9 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
                   energy, words)
 
 
-def nodal_mesh(operators: FullOperators) -> tuple[NodalMesh, NDArray[np.int64]]:
-    """The mesh with its nodes doubled between regions, and the scalar mesh dof (N,) of every node."""
-    mesh = operators.mesh
-    basis = Basis(mesh.mesh, Lagrange(mesh.order), intorder=1)
+def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
+    """The mesh with its nodes doubled between regions, and the scalar dof (N,) of every node in the second order."""
+    basis = Basis(mesh.mesh, Lagrange(2), intorder=1)
     locations = np.asarray(basis.doflocs)
     cells, region, points, dofs = [], [], [], []
     names = mesh.section.regions

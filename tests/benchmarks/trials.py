@@ -161,6 +161,10 @@ def true_values(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> dict[str
         case "imperfect bond":
             return {f"bond.{kind}_compliance": 1.0 / told[f"bond.{kind}_stiffness"]
                     for kind in ("normal", "tangential")}
+        case "softening":
+            # Told per squared 8 V peak to peak, found per squared volt of amplitude.
+            return {f"{PZT}.{name}": told[f"softening.{key}"] / 4.0**2
+                    for name, key in (("softening", "stiffness"), ("drive_loss", "loss"))}
         case "electrode mass":
             return {"electrodes.surface_density": told["surface_density"]}
         case "surface load":

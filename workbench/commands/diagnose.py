@@ -15,6 +15,7 @@ from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.compare import compare
 from workbench.diagnose.campaign import DeviceState, read_campaign
 from workbench.diagnose.device import model
+from workbench.diagnose.element_map import element_map, largest
 from workbench.diagnose.refit import StateFit
 from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, intervals
 from workbench.fit.objective import log_ratio
@@ -130,6 +131,7 @@ def _figures(merit: Figures | None) -> tuple[str, str, str]:
 def write_diagnosis_report(found: Diagnosis, folder: Path) -> None:
     """``report.html``: one page with the verdict, then the evidence."""
     from workbench.render.plots import draw_residuals, draw_spectra
+    from workbench.render.sections import draw_cells
 
     first: list[Block] = [Note(f"Verdict: {found.verdict.replace('_', ' ')}"), "\n".join(found.findings)]
     if found.next_measurement:
@@ -157,9 +159,15 @@ def write_diagnosis_report(found: Diagnosis, folder: Path) -> None:
             state.measured.frequency, {"magnitude": 100.0 * ratio.real, "phase": 100.0 * ratio.imag},
             folder / f"residual_{state.name}.png", label="ln(Z / Z measured), real and imaginary (%)", title=state.name,
             band=200.0 * float(np.median(state.noise))), f"{state.name}: what is left, and twice the noise"))
+    where = element_map(found.model, found.base)
+    maps = [Picture(draw_cells(where.mesh, values, folder / f"where_{kind}.png", label=f"a change of {kind} (sigmas)",
+                               title=f"{', '.join(where.states)}: what a change of {kind} in one cell would explain"),
+                    f"{kind}: largest in {region}, {sigmas:.1f} sigmas")
+            for (kind, values), (_, region, sigmas) in zip(where.sigmas.items(), largest(where), strict=True)]
     sections: Sequence[tuple[str, Sequence[Block]]] = [
         ("What differs, and why", first),
-        ("Where", ["What each region and kind would explain at most, in standard deviations.", _location(found)]),
+        ("Where", ["What each region and kind would explain at most, in standard deviations.", _location(found),
+                   *maps]),
         ("Hypotheses by the score test", [scores]), ("Hypotheses refitted", [refits]),
         ("Known parameters", [moved]), ("Spectra", pictures)]
     write_report(folder / "report.html", f"Diagnosis: {found.campaign.name}", sections)

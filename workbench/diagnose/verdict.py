@@ -108,17 +108,19 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     nominal, base, end = base_fit(model)
     progress("neighbourhood", 0.2)
     base = gather(model, base, _scores(model, base)[:SINGLES])
-    if not base.good:
-        progress("other basins", 0.3)
-        other = elsewhere(model, base, end)
-        if other is not base:
-            base = gather(model, other, _scores(model, other)[:SINGLES])
-        else:
-            base = gather(model, base, _scores(model, base)[:SINGLES])
     scores = _scores(model, base)
     singles = _singles(model, base, scores, progress)
-    pairs: list[Refit] = []
+    if not any(fit.good for fit in (base, *singles)):
+        progress("other basins", 0.6)
+        other = elsewhere(model, base, end)
+        # The bases are elsewhere now: they are made again about the base, whichever it is.
+        moved = other is not base
+        base = gather(model, other, (_scores(model, other) if moved else scores)[:SINGLES])
+        if moved:
+            scores = _scores(model, base)
+            singles = _singles(model, base, scores, progress)
     best = min([base, *singles], key=lambda f: f.evidence)
+    pairs: list[Refit] = []
     if best.effects and not best.good:
         pairs = _pairs(model, singles, progress)
         best = min([best, *pairs], key=lambda f: f.evidence)

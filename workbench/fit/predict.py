@@ -222,6 +222,11 @@ class Predictor:
         first, others = states[0], [other - states[0] for other in states[1:]]
         self._expansion = self._expansion.narrowed(np.concatenate([first, *others], axis=1), NEGLIGIBLE)
 
+    def expanded(self, prediction: Prediction) -> tuple[FullOperators, Complex]:
+        """The full operators, and the states (size, n) that a prediction on the present basis stands for."""
+        assert self._expansion is not None
+        return self._expansion.model.full, self._expansion.model.expand(prediction.solution)
+
     def full(self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None, at: Real) -> Complex:
         """The impedance (e^{+j w t}) by full solves at the frequencies `at`, to check the reduced model with."""
         operators = self._operators(self._lengths(dimensions or {}))

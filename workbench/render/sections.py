@@ -123,6 +123,25 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
+def draw_cells(mesh: NodalMesh, values: FloatArray, path: Path, *, label: str, title: str) -> Path:
+    """One value (cells,) in every cell, none of them negative. Writes `path`."""
+    window = _window(mesh.points)
+    limits = (0.0, float(values.max()) or 1.0)
+    figure, axes, bar = _frame(window, title=title)
+
+    def arrange(plotter: Any) -> None:
+        for mirror in (1.0, -1.0):
+            quads = _grid(mesh.points, mesh.cells[:, :4], mirror=mirror, kind="QUAD")
+            quads.cell_data["value"] = values
+            plotter.add_mesh(quads, scalars="value", cmap=PLAIN_COLOURS, clim=limits, lighting=False,
+                             show_scalar_bar=False)
+
+    axes.imshow(_photograph(window, arrange), extent=_extent(window), interpolation="antialiased")
+    _outline(axes, mesh)
+    _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=label)
+    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+
+
 def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
     """Real part of complex `amplitude` (N,) at the phase at which its largest value is real and positive, and that
     phase in degrees; NaN stays NaN.

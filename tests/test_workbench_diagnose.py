@@ -1,0 +1,95 @@
+"""Whole diagnoses of recordings in which an effect is concealed, made once by the generator of tests/benchmarks.
+
+They are trials 0000 and 0006 of `tests/benchmarks/trials.py make FOLDER --seed 1`: a ceramic that softens with the
+drive (147 standard deviations), and an inductance that nobody can see (0.2 of them).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from workbench.cli import main
+from workbench.diagnose.campaign import read_campaign
+from workbench.diagnose.device import Model, model
+from workbench.diagnose.element_map import _changes
+from workbench.diagnose.refit import UNNEEDED
+
+TRIALS = Path(__file__).parent / "data" / "trials"
+
+pytestmark = pytest.mark.slow
+
+
+def diagnosed(number: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the command says of a trial, and its truth."""
+    assert main(["diagnose", str(TRIALS / number / "campaign.toml"), "-o", str(folder)]) == 0
+    return (json.loads((folder / "diagnosis.json").read_text(encoding="utf-8")),
+            json.loads((TRIALS / number / "truth.json").read_text(encoding="utf-8")))
+
+
+def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    found, truth = diagnosed("0000", tmp_path / "out")
+    assert found["verdict"] == "missing_physics"
+    (effect,) = found["effects"]
+    assert (effect["name"], effect["region"], effect["admissible"]) == ("softening with the drive", "transducer", True)
+    # Told per squared 8 V peak to peak, found per squared volt of amplitude.
+    (told,) = truth["effects"]
+    for name, key in (("softening", "softening.stiffness"), ("drive_loss", "softening.loss")):
+        interval = effect["parameters"][f"pzt/trial.{name}"]
+        expected = told["parameters"][key] / 4.0**2
+        # A 95 % interval misses one in twenty: here it need only come within twice its half width.
+        half = 0.5 * (interval["high"] - interval["low"])
+        assert abs(interval["value"] - expected) < 2.0 * half < 0.5 * expected
+    assert found["scores"][0]["effect"] == "softening with the drive"
+    for name, state in found["after"].items():
+        assert state["reduced_chi_square"] < 1.3, name
+        assert state["reduced_chi_square"] <= found["known_parameters_only"][name]["reduced_chi_square"] + 0.1
+    (held,) = found["held_out"].values()
+    assert held["after"]["reduced_chi_square"] < 1.3
+    for state in (*found["before"].values(), *found["after"].values()):
+        assert set(state) >= {"f0", "z_min", "q", "mape_percent", "rms_log_residual", "reduced_chi_square"}
+    assert set(found) >= {"verdict", "effects", "moved_parameters", "rivals", "location", "before", "after", "held_out",
+                          "next_measurement", "detection_limits"}
+    assert {p.name for p in (tmp_path / "out").glob("where_*.png")} == {
+        "where_stiffness.png", "where_mass.png", "where_loss.png"}
+    assert "softening with the drive" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_cannot_be_seen_is_not_claimed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    found, _ = diagnosed("0006", tmp_path / "out")
+    assert found["verdict"] == "parameters_explain"
+    assert found["effects"] == []
+    for states in (found["after"], {name: each["after"] for name, each in found["held_out"].items()}):
+        assert all(state["reduced_chi_square"] < 1.3 for state in states.values())
+    # Two hundred numbers nearly free to move: none further than a few of their own uncertainties.
+    assert all(abs(parameter["sigmas"]) < 3.5 for parameter in found["moved_parameters"])
+
+
+@pytest.fixture(scope="module")
+def stated() -> Model:
+    """The model of a trial, with bases about what is stated."""
+    found = model(read_campaign(TRIALS / "0006" / "campaign.toml"))
+    found.fitted.surround(np.array([p.start for p in found.parameters]), {}, UNNEEDED)
+    return found
+
+
+def test_the_map_adds_up_to_the_derivative_by_the_moduli(stated: Model) -> None:
+    """All cells of the lid a little stiffer together are its glass a little stiffer."""
+    x = np.array([p.start for p in stated.parameters])
+    _, _, prediction = stated.fitted.predict(x, 1)
+    operators, states = stated.fitted.predictors[1].expanded(prediction)
+    stiffness, mass = _changes(operators, states, prediction)
+    lid = operators.mesh.mesh.subdomains["superstrate"]
+    names = ("glass/trial.bulk_modulus", "glass/trial.shear_modulus", "glass/trial.density")
+    bulk, shear, density = (prediction.values[name] * slope
+                            for name, slope in zip(names, prediction.logarithmic_gradient(names).T, strict=True))
+    # The same forms in another order of summation.
+    size = np.abs(bulk + shear).max()
+    assert np.abs(stiffness[lid].sum(axis=0) - (bulk + shear)).max() < 1e-8 * size
+    assert np.abs(mass[lid].sum(axis=0) - density).max() < 1e-8 * size

@@ -1,0 +1,110 @@
+"""Where on the section a mismatch sits: the score test element by element.
+
+A hypothesis "this element is a little stiffer, heavier or lossier than its material" changes ln Z by a quadratic form
+of the states there, x^T A_e x / Q. What the known parameters can imitate is projected out; what is left is compared
+with the residual. Neighbours see much the same, so the map is smooth: it shows where to look, not how much is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.diagnose.device import Model
+from workbench.diagnose.refit import UNNEEDED, Refit
+from workbench.fields import section_nodes
+from workbench.fit.predict import Prediction
+from workbench.nodal import NodalMesh
+from workbench.operators import FullOperators
+from workbench.physics.term import OPERATORS, Integral
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+KINDS = ("stiffness", "mass", "loss")
+
+
+@dataclass(frozen=True, eq=False)
+class ElementMap:
+    """Standard deviations (cells,) that each kind of change of one cell of ``mesh`` would explain, by kind."""
+
+    mesh: NodalMesh
+    sigmas: dict[str, Real]
+    states: tuple[str, ...]
+
+
+def element_map(model: Model, fit: Refit) -> ElementMap:
+    """The map of what `fit` leaves, on the largest mesh (that of the chip, not of its disc alone)."""
+    objective, states = model.fitted, model.campaign.fitted
+    objective.surround(fit.x, {}, UNNEEDED)
+    meshes = [predictor.problem.mesh for predictor in objective.predictors]
+    mesh = max(meshes, key=lambda each: each.mesh.t.shape[1])
+    shown = [k for k, each in enumerate(meshes) if each is mesh]
+    rows, columns, known = [], [], {}
+    start = 0
+    for k, state in enumerate(states):
+        count = state.noise.size
+        if k in shown:
+            _, _, prediction = objective.predict(fit.x, k)
+            if id(prediction.solution) not in known:
+                known[id(prediction.solution)] = (prediction, _changes(*objective.predictors[k].expanded(prediction),
+                                                                       prediction))
+            columns.append(known[id(prediction.solution)][1] / state.noise)
+            rows.append(np.arange(start, start + 2 * count))
+        start += 2 * count
+    tangents = fit.tangents()
+    within = np.concatenate(rows)
+    basis, left = tangents.basis[within], tangents.left[within]
+    sigmas = {}
+    # (kinds, cells, n) by state: stiffness and mass along the real axis, a loss along the imaginary one.
+    for kind, index, turn in (("stiffness", 0, 1.0), ("mass", 1, 1.0), ("loss", 0, -1j)):
+        whole = np.concatenate([part for each in columns for part in
+                                ((np.conj(turn * each[index])).real.T, (np.conj(turn * each[index])).imag.T)])
+        # The other rows of a column are zero, of its projection they are not.
+        overlap = basis.T @ whole
+        size = np.sqrt(np.maximum(np.sum(whole**2, axis=0) - np.sum(overlap**2, axis=0), 0.0))
+        along = np.abs(left @ whole)
+        sigmas[kind] = np.where(size > 1e-9 * size.max(), along / np.maximum(size, 1e-300), 0.0)
+    nodes, _ = section_nodes(mesh)
+    order = np.concatenate([mesh.mesh.subdomains[name] for name in nodes.regions])
+    return ElementMap(nodes, {kind: values[order] for kind, values in sigmas.items()},
+                      tuple(states[k].name for k in shown))
+
+
+def _changes(operators: FullOperators, states: Complex, prediction: Prediction) -> Complex:
+    """d ln Z (2, cells, n), e^{-i w t}, by a relative change of stiffness and of mass of every cell."""
+    kinds = [_kind(integral) for integral in operators.integrals]
+    g = prediction.solution.coefficients
+    used = [q for q, kind in enumerate(kinds) if kind is not None and g[:, q].any()]
+    part = replace(operators, integrals=tuple(operators.integrals[q] for q in used))
+    result = np.zeros((2, operators.mesh.mesh.t.shape[1], g.shape[0]), dtype=complex)
+    for q, forms in zip(used, part.element_quadratic(states, states), strict=True):
+        cells = operators.places[operators.integrals[q].domain].elements
+        result[("stiffness", "mass").index(str(kinds[q]))][cells] += g[:, q] * forms
+    return result / prediction.solution.charge
+
+
+def _kind(integral: Integral) -> str | None:
+    """Whether an integral over cells stores what stiffness or what mass stores; None for all others."""
+    if integral.on_boundary:
+        return None
+    taken = {(component[0], kind == "value") for product in integral.products
+             for name in (product.row, product.column) for component, kind, _ in OPERATORS[name]}
+    components = {component for component, _ in taken}
+    if components == {"u"}:
+        return "mass" if all(value for _, value in taken) else "stiffness"
+    if components == {"p"}:
+        return "stiffness" if all(value for _, value in taken) else "mass"
+    return None
+
+
+def largest(found: ElementMap) -> Sequence[tuple[str, str, float]]:
+    """(kind, region, sigmas) of the largest value of every kind."""
+    result = []
+    for kind, values in found.sigmas.items():
+        cell = int(np.argmax(values))
+        result.append((kind, found.mesh.regions[int(found.mesh.region[cell])], float(values[cell])))
+    return result
