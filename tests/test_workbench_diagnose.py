@@ -1,14 +1,13 @@
-"""Whole diagnoses of recordings in which an effect is concealed, made once by the generator of tests/benchmarks.
+"""A whole diagnosis of recordings in which an effect is concealed, made once by the generator of tests/benchmarks.
 
-They are trials 0000 and 0006 of `tests/benchmarks/trials.py make FOLDER --seed 1`: a ceramic that softens with the
-drive (147 standard deviations), and an inductance that nobody can see (0.2 of them).
+It is trial 0000 of `tests/benchmarks/trials.py make FOLDER`: a ceramic that softens with the drive (147 standard
+deviations). More take minutes each: the benchmark runs them.
 """
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,21 +18,16 @@ from workbench.diagnose.device import Model, model
 from workbench.diagnose.element_map import _changes
 from workbench.diagnose.refit import UNNEEDED
 
-TRIALS = Path(__file__).parent / "data" / "trials"
+TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
 
 pytestmark = pytest.mark.slow
 
 
-def diagnosed(number: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the command says of a trial, and its truth."""
-    assert main(["diagnose", str(TRIALS / number / "campaign.toml"), "-o", str(folder)]) == 0
-    return (json.loads((folder / "diagnosis.json").read_text(encoding="utf-8")),
-            json.loads((TRIALS / number / "truth.json").read_text(encoding="utf-8")))
-
-
 def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    found, truth = diagnosed("0000", tmp_path / "out")
+    assert main(["diagnose", str(TRIAL / "campaign.toml"), "-o", str(tmp_path / "out")]) == 0
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    truth = json.loads((TRIAL / "truth.json").read_text(encoding="utf-8"))
     assert found["verdict"] == "missing_physics"
     (effect,) = found["effects"]
     assert (effect["name"], effect["region"], effect["admissible"]) == ("softening with the drive", "transducer", True)
@@ -60,21 +54,10 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
     assert "softening with the drive" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
-def test_what_cannot_be_seen_is_not_claimed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    found, _ = diagnosed("0006", tmp_path / "out")
-    assert found["verdict"] == "parameters_explain"
-    assert found["effects"] == []
-    for states in (found["after"], {name: each["after"] for name, each in found["held_out"].items()}):
-        assert all(state["reduced_chi_square"] < 1.3 for state in states.values())
-    # Two hundred numbers nearly free to move: none further than a few of their own uncertainties.
-    assert all(abs(parameter["sigmas"]) < 3.5 for parameter in found["moved_parameters"])
-
-
 @pytest.fixture(scope="module")
 def stated() -> Model:
     """The model of a trial, with bases about what is stated."""
-    found = model(read_campaign(TRIALS / "0006" / "campaign.toml"))
+    found = model(read_campaign(TRIAL / "campaign.toml"))
     found.fitted.surround(np.array([p.start for p in found.parameters]), {}, UNNEEDED)
     return found
 

@@ -65,19 +65,16 @@ def test_gauss_lobatto_nodes_of_the_fourth_order() -> None:
     assert np.allclose(gauss_lobatto(4), 0.5 * (1.0 + np.array([-1.0, -np.sqrt(3 / 7), 0.0, np.sqrt(3 / 7), 1.0])))
 
 
-#: Largest rms of ln(Z / Z_reference) in per cent. Measured 0.10 and 0.22; the reference's own mesh leaves 0.1 to 0.3.
-AGREES = {"free_disc_fitted_rho7862": 0.15, "chip_filled": 0.3}
-
-
-@pytest.mark.parametrize("name", AGREES)
 def test_the_fourth_order_agrees_with_an_independent_solver(
-    name: str, reference_chip: Callable[[str], Chip], reference_materials: Callable[[str], dict[str, Material]],
+    reference_chip: Callable[[str], Chip], reference_materials: Callable[[str], dict[str, Material]],
     reference_spectrum: Callable[[str], Spectrum],
 ) -> None:
+    name = "free_disc_fitted_rho7862"
     chip, materials, expected = reference_chip(name), reference_materials(name), reference_spectrum(name)
     section = cut_section(chip)
     mesh = mesh_section(section, mesh_size(section.regions, materials, chip.band[1], order=4))
     model = problem(mesh, materials, chip.band)
     reduced = reduce(assemble(model.mesh, model.terms), expected.frequency, model.values)
     found = np.conj(reduced.solve(expected.frequency, model.values).impedance)
-    assert 100.0 * np.sqrt(np.mean(np.abs(np.log(found / expected.impedance)) ** 2)) < AGREES[name]
+    # Measured 1.0e-3 rms; the reference's own mesh leaves 1e-3, up to 3e-3 where the spectrum is steep.
+    assert np.sqrt(np.mean(np.abs(np.log(found / expected.impedance)) ** 2)) < 1.5e-3
