@@ -34,6 +34,9 @@ VERDICTS = ("no_mismatch", "parameters_explain", "missing_physics", "ambiguous",
 #: odds of 150 to 1, so that fifty hypotheses together raise a false alarm in few campaigns.
 ACCEPTED = 10.0
 
+#: A refit is made again on bases about its own optimum from this share of that: those of the base model err by less.
+NEAR = 0.7
+
 #: Evidence this close to the best leaves a hypothesis in the race: odds of 20 to 1.
 RIVAL = 6.0
 
@@ -124,10 +127,10 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     if best.effects and not best.good:
         pairs = _pairs(model, singles, progress)
         best = min([best, *pairs], key=lambda f: f.evidence)
-    if best.effects:
-        progress("verdict", 0.95)
-        best = gather(model, best)
-    held_before, held_after = predicted(model, base), predicted(model, best)
+    progress("verdict", 0.95)
+    best = gather(model, best) if base.evidence - best.evidence > NEAR * ACCEPTED else base
+    held_before = predicted(model, base)
+    held_after = held_before if best is base else predicted(model, best)
     return _judged(campaign, model, nominal, base, best, scores, singles, pairs, held_before, held_after,
                    time.perf_counter() - started)
 
