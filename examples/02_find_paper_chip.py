@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from paper_chip import RANGES, chip_with
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
@@ -36,31 +37,9 @@ CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
 TARGET = {"empty": (1028.6e3, 3.24, 114.29), "filled": (1030.6e3, 4.04, 103.06)}
 #: What counts as one unit of disagreement: 0.5 kHz, 5 %, 5 %.
 SCALE = (500.0, 0.05, 0.05)
-#: Ranges searched (m): sidewall, bond, glass, cavity radius, section radius.
-RANGES = {
-    "sidewall.thickness": (0.40e-3, 1.00e-3),
-    "bond.thickness": (0.01e-3, 0.30e-3),
-    "superstrate.thickness": (0.10e-3, 3.0e-3),
-    "cavity.radius": (1.5e-3, 12.0e-3),
-    "section.radius": (12.5e-3, 20.0e-3),
-    "node.offset": (-0.08e-3, 0.08e-3),
-}
-#: Height (m) of the node above the gel: 3.25 mm less the transducer and the gel.
-NODE = 3.25e-3 - 2.04e-3
 BAND = (1.005e6, 1.055e6)
 #: Elements per wavelength of the sample and of the last steps (3 leaves 5 % in Q, 6 leaves 0.5 %).
 COARSE, FINE = 3.0, 6.0
-
-
-def chip_with(start: Chip, values: dict[str, float]) -> Chip:
-    """The chip with these lengths (m). The middle of the cavity lies `node.offset` above the node."""
-    height = values["sidewall.thickness"] + values["bond.thickness"]
-    lengths = {name: values[name] for name in
-               ("sidewall.thickness", "bond.thickness", "superstrate.thickness", "cavity.radius")}
-    lengths["substrate.thickness"] = NODE + values["node.offset"] - 0.5 * height
-    for region in ("substrate", "sidewall", "bond", "superstrate"):
-        lengths[f"{region}.radius"] = values["section.radius"]
-    return start.with_dimensions(lengths)
 
 
 def evaluate(chip: Chip, elements_per_wavelength: float) -> dict[str, tuple[float, float, float]]:

@@ -24,6 +24,8 @@ from pathlib import Path
 import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
+from paper_chip import RANGES as UNPRINTED
+from paper_chip import chip_with
 from scipy.stats import qmc
 
 import geometry
@@ -34,10 +36,8 @@ from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.merit import Figures, NoResonance, figures
 from workbench.operators import assemble
-from workbench.physics.boundary_layer import ADMISSIBLE, ThermalBoundaryLayer, ViscousBoundaryLayer
-from workbench.physics.fluid import SolidFluidContact
-from workbench.physics.term import Term
-from workbench.problem import Problem, build
+from workbench.physics.boundary_layer import ADMISSIBLE
+from workbench.problem import Problem, build, with_boundary_layers
 from workbench.reduce import ReducedModel, reduce
 from workbench.simulate import loss_budget
 from workbench.solve import Solution
@@ -53,19 +53,8 @@ FREQUENCIES = np.linspace(0.99e6, 1.06e6, 281)
 CAUSES = {"viscous layer": "shear_viscosity", "thermal layer": "thermal_conductivity",
           "bulk absorption": "diffusivity_of_sound"}
 
-#: Ranges drawn (m), those of 02_find_paper_chip.py with the gel beside them (the paper: 20 um). The height of the
-#: substrate follows from the printed height of the pressure node.
-RANGES = {
-    "couplant.thickness": (5e-6, 50e-6),
-    "sidewall.thickness": (0.40e-3, 1.00e-3),
-    "bond.thickness": (0.01e-3, 0.30e-3),
-    "superstrate.thickness": (0.10e-3, 3.0e-3),
-    "cavity.radius": (1.5e-3, 12.0e-3),
-    "section.radius": (12.5e-3, 20.0e-3),
-    "node.offset": (-0.08e-3, 0.08e-3),
-}
-#: Height (m) of the pressure node above the bottom of the transducer (section 4.4).
-NODE = 3.25e-3
+#: Ranges drawn (m): the gel beside what is searched elsewhere (the paper: 20 um).
+RANGES = {"couplant.thickness": (5e-6, 50e-6), **UNPRINTED}
 #: A second round is drawn about this many of the worst, within this share of every range to either side.
 WORST, ABOUT = 4, 0.08
 #: So many of the largest by either measure are solved again on the fine mesh.
@@ -111,16 +100,6 @@ def gaps(chip: Chip) -> Gaps:
 
 # --------------------------------------------------------------------------------------------------------------------
 # What the fluid's known losses do
-
-
-def with_boundary_layers(problem: Problem) -> Problem:
-    """`problem` with viscous and thermal boundary layers on every solid wall of its cavity, constants of its fluid."""
-    terms: list[Term] = []
-    for contact in problem.terms:
-        if isinstance(contact, SolidFluidContact) and contact.fluid == CAVITY:
-            where = (contact.boundary, contact.solid, CAVITY, problem.materials[CAVITY].name)
-            terms += [ViscousBoundaryLayer(*where), ThermalBoundaryLayer(*where)]
-    return problem.with_terms(tuple(terms), {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,22 +328,11 @@ class Draw:
         return 0.0 if self.found is None else max(map(abs, layers_of(self.found)))
 
 
-def drawn_chip(chip: Chip, lengths: Mapping[str, float]) -> Chip:
-    """The chip with these lengths (m); the middle of the cavity lies `node.offset` above the printed node."""
-    height = lengths["sidewall.thickness"] + lengths["bond.thickness"]
-    below = chip.transducer.thickness.value + lengths["couplant.thickness"]
-    own = {name: value for name, value in lengths.items() if name.partition(".")[0] not in ("section", "node")}
-    radii = {f"{region}.radius": lengths["section.radius"]
-             for region in ("substrate", "sidewall", "bond", "superstrate")}
-    substrate = NODE + lengths["node.offset"] - below - 0.5 * height
-    return chip.with_dimensions({**own, **radii, "substrate.thickness": substrate})
-
-
 def draw(chip: Chip, point: Real, *, second: bool, elements_per_wavelength: float = COARSE) -> Draw:
     """The chip at a `point` (7,) of the unit cube over :data:`RANGES`."""
     low, high = np.array(list(RANGES.values())).T
     lengths = {name: float(x) for name, x in zip(RANGES, low + point * (high - low), strict=True)}
-    made = drawn_chip(chip, lengths)
+    made = chip_with(chip, lengths)
     model = model_of(made, "filled", elements_per_wavelength=elements_per_wavelength)
     try:
         found = break_down(model)
@@ -473,7 +441,7 @@ def bound(chip: Chip, results: Sequence[Draw], wanted: Gaps) -> tuple[str, list[
     for measure, text in enumerate(("the spectrum", "the dissipated power")):
         order = np.argsort([-abs(layers_of(found)[measure]) for _, found in resonant])
         for one, found in (resonant[k] for k in order[:CHECKED]):
-            fine = break_down(model_of(drawn_chip(chip, one.lengths), "filled", elements_per_wavelength=FINE))
+            fine = break_down(model_of(chip_with(chip, one.lengths), "filled", elements_per_wavelength=FINE))
             largest[measure] = max(largest[measure], *(abs(layers_of(f)[measure]) for f in (found, fine)))
             lines.append(say(
                 f"largest by {text}: f0 {found.figures.f0 / 1e3:.1f} kHz, Z_min {found.figures.z_min:.1f} ohm, Q "

@@ -123,7 +123,7 @@ def test_loss_tangent_and_slip_against_hand_figures(example: ModuleType, paper_c
 @pytest.mark.parametrize("corner", [0.0, 0.5, 1.0])
 def test_drawn_chips_keep_what_is_printed(example: ModuleType, paper_chip: Chip, corner: float) -> None:
     lengths = {name: low + corner * (high - low) for name, (low, high) in example.RANGES.items()}
-    made = example.drawn_chip(paper_chip, lengths)
+    made = example.chip_with(paper_chip, lengths)
     middle = made.layer("sidewall").z_bottom + 0.5 * sum(layer.thickness.value for layer in made.holes)
     assert middle == pytest.approx(3.25e-3 + lengths["node.offset"], abs=1e-12)
     assert made.transducer.thickness.value == 2.02e-3

@@ -103,7 +103,7 @@ def test_the_concealed_one_is_ranked_first() -> None:
 
 def test_confusion_is_one_for_the_same_direction_and_none_for_orthogonal_ones() -> None:
     def along(*columns: Real) -> Score:
-        return Score(Effect("", "", "", ""), 0.0, 0.0, np.zeros(1), np.zeros(1), np.column_stack(columns), 0.0)
+        return Score(Effect("", "", "", ""), 0.0, np.zeros(1), np.zeros(1), np.column_stack(columns), 0.0)
 
     e = np.eye(5)
     assert confusion(along(e[0]), along(-3.0 * e[0])) == pytest.approx(1.0)

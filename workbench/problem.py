@@ -15,7 +15,7 @@ from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
-from workbench.physics import absorption, electrodes, fluid, piezoelectric, solid
+from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
 
 #: The transducer is meshed this much finer than the rest. Its radial overtones are sharp and its losses small, so a
@@ -94,6 +94,24 @@ class Problem:
             raise KeyError(f"no term of those added has the parameters {', '.join(unused)}; "
                            f"theirs: {', '.join(sorted(needed))}")
         return replace(self, terms=(*self.terms, *terms), values={**self.values, **values})
+
+
+def with_boundary_layers(problem: Problem) -> Problem:
+    """`problem` with the boundary layers that its cavity's fluid has on every solid wall, as far as it states its own
+    constants: a viscous layer, and a thermal one."""
+    fluid_there = problem.materials.get(CAVITY)
+    if not isinstance(fluid_there, Fluid):
+        return problem
+    viscous = fluid_there.shear_viscosity is not None
+    thermal = viscous and None not in (fluid_there.heat_capacity_ratio, fluid_there.thermal_conductivity,
+                                       fluid_there.heat_capacity)
+    terms: list[Term] = []
+    for contact in problem.terms:
+        if isinstance(contact, fluid.SolidFluidContact) and contact.fluid == CAVITY:
+            where = (contact.boundary, contact.solid, CAVITY, fluid_there.name)
+            terms += [boundary_layer.ViscousBoundaryLayer(*where)] if viscous else []
+            terms += [boundary_layer.ThermalBoundaryLayer(*where)] if thermal else []
+    return problem.with_terms(tuple(terms), {})
 
 
 def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Material]:

@@ -206,7 +206,7 @@ def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> 
     names = {name for effect in seen for name in right_names(effect)}
     said = {e["name"] for e in found["effects"]}
     rivals = [set(r["effects"]) for r in found["rivals"]]
-    regions = {r for effect in effects for r in (effect["region"], TOUCHING.get(effect["region"], effect["region"]))}
+    regions = {TOUCHING.get(effect["region"], effect["region"]) for effect in effects}
     where = [e["region"] for e in found["effects"]] or [e["region"] for e in found["location"][:1]]
     intervals = {n: p for e in found["effects"] for n, p in e["parameters"].items()}
     covered = tuple(intervals[n]["low"] <= value <= intervals[n]["high"] for effect in seen
@@ -215,7 +215,7 @@ def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> 
         number, " and ".join(truth["mechanism"]), group, truth["detectability"], found["verdict"],
         " and ".join(sorted(said)), bool(names) and names <= said,
         bool(names) and (names <= said or any(names <= r for r in rivals)),
-        any(TOUCHING.get(r, r) in {TOUCHING.get(x, x) for x in regions} for r in where),
+        any(TOUCHING.get(r, r) in regions for r in where),
         found["verdict"] in CLAIMS, covered, max(s["after"]["reduced_chi_square"] for s in found["held_out"].values()),
         found["scores"][0]["effect"] in said, found["cpu_seconds"])
 

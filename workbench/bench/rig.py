@@ -25,7 +25,7 @@ from inputs import write_atomic
 from workbench.bench.setup import BenchSetup
 from workbench.instruments.feeltech import open_feeltech
 from workbench.instruments.instrument import Generator, InstrumentError, Oscilloscope, Waveform
-from workbench.instruments.tektronix import open_tektronix
+from workbench.instruments.opening import open_bench
 
 #: How often, and how long apart (s), the bench is opened anew to switch the drive off.
 _ATTEMPTS_OFF = 5
@@ -85,11 +85,9 @@ class Rig:
         """Open both instruments, drive off. What they were set to is not known, so everything is set anew."""
         self.disconnect()
         try:
-            # The generator comes first, and off: whatever is wrong with the oscilloscope, the drive is not left on.
-            self._generator = open_feeltech(self.setup.generator)
+            self._generator, self._oscilloscope = open_bench(self.setup.generator, self.setup.oscilloscope)
             self._generator.off()
             self.marker.unlink(missing_ok=True)
-            self._oscilloscope = open_tektronix(self.setup.oscilloscope)
             self.identities = {"generator": self._generator.identify(), "oscilloscope": self._oscilloscope.identify()}
         except BaseException:
             self.disconnect()

@@ -12,15 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, interface, role_of
+from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, role_of
 from geometry.section import cut_section
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
-from workbench.diagnose.campaign import DeviceState
+from workbench.diagnose.campaign import DeviceState, value_of
 from workbench.fit.parameter import BENCH, BENCH_ELEMENTS, LOSS, UNITS, Parameter, bench_parameter
 from workbench.physics import (
     absorption,
     anisotropy,
-    boundary_layer,
     bubbles,
     couplant_shear,
     depoled,
@@ -48,11 +47,15 @@ PRINTED = {"substrate", "sidewall"}
 #: A rim begins at this share of the radius.
 RIM = 0.85
 
-#: Density (kg/m^3) and speed of sound (m/s) of air at 25 degC: U.S. Standard Atmosphere, 1976.
-AIR = (1.184, 346.1)
+#: The gas where a layer is missing.
+GAPS = "gas in gaps"
 
 #: How far a real coefficient may lie from what is stated.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
+
+
+#: Gives a state's terms of a hypothesis, and the values that those need.
+Make = Callable[[DeviceState], tuple[tuple[Term, ...], Mapping[str, complex]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +86,12 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """What the functions below look at: the states of a device, and what is known of it."""
+    """What the functions below look at: the states of a device, what is known of it, and the air about it."""
 
     states: tuple[DeviceState, ...]
     known: Mapping[str, float]
     fixed: tuple[str, ...]
+    air: Fluid
 
     def holding(self, region: str) -> tuple[DeviceState, ...]:
         return tuple(state for state in self.states if region in state.materials)
@@ -111,29 +115,11 @@ def _is_liquid(material: Material) -> bool:
     return isinstance(material, Fluid) and material.density > 100.0
 
 
-def known_physics(state: DeviceState) -> tuple[Term, ...]:
-    """Effects whose constants are known: they are part of the model from the beginning and are never fitted."""
-    fluid = state.fluid
-    if fluid is None or fluid.shear_viscosity is None:
-        return ()
-    terms: list[Term] = []
-    for boundary, solid in walls(state):
-        terms.append(boundary_layer.ViscousBoundaryLayer(boundary, solid, CAVITY, fluid.name))
-        if None not in (fluid.heat_capacity_ratio, fluid.thermal_conductivity, fluid.heat_capacity):
-            terms.append(boundary_layer.ThermalBoundaryLayer(boundary, solid, CAVITY, fluid.name))
-    return tuple(terms)
-
-
-def walls(state: DeviceState) -> list[tuple[str, str]]:
-    """The boundaries of the cavity with solids, and the solid of each."""
-    found = []
-    for boundary in cut_section(state.chip).boundary_names():
-        sides = boundary.split("|")
-        if CAVITY in sides and OUTSIDE not in sides:
-            (solid,) = (side for side in sides if side != CAVITY)
-            if isinstance(state.materials.get(solid), IsotropicSolid | Piezoelectric):
-                found.append((boundary, solid))
-    return found
+def _touched(state: DeviceState) -> list[str]:
+    """The solids that the cavity touches."""
+    pairs = (boundary.split("|") for boundary in cut_section(state.chip).boundary_names())
+    found = [side for pair in pairs if CAVITY in pair for side in pair]
+    return [side for side in dict.fromkeys(found) if isinstance(state.materials.get(side), IsotropicSolid)]
 
 
 def effects(device: Device) -> tuple[Effect, ...]:
@@ -142,17 +128,23 @@ def effects(device: Device) -> tuple[Effect, ...]:
     return tuple(effect for effect in found if not set(effect.names) & set(device.fixed))
 
 
-def _of(name: str, admissible: Admissible, start: float = 0.0, *, recordings: Sequence[str] = ()) -> Parameter:
-    return Parameter(name, start, admissible.lowest, admissible.highest, None, admissible.unit, tuple(recordings))
+def _of(name: str, admissible: Admissible, start: float = 0.0) -> Parameter:
+    return Parameter(name, start, admissible.lowest, admissible.highest, None, admissible.unit)
 
 
 def _added(
-    states: Iterable[DeviceState], make: Callable[[DeviceState], tuple[tuple[Term, ...], Mapping[str, complex]]]
+    states: Iterable[DeviceState], make: Make
 ) -> tuple[dict[str, tuple[Term, ...]], dict[str, Mapping[str, complex]]]:
     terms, values = {}, {}
     for state in states:
         terms[state.name], values[state.name] = make(state)
     return terms, values
+
+
+def _small_bubbles(region: str, fluid: str, name: str) -> Make:
+    """Wood's bubbles in a fluid, none yet."""
+    known = {f"{name}.{key}": complex(bubbles.AIR_IN_WATER[key]) for key in ("ambient_pressure", "heat_capacity_ratio")}
+    return lambda _state: ((bubbles.WoodBubbles(region, fluid, name),), {f"{name}.void_fraction": 0j, **known})
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -178,20 +170,15 @@ def cavity_fluid(device: Device) -> Iterator[Effect]:
                  (_of(name, loss, 0.0 if known is None else known),), admissible={name: loss}, terms=terms,
                  values=values)
 
-    wood = _limits(bubbles.ADMISSIBLE, "void_fraction", "wood.void_fraction")
+    wood = {"wood.void_fraction": bubbles.ADMISSIBLE["void_fraction"]}
 
-    def soft(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        return ((bubbles.WoodBubbles(CAVITY, fluid.name, "wood"),),
-                {"wood.void_fraction": 0.0, "wood.ambient_pressure": bubbles.AIR_IN_WATER["ambient_pressure"],
-                 "wood.heat_capacity_ratio": bubbles.AIR_IN_WATER["heat_capacity_ratio"]})
-
-    terms, values = _added(device.filled, soft)
+    terms, values = _added(device.filled, _small_bubbles(CAVITY, fluid.name, "wood"))
     yield Effect("small bubbles in the cavity", CAVITY, "stiffness", "gas far below its resonance softens the liquid",
                  (_of("wood.void_fraction", wood["wood.void_fraction"]),), admissible=wood, terms=terms, values=values)
 
     if fluid.shear_viscosity is not None:
-        limits = {**_limits(bubbles.ADMISSIBLE, "void_fraction", "bubbles.void_fraction"),
-                  **_limits(bubbles.ADMISSIBLE, "radius", "bubbles.radius")}
+        limits = {"bubbles.void_fraction": bubbles.ADMISSIBLE["void_fraction"],
+                  "bubbles.radius": bubbles.ADMISSIBLE["radius"]}
 
         def resonant(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
             return ((bubbles.ResonantBubbles(CAVITY, fluid.name, "bubbles"),),
@@ -215,11 +202,12 @@ def soaked(device: Device) -> Iterator[Effect]:
     dry = [s for s in device.states if s not in device.filled]
     if not device.filled or not dry:
         return
-    touching = dict.fromkeys(solid for state in device.filled for _, solid in walls(state))
+    touched = dict.fromkeys(solid for state in device.filled for solid in _touched(state))
     done: set[str] = set()
-    for region in touching:
+    for region in touched:
         material = device.filled[0].materials[region]
-        if not isinstance(material, IsotropicSolid) or material.name in done or _is_hard(material):
+        assert isinstance(material, IsotropicSolid)
+        if material.name in done or _is_hard(material):
             continue
         done.add(material.name)
         regions = [r for r, m in device.filled[0].materials.items() if m.name == material.name]
@@ -257,16 +245,7 @@ def couplant(device: Device) -> Iterator[Effect]:
     for region, fluid in _fluids(device):
         name = f"{region} bubbles"
         limits = {f"{name}.void_fraction": Admissible(0.0, 0.05, "1", "from none to gel that was stirred")}
-
-        def soft(
-            _state: DeviceState, region: str = region, fluid: str = fluid.name, name: str = name
-        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-            return ((bubbles.WoodBubbles(region, fluid, name),),
-                    {f"{name}.void_fraction": 0.0,
-                     f"{name}.ambient_pressure": bubbles.AIR_IN_WATER["ambient_pressure"],
-                     f"{name}.heat_capacity_ratio": bubbles.AIR_IN_WATER["heat_capacity_ratio"]})
-
-        terms, values = _added(device.holding(region), soft)
+        terms, values = _added(device.holding(region), _small_bubbles(region, fluid.name, name))
         yield from _shearing(device, region, fluid)
         yield from _partial(device, region, fluid)
         yield Effect(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it",
@@ -282,7 +261,7 @@ def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
         return
     below, above = order[at - 1], order[at + 1]
     root, modulus = f"{fluid.name}.gel_viscosity_root", f"{fluid.name}.gel_shear_modulus"
-    limits = _limits(couplant_shear.ADMISSIBLE, "gel_viscosity_root", root)
+    limits = {root: couplant_shear.ADMISSIBLE["gel_viscosity_root"]}
 
     def viscous(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
         term = couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
@@ -299,11 +278,11 @@ def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     states = device.holding(region)
     radius = states[0].chip.layer(region).outer_radius
     name = f"{region}.missing_fraction"
-    limits = _limits(missing_couplant.ADMISSIBLE, "missing_fraction", name)
+    limits = {name: missing_couplant.ADMISSIBLE["missing_fraction"]}
 
     def missing(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        return ((missing_couplant.MissingCouplant(region, fluid.name, "gas in gaps", RIM * radius),),
-                {name: 0.0, "gas in gaps.density": AIR[0], "gas in gaps.sound_speed": AIR[1]})
+        return ((missing_couplant.MissingCouplant(region, fluid.name, GAPS, RIM * radius),),
+                {name: 0.0, f"{GAPS}.density": device.air.density, f"{GAPS}.sound_speed": device.air.sound_speed})
 
     terms, values = _added(states, missing)
     yield Effect(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
@@ -328,8 +307,8 @@ def bonds(device: Device) -> Iterator[Effect]:
         if not isinstance(material, IsotropicSolid):
             continue
         names = (f"{region}.normal_compliance", f"{region}.tangential_compliance")
-        limits = {**_limits(thin_layer.ADMISSIBLE, "normal_compliance", names[0]),
-                  **_limits(thin_layer.ADMISSIBLE, "tangential_compliance", names[1])}
+        limits = {names[0]: thin_layer.ADMISSIBLE["normal_compliance"],
+                  names[1]: thin_layer.ADMISSIBLE["tangential_compliance"]}
 
         def springs(
             state: DeviceState, region: str = region, material: str = material.name, names: Sequence[str] = names
@@ -387,8 +366,7 @@ def _dispersive(device: Device, material: IsotropicSolid, regions: Sequence[str]
     name = material.name
     loss = f"{name}.shear_fractional_loss"
     exponent = f"{name}.loss_exponent"
-    limits = {**_limits(loss_laws.ADMISSIBLE, "shear_fractional_loss", loss),
-              **_limits(loss_laws.ADMISSIBLE, "loss_exponent", exponent)}
+    limits = {loss: loss_laws.ADMISSIBLE["shear_fractional_loss"], exponent: loss_laws.ADMISSIBLE["loss_exponent"]}
     middle = float(sum(device.states[-1].chip.band) / 2.0)
 
     def law(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
@@ -441,7 +419,7 @@ def transducer(device: Device) -> Iterator[Effect]:
                          "the permittivity has a loss")
     e33, eps33 = f"{name}.e33{LOSS}", f"{name}.eps33{LOSS}"
     limits = {e33: loss("e33", 0.05, 0.0), eps33: loss("eps33", 0.05, 1.0)}
-    new = tuple(_of(n, a, _start(material, n)) for n, a in limits.items() if n not in device.known)
+    new = tuple(_of(n, a, value_of(n, device.states)) for n, a in limits.items() if n not in device.known)
     yield Effect("complex piezoelectric constant", TRANSDUCER, "loss", "e33 has a phase of its own", new,
                  lifts=tuple(n for n in limits if n in device.known), admissible=limits)
     for coefficient in ("c11", "c33", "c44"):
@@ -454,7 +432,7 @@ def transducer(device: Device) -> Iterator[Effect]:
                          _about(material.density, MISTAKEN_DENSITY, "kg/m^3"), "a wrong density")
 
     mass = "electrodes.surface_density"
-    limits = _limits(electrode_mass.ADMISSIBLE, "surface_density", mass)
+    limits = {mass: electrode_mass.ADMISSIBLE["surface_density"]}
 
     def metal(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
         return (electrode_mass.ElectrodeMass("electrode_live", "electrode_ground", TRANSDUCER),), {mass: 0.0}
@@ -465,7 +443,7 @@ def transducer(device: Device) -> Iterator[Effect]:
                  terms=terms, values=values)
 
     radius = states[0].chip.layer(TRANSDUCER).outer_radius
-    depoled_limits = _limits(depoled.ADMISSIBLE, "depoled_fraction", f"{TRANSDUCER}.depoled_fraction")
+    depoled_limits = {f"{TRANSDUCER}.depoled_fraction": depoled.ADMISSIBLE["depoled_fraction"]}
 
     def unpoled(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
         return ((depoled.DepoledRim(TRANSDUCER, name, RIM * radius),),
@@ -505,11 +483,6 @@ def transducer(device: Device) -> Iterator[Effect]:
                      values=values)
 
 
-def _start(material: Piezoelectric, name: str) -> float:
-    value = complex(getattr(material, name.removesuffix(LOSS).rpartition(".")[2]))
-    return value.imag if name.endswith(LOSS) else value.real
-
-
 # --------------------------------------------------------------------------------------------------------------------
 # Bench
 
@@ -531,10 +504,6 @@ def bench(device: Device) -> Iterator[Effect]:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def _limits(known: Mapping[str, Admissible], key: str, name: str) -> dict[str, Admissible]:
-    return {name: known[key]}
-
-
 def _about(value: float, share: float, unit: str) -> Admissible:
     return Admissible((1.0 - share) * value, (1.0 + share) * value, unit,
                       f"within {100 * share:.0f} % of what is stated: a mistake that goes unnoticed")
@@ -551,17 +520,10 @@ def _mistaken(
     if relative:
         parameter = Parameter(name, 1.0, limit.lowest, limit.highest, None, "1", relative=True)
     else:
-        value = _stated(device, name) if start is None else start
+        value = value_of(name, device.states) if start is None else start
         parameter = Parameter(name, float(min(max(value, limit.lowest), limit.highest)), limit.lowest, limit.highest,
                               None, limit.unit)
     yield Effect(label, region, kind, about, (parameter,), admissible={name: limit})
-
-
-def _stated(device: Device, name: str) -> float:
-    material, _, coefficient = name.removesuffix(LOSS).rpartition(".")
-    found, _ = device.materials()[material]
-    value = complex(getattr(found, coefficient))
-    return value.imag if name.endswith(LOSS) else value.real
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import SectionMesh
+from geometry.names import role_of
 from geometry.section import Section
+from materials.kinds import Fluid
 from workbench.diagnose.campaign import Campaign, DeviceState, unit_of, value_of
 from workbench.diagnose.catalogue import (
     MISTAKEN,
@@ -20,18 +22,19 @@ from workbench.diagnose.catalogue import (
     Device,
     Effect,
     effects,
-    known_physics,
 )
 from workbench.fit.objective import Objective, Recording
 from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter
 from workbench.layers import layered
-from workbench.physics.fluid import Fluid
-from workbench.problem import Problem, build
+from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
 
 #: Order of the fields: a recording of 0.3 % noise sees what the second order leaves at the usual size of elements.
 ORDER = 4
+
+#: What fills gaps.
+AIR = "air/us_standard_1976"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +76,9 @@ def model(
         InputError: as `workbench.problem.build`.
         MeshError: a mesh could not be made.
     """
-    device = Device(campaign.states, campaign.known, campaign.fixed)
+    air = campaign.registry.load(AIR)
+    assert isinstance(air, Fluid)
+    device = Device(campaign.states, campaign.known, campaign.fixed, air)
     hypotheses = effects(device)
     recordings: dict[str, Recording] = {}
     meshes: dict[Section, SectionMesh] = {}
@@ -82,7 +87,7 @@ def model(
         problem = build(state.chip, state.state, campaign.registry, order=ORDER,
                         elements_per_wavelength=elements_per_wavelength, cache=cache,
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
-        problem = problem.with_terms(known_physics(state), {})
+        problem = with_boundary_layers(problem)
         for effect in hypotheses:
             values = {name: complex(value) for name, value in effect.values.get(state.name, {}).items()
                       if name not in problem.values}
@@ -115,12 +120,12 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         return Parameter(found.name, 0.0, found.low, found.high, error, unit)
     region, _, last = name.rpartition(".")
     if last in LENGTHS:
-        share = MISTAKEN_RADIUS if last != "thickness" else MISTAKEN.get(region, MISTAKEN_LENGTH)
+        share = MISTAKEN_RADIUS if last != "thickness" else MISTAKEN.get(role_of(region), MISTAKEN_LENGTH)
         reach = min(max(share * value, 5.0 * error), 0.95 * value)
         return Parameter(name, value, value - reach, value + reach, error, unit)
     material = name.removesuffix(LOSS).rpartition(".")[0]
     problem = next(p for p in problems if f"{material}.{_coefficient(name)}" in p.values)
-    if any(isinstance(term, Fluid) and term.material == material for p in problems for term in _plain(p)):
+    if any(isinstance(m, Fluid) and m.name == material for m in problem.materials.values()):
         reach = max(0.1, 5.0 * error / value)
         return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, error / value, "1", relative=True)
     found = material_parameter(problem, material, name.removeprefix(f"{material}."))
@@ -130,9 +135,5 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
 
 def _coefficient(name: str) -> str:
     return name.removesuffix(LOSS).rpartition(".")[2]
-
-
-def _plain(problem: Problem) -> list[object]:
-    return [getattr(term, "term", term) for term in problem.terms]
 
 

@@ -24,9 +24,6 @@ from workbench.physics.term import OPERATORS, Integral
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-KINDS = ("stiffness", "mass", "loss")
-
-
 @dataclass(frozen=True, eq=False)
 class ElementMap:
     """Standard deviations (cells,) that each kind of change of one cell of ``mesh`` would explain, by kind."""
@@ -61,8 +58,8 @@ def element_map(model: Model, fit: Refit) -> ElementMap:
     sigmas = {}
     # (kinds, cells, n) by state: stiffness and mass along the real axis, a loss along the imaginary one.
     for kind, index, turn in (("stiffness", 0, 1.0), ("mass", 1, 1.0), ("loss", 0, -1j)):
-        whole = np.concatenate([part for each in columns for part in
-                                ((np.conj(turn * each[index])).real.T, (np.conj(turn * each[index])).imag.T)])
+        slopes = [np.conj(turn * each[index]) for each in columns]
+        whole = np.concatenate([part for slope in slopes for part in (slope.real.T, slope.imag.T)])
         # The other rows of a column are zero, of its projection they are not.
         overlap = basis.T @ whole
         size = np.sqrt(np.maximum(np.sum(whole**2, axis=0) - np.sum(overlap**2, axis=0), 0.0))

@@ -267,10 +267,7 @@ def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence
 
 
 def _judged(model: Model, effects: tuple[Effect, ...], search: Search, minimum: Minimum) -> Refit:
-    here = minimum.residual
-    deviation = model.deviations()
-    full = search.evaluate(minimum.x, deviation) if not isinstance(here, Weighted) or here.jacobian.shape[1] != len(
-        search.parameters) else here
+    full = search.evaluate(minimum.x, model.deviations())
     estimate: dict[str, float] = {}
     error: dict[str, float] = {}
     cost = 0.0

@@ -26,14 +26,13 @@ Real = NDArray[np.float64]
 class Score:
     """What the score test says of one hypothesis.
 
-    ``gain`` is the fall of chi-square it promises within its bounds, ``free_gain`` without them; ``amplitude`` (k,) the
-    parameters it asks for, SI, and ``error`` (k,) their standard errors; ``tangent`` (m, k) what is left of its
-    tangents; ``blind`` the share of them that known parameters can imitate.
+    ``gain`` is the fall of chi-square it promises within its bounds; ``amplitude`` (k,) the parameters it asks for, SI,
+    and ``error`` (k,) their standard errors; ``tangent`` (m, k) what is left of its tangents; ``blind`` the share of
+    them that known parameters can imitate.
     """
 
     effect: Effect
     gain: float
-    free_gain: float
     amplitude: Real
     error: Real
     tangent: Real
@@ -82,7 +81,7 @@ def score(model: Model, x: Real, here: Weighted, tangents: Tangents, effect: Eff
     size, whole = np.linalg.norm(left, axis=0), np.linalg.norm(raw, axis=0)
     seen = size > 1e-9 * np.maximum(whole, 1e-300)
     amplitude, error = np.zeros(len(indices)), np.full(len(indices), np.inf)
-    gain = free_gain = 0.0
+    gain = 0.0
     if seen.any():
         unit = left[:, seen] / size[seen]
         before = float(tangents.left @ tangents.left)
@@ -90,11 +89,9 @@ def score(model: Model, x: Real, here: Weighted, tangents: Tangents, effect: Eff
                                                     np.maximum(high[seen], 0.0) * size[seen] + 1e-12))
         amplitude[seen] = bounded.x / size[seen]
         gain = before - float(np.sum((tangents.left + unit @ bounded.x) ** 2))
-        free, *_ = np.linalg.lstsq(unit, -tangents.left, rcond=1e-8)
-        free_gain = before - float(np.sum((tangents.left + unit @ free) ** 2))
         error[seen] = np.sqrt(np.diag(np.linalg.pinv(unit.T @ unit, rcond=1e-12))) / size[seen]
     blind = 1.0 - float(np.linalg.norm(left)) / max(float(np.linalg.norm(raw)), 1e-300)
-    return Score(effect, gain, free_gain, amplitude, error, left, blind)
+    return Score(effect, gain, amplitude, error, left, blind)
 
 
 def confusion(first: Score, second: Score) -> float:
