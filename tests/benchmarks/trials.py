@@ -107,7 +107,7 @@ def right_names(effect: Mapping[str, Any]) -> set[str]:
         case "wrong density":
             return {"density of the transducer" if region == "transducer" else f"density of {PLA}"}
         case "surface load":
-            return {"load on the face of the transducer" if region == "transducer" else "load on the lid"}
+            return {"load on the face of the transducer" if region == "transducer" else "load on the superstrate"}
         case name if name.startswith("bench "):
             return {BENCH_ELEMENTS[name.removeprefix("bench ").replace(" ", "_")].text}
         case name:
@@ -116,7 +116,6 @@ def right_names(effect: Mapping[str, Any]) -> set[str]:
 
 #: Names of effects that are not those of the catalogue.
 CALLED: Mapping[str, str] = {
-    "fluid temperature": "fluid sound speed (temperature)",
     "gel viscosity": "shear through the couplant",
     "gel thickness": "thickness of the couplant",
     "partial coverage": "couplant missing at its rim",
@@ -145,8 +144,7 @@ def true_values(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> dict[str
             return {"bubbles.void_fraction": told["cavity.void_fraction"],
                     "bubbles.radius": told["cavity.bubble_radius"]}
         case "fluid temperature":
-            stated, there = (water(REFERENCE_TEMPERATURE + t).sound_speed for t in (0.0, told["temperature.offset"]))
-            return {f"{WATER}.sound_speed": values[f"{WATER}.sound_speed"] / stated * there / stated}
+            return {f"{WATER}.temperature_offset": told["temperature.offset"]}
         case "bubbles in the couplant":
             return {"couplant bubbles.void_fraction": told["gel.void_fraction"]}
         case "gel viscosity":
@@ -168,7 +166,8 @@ def true_values(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> dict[str
         case "electrode mass":
             return {"electrodes.surface_density": told["surface_density"]}
         case "surface load":
-            return {"backing.normal_impedance": told["clamp.normal"]} if "clamp.normal" in told else {}
+            names = {"clamp.normal": "backing", "lid.normal": "load on the superstrate"}
+            return {f"{names[key]}.normal_impedance": value for key, value in told.items()}
         case _:
             return {name: value for name, value in told.items() if name.partition(".")[0] in OWN}
 

@@ -17,7 +17,7 @@ from workbench.diagnose.campaign import DeviceState, read_campaign
 from workbench.diagnose.device import model
 from workbench.diagnose.element_map import element_map, largest
 from workbench.diagnose.refit import StateFit
-from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, intervals
+from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, gain, intervals
 from workbench.fit.objective import log_ratio
 from workbench.merit import Figures
 from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report
@@ -80,6 +80,8 @@ def record(found: Diagnosis) -> dict[str, Any]:
         "detection_limits": detection_limits(found),
         "scores": [{"effect": s.effect.name, "region": s.effect.region, "gain": s.gain, "sigmas": s.sigmas}
                    for s in found.scores],
+        "refits": [{"effects": [e.name for e in f.effects], "evidence": gain(found.base, f),
+                    "reduced_chi_square": f.reduced} for f in (*found.singles, *found.pairs)],
         "findings": list(found.findings),
         "seconds": found.seconds,
         "full_solves": found.full_solves,
@@ -141,7 +143,7 @@ def write_diagnosis_report(found: Diagnosis, folder: Path) -> None:
         (s.effect.name, s.effect.region, s.effect.kind, f"{s.sigmas:.1f}", f"{s.gain:.1f}")
         for s in found.scores[:LISTED]))
     refits = Table(("hypothesis", "fall of chi-square", "evidence", "reduced chi-square", "parameters"), tuple(
-        (f.name, f"{found.base.chi_square - f.chi_square:.1f}", f"{found.base.evidence - f.evidence:.1f}",
+        (f.name, f"{found.base.chi_square - f.chi_square:.1f}", f"{gain(found.base, f):.1f}",
          f"{f.reduced:.3f}", "; ".join(f"{n} = {v:.4g}" for n, v in f.estimate.items()))
         for f in (*found.singles, *found.pairs)))
     moved = Table(("known parameter", "stated", "fitted", "sigmas"), tuple(

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
-from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, role_of
+from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside, role_of
 from geometry.section import cut_section
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.registry import Registry
 from workbench.diagnose.campaign import DeviceState, value_of
 from workbench.fit.parameter import BENCH, BENCH_ELEMENTS, LOSS, UNITS, Parameter, bench_parameter
 from workbench.physics import (
@@ -24,6 +26,7 @@ from workbench.physics import (
     couplant_shear,
     depoled,
     electrode_mass,
+    fluid_temperature,
     loss_laws,
     missing_couplant,
     softening,
@@ -47,8 +50,8 @@ PRINTED = {"substrate", "sidewall"}
 #: A rim begins at this share of the radius.
 RIM = 0.85
 
-#: The gas where a layer is missing.
-GAPS = "gas in gaps"
+#: The gas where a layer is missing: what it is called there, and in the registry.
+GAPS, AIR = "gas in gaps", "air/us_standard_1976"
 
 #: How far a real coefficient may lie from what is stated.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
@@ -86,12 +89,19 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """What the functions below look at: the states of a device, what is known of it, and the air about it."""
+    """What the functions below look at: the states of a device, what is known of it, and the materials there are."""
 
     states: tuple[DeviceState, ...]
     known: Mapping[str, float]
     fixed: tuple[str, ...]
-    air: Fluid
+    registry: Registry
+
+    @property
+    def air(self) -> Fluid:
+        """What fills gaps."""
+        found = self.registry.load(AIR)
+        assert isinstance(found, Fluid)
+        return found
 
     def holding(self, region: str) -> tuple[DeviceState, ...]:
         return tuple(state for state in self.states if region in state.materials)
@@ -191,10 +201,35 @@ def cavity_fluid(device: Device) -> Iterator[Effect]:
                       _of("bubbles.radius", limits["bubbles.radius"], 4e-6)),
                      admissible=limits, terms=terms, values=values)
 
+    yield from _warmer(device)
     speed = f"{fluid.name}.sound_speed"
-    limit = Admissible(0.9, 1.1, "1", "of the stated speed: 20 K of water, or a tenth of another liquid in it")
-    yield from _mistaken(device, "fluid sound speed (temperature)", CAVITY, "stiffness", speed, limit,
-                         "the liquid is warmer, colder or another than stated", relative=True)
+    limit = Admissible(0.9, 1.1, "1", "of the stated speed: a tenth of another liquid in it")
+    yield from _mistaken(device, "fluid sound speed", CAVITY, "stiffness", speed, limit,
+                         "the liquid is another than stated", relative=True)
+
+
+def _warmer(device: Device) -> Iterator[Effect]:
+    """A liquid whose temperature is stated wrongly, by as much in all states."""
+    terms: dict[str, tuple[Term, ...]] = {}
+    values: dict[str, Mapping[str, complex]] = {}
+    for state in device.filled:
+        fluid = state.fluid
+        assert fluid is not None
+        slopes = fluid_temperature.slopes(fluid, partial(_at, device.registry, fluid.name))
+        if slopes is None:
+            return
+        terms[state.name] = (fluid_temperature.FluidTemperature(CAVITY, fluid.name),)
+        values[state.name] = {f"{fluid.name}.temperature_offset": 0j, **{k: complex(v) for k, v in slopes.items()}}
+        name = f"{fluid.name}.temperature_offset"
+    limits = {name: fluid_temperature.ADMISSIBLE["temperature_offset"]}
+    yield Effect("fluid temperature", CAVITY, "stiffness", "the liquid is warmer or colder than stated",
+                 tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+
+
+def _at(registry: Registry, name: str, temperature: float) -> Fluid:
+    found = registry.load(name, temperature=temperature)
+    assert isinstance(found, Fluid)
+    return found
 
 
 def soaked(device: Device) -> Iterator[Effect]:
@@ -230,6 +265,26 @@ def soaked(device: Device) -> Iterator[Effect]:
         yield Effect(f"liquid taken up by {material.name}", region, "mass", "the solid is heavier and softer once the "
                      "cavity has been filled", tuple(_of(n, a) for n, a in limits.items()), admissible=limits,
                      terms=terms, values=values)
+
+
+def top(device: Device) -> Iterator[Effect]:
+    """What lies on the stack, or holds it from above."""
+    for region in dict.fromkeys(state.chip.layers[-1].region for state in device.states):
+        if region == TRANSDUCER:
+            continue
+        states = tuple(state for state in device.states if state.chip.layers[-1].region == region)
+        name = f"load on the {region}"
+        limits = {f"{name}.normal_impedance": replace(surface_load.ADMISSIBLE["normal_impedance"], lowest=0.0)}
+
+        def loaded(
+            _state: DeviceState, region: str = region, name: str = name
+        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+            return ((surface_load.SurfaceLoad(outside(region), region, name),),
+                    {f"{name}.normal_impedance": 0.0, f"{name}.tangential_impedance": 0.0})
+
+        terms, values = _added(states, loaded)
+        yield Effect(name, region, "loss", "something lies on the chip, or presses on it",
+                     tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
 
 
 def _is_hard(material: IsotropicSolid) -> bool:
@@ -527,4 +582,4 @@ def _mistaken(
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
-    cavity_fluid, soaked, couplant, bonds, solids, lengths, transducer, bench)
+    cavity_fluid, soaked, top, couplant, bonds, solids, lengths, transducer, bench)

@@ -33,9 +33,6 @@ Real = NDArray[np.float64]
 #: Order of the fields: a recording of 0.3 % noise sees what the second order leaves at the usual size of elements.
 ORDER = 4
 
-#: What fills gaps.
-AIR = "air/us_standard_1976"
-
 
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -76,9 +73,7 @@ def model(
         InputError: as `workbench.problem.build`.
         MeshError: a mesh could not be made.
     """
-    air = campaign.registry.load(AIR)
-    assert isinstance(air, Fluid)
-    device = Device(campaign.states, campaign.known, campaign.fixed, air)
+    device = Device(campaign.states, campaign.known, campaign.fixed, campaign.registry)
     hypotheses = effects(device)
     recordings: dict[str, Recording] = {}
     meshes: dict[Section, SectionMesh] = {}

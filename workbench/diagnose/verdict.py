@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from workbench.diagnose.refit import (
 from workbench.diagnose.score import Score, confusion, ranked, score
 
 Real = NDArray[np.float64]
+Weighed = tuple[Refit, tuple[StateFit, ...]]
 Progress = Callable[[str, float], None]
 
 VERDICTS = ("no_mismatch", "parameters_explain", "missing_physics", "ambiguous", "unexplained", "below_detection")
@@ -39,6 +39,16 @@ NEAR = 0.7
 
 #: Evidence this close to the best leaves a hypothesis in the race: odds of 20 to 1.
 RIVAL = 6.0
+
+#: Fits that close to the best are asked for the states held out.
+CLOSE = 3.0 * RIVAL
+
+#: An explanation is whole where no further hypothesis takes more than this of chi-square from what it leaves: of fifty,
+#: one in two thousand would by chance.
+LEFT = 20.0
+
+#: Noise is called white up to this many neighbouring points that go together.
+CORRELATED = 2.0
 
 #: A known parameter that left what was known of it by more than this many uncertainties is a finding of its own.
 STRAYED = 3.5
@@ -106,7 +116,6 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         NotEnriched, MeshError: the device as it is stated cannot be predicted.
     """
     started = time.perf_counter()
-    campaign = model.campaign
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
     progress("neighbourhood", 0.2)
@@ -122,17 +131,48 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         if moved:
             scores = _scores(model, base)
             singles = _singles(model, base, scores, progress)
-    best = min([base, *singles], key=lambda f: f.evidence)
     pairs: list[Refit] = []
-    if best.effects and not best.good:
+    best = min([base, *singles], key=lambda f: f.evidence)
+    if best is not base and not (best.good and _left(model, best) < LEFT):
         pairs = _pairs(model, singles, progress)
-        best = min([best, *pairs], key=lambda f: f.evidence)
-    progress("verdict", 0.95)
-    best = gather(model, best) if base.evidence - best.evidence > NEAR * ACCEPTED else base
+        best = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
+    progress("verdict", 0.9)
     held_before = predicted(model, base)
-    held_after = held_before if best is base else predicted(model, best)
-    return _judged(campaign, model, nominal, base, best, scores, singles, pairs, held_before, held_after,
-                   time.perf_counter() - started)
+    weighed = [(base, held_before)]
+    if gain(base, best) > NEAR * ACCEPTED:
+        close = [f for f in (*singles, *pairs) if f.evidence - best.evidence < CLOSE and _simplest(f, best)]
+        weighed = _weighed(model, close)
+        best = gather(model, weighed[0][0])
+        weighed[0] = (best, predicted(model, best))
+    return _judged(model, nominal, base, weighed, scores, singles, pairs, held_before, time.perf_counter() - started)
+
+
+def gain(base: Refit, fit: Refit) -> float:
+    """How much better the evidence of a fit is than that of the base, in twice a logarithm.
+
+    Points whose residuals under that fit go together count as one: what no hypothesis removes is noise that is not
+    white.
+    """
+    shared = float(np.mean([state.correlation for state in fit.states]))
+    return (base.chi_square - fit.chi_square) / shared - fit.cost_of_freedom + base.cost_of_freedom
+
+
+def _left(model: Model, fit: Refit) -> float:
+    """The most that any further hypothesis promises to explain of what a fit leaves."""
+    own = {name for effect in fit.effects for name in effect.names}
+    shared = float(np.mean([state.correlation for state in fit.states]))
+    return max(s.gain for s in _scores(model, fit, [e for e in model.effects if not own & set(e.names)])) / shared
+
+
+def _weighed(model: Model, fits: Sequence[Refit]) -> list[Weighed]:
+    """Fits with the states held out as they predict these, which decide between fits that come close; best first."""
+    found = [(fit, predicted(model, fit)) for fit in fits]
+    return sorted(found, key=lambda each: each[0].evidence + _held(model, each[1]))
+
+
+def _held(model: Model, held: Sequence[StateFit]) -> float:
+    """Chi-square of the states held out."""
+    return sum(2.0 * state.noise.size * fit.reduced for state, fit in zip(model.campaign.held_out, held, strict=True))
 
 
 def _scores(model: Model, fit: Refit, effects: Sequence[Effect] | None = None) -> list[Score]:
@@ -172,33 +212,35 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
 
 
 def _judged(
-    campaign: Campaign, model: Model, nominal: tuple[StateFit, ...], base: Refit, best: Refit,
-    scores: Sequence[Score], singles: Sequence[Refit], pairs: Sequence[Refit], held_before: tuple[StateFit, ...],
-    held_after: tuple[StateFit, ...], seconds: float,
+    model: Model, nominal: tuple[StateFit, ...], base: Refit, weighed: Sequence[Weighed], scores: Sequence[Score],
+    singles: Sequence[Refit], pairs: Sequence[Refit], held_before: tuple[StateFit, ...], seconds: float,
 ) -> Diagnosis:
-    gained = base.evidence - best.evidence
+    best, held_after = weighed[0]
+    gained, left = gain(base, best), _left(model, best)
     strayed = tuple((name, shift) for name, shift in sorted(base.shifts.items(), key=lambda item: -abs(item[1]))
                     if abs(shift) > STRAYED)
-    findings: list[str] = []
-    accepted = bool(best.effects) and gained > ACCEPTED
-    if accepted and held_after:
-        worse = sum(s.reduced for s in held_after) > 1.05 * sum(s.reduced for s in held_before)
-        if worse:
-            findings.append(f"{best.name} fits what it was fitted to and predicts the states held out worse than the "
-                            "known parameters alone: not accepted.")
-            accepted = False
+    found = best is not base and gained > ACCEPTED
+    complete = best.good and left < LEFT
+    worse = _held(model, held_after) - _held(model, held_before)
+    accepted = found and complete and worse < RIVAL
+    findings = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}."]
+    if found:
+        findings.append(_closest(base, best, gained, held_before, held_after))
+        if not complete:
+            findings.append(f"That is not all: of the reduced chi-square of {best.reduced:.3g} that it leaves, a "
+                            f"further hypothesis would take {left:.1f}. It is not accepted.")
+        if worse >= RIVAL:
+            findings.append(f"It predicts the states held out worse than the known parameters alone, by a chi-square "
+                            f"of {worse:.1f}: it is not accepted.")
     chosen = best if accepted else base
+    first = best.evidence + _held(model, held_after)
     rivals: tuple[Rival, ...] = ()
     if accepted:
-        rivals = tuple(Rival(f, f.evidence - best.evidence) for f in sorted([*singles, *pairs],
-                                                                            key=lambda f: f.evidence)
-                       if f.name != best.name and f.evidence - best.evidence < RIVAL and _simplest(f, best))
-    admissible = all(_inside(best, name) for name in best.estimate) if accepted else True
-    if accepted and not chosen.good:
-        verdict = "unexplained"
-    elif accepted:
+        behind = [Rival(fit, fit.evidence + _held(model, held) - first) for fit, held in weighed[1:]]
+        rivals = tuple(rival for rival in behind if rival.behind < RIVAL)
+    if accepted:
         verdict = "ambiguous" if rivals else "missing_physics"
-    elif not base.good:
+    elif found or not base.good:
         verdict = "unexplained"
     elif scores and scores[0].sigmas > HINT:
         verdict = "below_detection"
@@ -207,11 +249,11 @@ def _judged(
     else:
         verdict = "no_mismatch"
     location = _location(scores)
-    findings += _statements(verdict, base, chosen, rivals, strayed, admissible, location)
-    after = held_after if accepted else held_before
-    return Diagnosis(campaign, model, verdict, nominal, base, chosen, tuple(scores), tuple(singles), tuple(pairs),
-                     rivals, location, held_before, after, strayed, admissible,
-                     _next(model, chosen, rivals, scores), tuple(findings), seconds, model.fitted.solves)
+    findings += _statements(verdict, chosen, rivals, strayed, location)
+    return Diagnosis(model.campaign, model, verdict, nominal, base, chosen, tuple(scores), tuple(singles), tuple(pairs),
+                     rivals, location, held_before, held_after if accepted else held_before, strayed,
+                     all(_inside(chosen, name) for name in chosen.estimate), _next(model, chosen, rivals, scores),
+                     tuple(findings), seconds, model.fitted.solves)
 
 
 def _simplest(other: Refit, best: Refit) -> bool:
@@ -236,29 +278,40 @@ def _location(scores: Sequence[Score]) -> tuple[tuple[str, str, float], ...]:
     return tuple((region, kind, sigmas) for (region, kind), sigmas in sorted(best.items(), key=lambda i: -i[1]))
 
 
+def _closest(
+    base: Refit, best: Refit, gained: float, held_before: Sequence[StateFit], held_after: Sequence[StateFit]
+) -> str:
+    """What the best hypothesis does, with figures."""
+    numbers = "; ".join(f"{name} = {value:.4g} ({best.interval(name)[0]:.4g} to {best.interval(name)[1]:.4g})"
+                        for name, value in best.estimate.items())
+    held = "; ".join(f"{after.name}, held out, from {before.reduced:.3g} to {after.reduced:.3g}"
+                     for before, after in zip(held_before, held_after, strict=True))
+    return (f"{best.name} brings it from {base.reduced:.3g} to {best.reduced:.3g}{', ' if held else ''}{held}, an "
+            f"evidence of {gained:.1f} (twice the logarithm of the odds): {numbers}.")
+
+
 def _statements(
-    verdict: str, base: Refit, best: Refit, rivals: Sequence[Rival], strayed: Sequence[tuple[str, float]],
-    admissible: bool, location: Sequence[tuple[str, str, float]],
+    verdict: str, best: Refit, rivals: Sequence[Rival], strayed: Sequence[tuple[str, float]],
+    location: Sequence[tuple[str, str, float]],
 ) -> list[str]:
     """What the verdict means, in sentences with figures."""
-    result = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}."]
-    if best.effects:
-        numbers = "; ".join(f"{name} = {value:.4g} ({best.interval(name)[0]:.4g} to {best.interval(name)[1]:.4g})"
-                            for name, value in best.estimate.items())
-        result.append(f"{best.name} brings it to {best.reduced:.3g}, an evidence of "
-                      f"{base.evidence - best.evidence:.1f} (twice the logarithm of the odds): {numbers}.")
-        if not admissible:
-            result.append("Its parameter lies outside what is admissible: the sign of another cause.")
+    result = []
+    if not all(_inside(best, name) for name in best.estimate):
+        result.append("Its parameter lies outside what is admissible: the sign of another cause.")
     for rival in rivals:
         result.append(f"The data cannot rule out {rival.refit.name} ({rival.behind:.1f} behind).")
     for name, shift in strayed:
         result.append(f"{name} would have to lie {shift:+.1f} standard uncertainties from what is known of it.")
     if verdict == "unexplained" and location:
         region, kind, sigmas = location[0]
-        result.append(f"Nothing of the catalogue explains what is left; most of it looks like {kind} in {region} "
+        result.append(f"Nothing of the catalogue explains all that is left; most of it looks like {kind} in {region} "
                       f"({sigmas:.1f} sigmas).")
     if verdict == "below_detection":
         result.append("There is a hint, and not enough to name a cause.")
+    correlated = [f"{s.name} ({s.correlation:.1f})" for s in best.states if s.correlation > CORRELATED]
+    if correlated:
+        result.append("What is left is no white noise; so many neighbouring points go together: "
+                      + ", ".join(correlated) + ".")
     return result
 
 
@@ -266,23 +319,21 @@ def _next(model: Model, best: Refit, rivals: Sequence[Rival], scores: Sequence[S
     """Which state would separate the surviving rivals best, from what each predicts there."""
     if not rivals:
         return ""
-    names, separation = [], []
     other = rivals[0].refit
+    separation: dict[str, float] = {}
     for objective, states in ((model.fitted, model.campaign.fitted), (model.held_out, model.campaign.held_out)):
         if objective is None:
             continue
         for index, state in enumerate(states):
             one, two = (objective.predict(fit.x, index)[0] for fit in (best, other))
-            names.append(state.name)
-            separation.append(float(np.sum(np.abs(np.log(one / two) / state.noise) ** 2)))
-    most = int(np.argmax(separation))
-    least = min(confusion(a, b) for a, b in itertools.pairwise(
-        [s for s in scores if s.effect in (*best.effects[:1], *other.effects[:1])])) if len(
-            {e.name for e in (*best.effects[:1], *other.effects[:1])}) > 1 else 1.0
+            separation[state.name] = float(np.sum(np.abs(np.log(one / two) / state.noise) ** 2))
+    most = max(separation, key=lambda name: separation[name])
     times = max(1.0, 2.0 * RIVAL / max(separation[most], 1e-9))
-    return (f"Record {names[most]} again: {best.name} and {other.name} differ most there, by a chi-square of "
+    by = {s.effect.name: s for s in scores}
+    alike = confusion(by[best.effects[0].name], by[other.effects[0].name])
+    return (f"Record {most} again: {best.name} and {other.name} differ most there, by a chi-square of "
             f"{separation[most]:.1f}; {times:.0f} times the recordings tell them apart (their tangents have a cosine "
-            f"of {least:.3f}).")
+            f"of {alike:.3f}).")
 
 
 def detection_limits(diagnosis: Diagnosis) -> dict[str, float]:
