@@ -111,7 +111,7 @@ def read_campaign(path: Path, *, materials: Sequence[Path] = ()) -> Campaign:
     source = str(path)
     table = read_toml(path)
     refuse_unknown_keys(table, ("campaign", "states", "known", "fixed"), source=source, field="")
-    head = _table(table, "campaign", source)
+    head = _table(table, "campaign", source, needed=False)
     refuse_unknown_keys(head, ("name", "materials"), source=source, field="campaign")
     folders = list(materials)
     if "materials" in head:

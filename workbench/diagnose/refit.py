@@ -124,6 +124,11 @@ class Refit:
         return " and ".join(e.name for e in self.effects)
 
     @property
+    def correlation(self) -> float:
+        """The number of neighbouring points that carry the information of one, on average over the states."""
+        return float(np.mean([state.correlation for state in self.states]))
+
+    @property
     def good(self) -> bool:
         """Whether it leaves nothing but noise."""
         return self.reduced < GOOD and all(s.reduced < GOOD_STATE for s in self.states)

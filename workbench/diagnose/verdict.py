@@ -132,18 +132,27 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
             scores = _scores(model, base)
             singles = _singles(model, base, scores, progress)
     pairs: list[Refit] = []
-    best = min([base, *singles], key=lambda f: f.evidence)
-    if best is not base and not (best.good and _left(model, best) < LEFT):
-        pairs = _pairs(model, singles, progress)
-        best = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
-    progress("verdict", 0.9)
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
+    best = min([base, *singles], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
+        progress(f"neighbourhood of {best.name}", 0.7)
+        # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
+        own = gather(model, best, _further(model, best)[:PAIRS])
+        singles = _with(singles, best, own)
+        best = own
+        if not best.good or _left(model, best) > LEFT:
+            pairs = _pairs(model, singles, progress)
+            both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
+            if both is not best:
+                best = gather(model, both)
+                pairs = _with(pairs, both, best)
+        progress("verdict", 0.9)
         close = [f for f in (*singles, *pairs) if f.evidence - best.evidence < CLOSE and _simplest(f, best)]
         weighed = _weighed(model, close)
-        best = gather(model, weighed[0][0])
-        weighed[0] = (best, predicted(model, best))
+        if weighed[0][0] is not best:
+            best = gather(model, weighed[0][0])
+            weighed[0] = (best, predicted(model, best))
     return _judged(model, nominal, base, weighed, scores, singles, pairs, held_before, time.perf_counter() - started)
 
 
@@ -153,15 +162,23 @@ def gain(base: Refit, fit: Refit) -> float:
     Points whose residuals under that fit go together count as one: what no hypothesis removes is noise that is not
     white.
     """
-    shared = float(np.mean([state.correlation for state in fit.states]))
-    return (base.chi_square - fit.chi_square) / shared - fit.cost_of_freedom + base.cost_of_freedom
+    return (base.chi_square - fit.chi_square) / fit.correlation - fit.cost_of_freedom + base.cost_of_freedom
+
+
+def _further(model: Model, fit: Refit) -> list[Score]:
+    """The scores at a fit of the hypotheses that move nothing which its own do, best first."""
+    own = {name for effect in fit.effects for name in effect.names}
+    return _scores(model, fit, [e for e in model.effects if not own & set(e.names)])
 
 
 def _left(model: Model, fit: Refit) -> float:
     """The most that any further hypothesis promises to explain of what a fit leaves."""
-    own = {name for effect in fit.effects for name in effect.names}
-    shared = float(np.mean([state.correlation for state in fit.states]))
-    return max(s.gain for s in _scores(model, fit, [e for e in model.effects if not own & set(e.names)])) / shared
+    return _further(model, fit)[0].gain / fit.correlation
+
+
+def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
+    """`fits` with one replaced, best first."""
+    return sorted([new if f is old else f for f in fits], key=lambda f: f.evidence)
 
 
 def _weighed(model: Model, fits: Sequence[Refit]) -> list[Weighed]:
@@ -197,10 +214,8 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
     """Refits of pairs: for the best single hypotheses, what the score test at their own optimum would add."""
     tried: dict[frozenset[str], tuple[Refit, Score]] = {}
     for single in singles[:PAIRED]:
-        (own,) = single.effects
-        others = [e for e in model.effects if not set(e.names) & set(own.names)]
-        for scored in _scores(model, single, others)[:PAIRS]:
-            tried.setdefault(frozenset((own.name, scored.effect.name)), (single, scored))
+        for scored in _further(model, single)[:PAIRS]:
+            tried.setdefault(frozenset((single.name, scored.effect.name)), (single, scored))
     chosen = sorted(tried.values(), key=lambda pair: pair[0].chi_square - pair[1].gain)[:PAIRS]
     found = []
     for number, (single, scored) in enumerate(chosen):
@@ -242,7 +257,7 @@ def _judged(
         verdict = "ambiguous" if rivals else "missing_physics"
     elif found or not base.good:
         verdict = "unexplained"
-    elif scores and scores[0].sigmas > HINT:
+    elif scores[0].gain > HINT**2 * base.correlation:
         verdict = "below_detection"
     elif any(s.reduced > GOOD_STATE for s in nominal):
         verdict = "parameters_explain"

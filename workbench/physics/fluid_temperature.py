@@ -15,8 +15,8 @@ ADMISSIBLE: Mapping[str, Admissible] = {
         "al. 2025, Nanomaterials 15, 1832"),
 }
 
-#: Steps (K) of the slopes of a fluid's law.
-STEP = 1.0
+#: A fluid's law is taken at so many kelvin to either side: the parabola meets it there.
+STEP = 5.0
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,11 @@ class FluidTemperature(Term):
     """What `fluid.Fluid` on the same region lacks at a temperature T beyond the stated one.
 
         (1/rho' - 1/rho) / w^2 grad(p) . grad(q) - (1/(rho' c'^2) - 1/(rho c^2)) p q
-        rho' = rho (1 + a T)        c' = c (1 + s T + k T^2)
+        rho' = rho (1 + a T + b T^2)        c' = c (1 + s T + k T^2)
 
     Viscosities stay. Parameters ``<material>.temperature_offset`` T (K; see :data:`ADMISSIBLE`), ``.density``,
-    ``.sound_speed``, and by :func:`slopes` ``.density_slope`` a (1/K), ``.speed_slope`` s (1/K), ``.speed_bend`` k
-    (1/K^2).
+    ``.sound_speed``, and by :func:`slopes` ``.density_slope`` a and ``.speed_slope`` s (1/K), ``.density_bend`` b
+    and ``.speed_bend`` k (1/K^2).
     """
 
     region: str
@@ -36,9 +36,9 @@ class FluidTemperature(Term):
 
     def integrals(self) -> tuple[Integral, ...]:
         names = {"offset": "temperature_offset", "rho": "density", "c": "sound_speed", "a": "density_slope",
-                 "s": "speed_slope", "k": "speed_bend"}
+                 "b": "density_bend", "s": "speed_slope", "k": "speed_bend"}
         symbols = tuple((symbol, f"{self.material}.{name}") for symbol, name in names.items())
-        light = tuple(pair for pair in symbols if pair[0] in ("offset", "rho", "a"))
+        light = tuple(pair for pair in symbols if pair[0] in ("offset", "rho", "a", "b"))
         return (
             Integral(Formula(_lightness, light, -2), self.region,
                      (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z"))),
@@ -48,36 +48,38 @@ class FluidTemperature(Term):
 
 def _lightness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
     """1/rho' - 1/rho, and its derivatives."""
-    offset, rho, a = v["offset"], v["rho"], v["a"]
-    wide = 1.0 + a * offset
+    offset, rho, a, b = (v[symbol] for symbol in ("offset", "rho", "a", "b"))
+    wide = 1.0 + a * offset + b * offset**2
     value = (1.0 / wide - 1.0) / rho
-    return value, {"offset": -a / (wide**2 * rho), "rho": -value / rho, "a": -offset / (wide**2 * rho)}
+    slope = -1.0 / (wide**2 * rho)
+    return value, {"offset": slope * (a + 2.0 * b * offset), "rho": -value / rho, "a": slope * offset,
+                   "b": slope * offset**2}
 
 
 def _stiffness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
     """-(1/(rho' c'^2) - 1/(rho c^2)), and its derivatives."""
-    offset, rho, c, a, s, k = (v[symbol] for symbol in ("offset", "rho", "c", "a", "s", "k"))
-    wide, fast = 1.0 + a * offset, 1.0 + s * offset + k * offset**2
+    offset, rho, c, a, b, s, k = (v[symbol] for symbol in ("offset", "rho", "c", "a", "b", "s", "k"))
+    wide, fast = 1.0 + a * offset + b * offset**2, 1.0 + s * offset + k * offset**2
     stated = 1.0 / (rho * c**2)
     there = stated / (wide * fast**2)
     value = stated - there
     return value, {
-        "offset": there * (a / wide + 2.0 * (s + 2.0 * k * offset) / fast), "rho": -value / rho, "c": -2.0 * value / c,
-        "a": there * offset / wide, "s": 2.0 * there * offset / fast, "k": 2.0 * there * offset**2 / fast,
+        "offset": there * ((a + 2.0 * b * offset) / wide + 2.0 * (s + 2.0 * k * offset) / fast), "rho": -value / rho, "c": -2.0 * value / c,
+        "a": there * offset / wide, "b": there * offset**2 / wide, "s": 2.0 * there * offset / fast, "k": 2.0 * there * offset**2 / fast,
     }
 
 
 def slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
-    """a, s and k of a fluid, by the names above, from its `law` of the temperature (K); None where it has none."""
+    """a, b, s and k of a fluid, by the names above, from its `law` of the temperature (K); None where it has none."""
     if fluid.temperature is None:
         return None
     try:
         colder, warmer = law(fluid.temperature - STEP), law(fluid.temperature + STEP)
     except InputError:
         return None
-    return {
-        f"{fluid.name}.density_slope": (warmer.density - colder.density) / (2.0 * STEP * fluid.density),
-        f"{fluid.name}.speed_slope": (warmer.sound_speed - colder.sound_speed) / (2.0 * STEP * fluid.sound_speed),
-        f"{fluid.name}.speed_bend": (warmer.sound_speed + colder.sound_speed - 2.0 * fluid.sound_speed)
-        / (2.0 * STEP**2 * fluid.sound_speed),
-    }
+    found: dict[str, float] = {}
+    for kind, here, below, above in (("density", fluid.density, colder.density, warmer.density),
+                                     ("speed", fluid.sound_speed, colder.sound_speed, warmer.sound_speed)):
+        found[f"{fluid.name}.{kind}_slope"] = (above - below) / (2.0 * STEP * here)
+        found[f"{fluid.name}.{kind}_bend"] = (above + below - 2.0 * here) / (2.0 * STEP**2 * here)
+    return found

@@ -1,0 +1,145 @@
+"""What fools a diagnosis: imitations, what one state cannot show, a bench that looks like damping, noise with a colour.
+
+The recordings are the model's own with noise, so that nothing but the inference is on trial (other meshes, elements and
+physics: `tests/benchmarks/trials.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geometry.chip import read_chip
+from materials.registry import user_registry
+from workbench.diagnose.campaign import read_campaign
+from workbench.diagnose.device import ORDER, model
+from workbench.diagnose.verdict import Diagnosis, diagnose
+from workbench.fit.objective import through_bench
+from workbench.operators import assemble
+from workbench.problem import build, with_boundary_layers
+from workbench.reduce import reduce
+from workbench.spectrum import Spectrum, write_csv
+
+Real = NDArray[np.float64]
+
+pytestmark = pytest.mark.slow
+
+FREQUENCIES = np.linspace(0.9e6, 1.1e6, 121)
+NOISE = 3e-3
+PZT, PLA = "pzt/trial", "pla/trial"
+
+#: Lossy materials of no particular maker.
+MATERIALS = Path(__file__).parent / "data" / "trials" / "0000" / "materials"
+
+HEAD = '[chip]\nname = "small"\nband = ["0.88 MHz", "1.12 MHz"]\n'
+LAYER = '[[layers]]\nrole = "{}"\nmaterial = "{}"\nthickness = "{}"\nradius = "4 mm"\n'
+DISC = HEAD + LAYER.format("transducer", "pzt/trial", "2 mm") + 'electrodes = { live = "top" }\n'
+SAMPLE = DISC + LAYER.format("couplant", "gel/trial", "20 um") + LAYER.format("substrate", "pla/trial", "1 mm")
+
+
+class Bench:
+    """A folder that recordings of one device are made in."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.rng = folder, np.random.default_rng(1)
+        self.states: list[str] = []
+        for name, text in (("disc", DISC), ("sample", SAMPLE)):
+            (folder / f"{name}.toml").write_text(text)
+
+    def record(
+        self, name: str, chip: str, *, factors: Mapping[str, complex] | None = None,
+        bench: Mapping[str, float] | None = None, colour: float = 0.0, drive: str = "2 Vpp",
+    ) -> None:
+        """A state whose parameters are the stated ones times `factors`; `colour` correlates neighbouring points."""
+        there = read_chip(self.folder / f"{chip}.toml")
+        problem = with_boundary_layers(build(there, there.states[0].name, user_registry([MATERIALS]), order=ORDER))
+        values = {**problem.values, **{key: problem.values[key] * factor for key, factor in (factors or {}).items()}}
+        solved = reduce(assemble(problem.mesh, problem.terms), FREQUENCIES, values).solve(FREQUENCIES, values)
+        clean, _, _ = through_bench(np.conj(solved.impedance), 2.0 * np.pi * FREQUENCIES, dict(bench or {}))
+        noise = self.rng.standard_normal((2, FREQUENCIES.size))
+        for k in range(1, FREQUENCIES.size):
+            noise[:, k] = colour * noise[:, k - 1] + np.sqrt(1.0 - colour**2) * noise[:, k]
+        seen = clean * (1.0 + NOISE * (noise[0] + 1j * noise[1]))
+        write_csv(Spectrum(FREQUENCIES, seen, NOISE * np.abs(seen)), self.folder / f"{name}.csv")
+        self.states.append(f'[states.{name}]\nchip = "{chip}.toml"\nrecording = "{name}.csv"\ndrive = "{drive}"\n')
+
+    def diagnosed(self, known: Mapping[str, str]) -> Diagnosis:
+        """What is found in the states recorded so far."""
+        lines = ["[known]", *(f'"{name}" = "{error}"' for name, error in known.items())]
+        path = self.folder / "campaign.toml"
+        path.write_text("\n".join([*self.states, *lines]) + "\n")
+        return diagnose(model(read_campaign(path, materials=[MATERIALS]), cache=self.folder / "cache"))
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def named(found: Diagnosis) -> list[str]:
+    return [effect.name for effect in found.effects]
+
+
+def test_a_ceramic_that_softens_is_seen_in_two_states_and_not_in_one(bench: Bench) -> None:
+    """Driven at one level alone, it is just another ceramic."""
+    known = {f"{PZT}.{name}": "2 %" for name in ("c11", "c33", "e33", "eps33")} | {f"{PZT}.c33.loss": "50 %"}
+    bench.record("hard", "disc", drive="8 Vpp", factors={f"{PZT}.c33": 0.99 * (1.0 - 0.002j)})
+    alone = bench.diagnosed(known)
+    assert alone.verdict == "parameters_explain"
+    assert not named(alone)
+    bench.record("gentle", "disc", drive="0.5 Vpp")
+    both = bench.diagnosed(known)
+    assert named(both) == ["softening with the drive"]
+    low, high = both.best.interval(f"{PZT}.softening")
+    # c33 (1 - s V^2) at 4 V of amplitude is 0.99 of that at 0.25 V.
+    assert low < 0.01 / (4.0**2 - 0.99 * 0.25**2) < high
+
+
+def test_a_wrong_density_of_the_transducer_is_not_laid_to_the_polymer(bench: Bench) -> None:
+    """Density and stiffnesses by one factor, piezoelectric constants by its root: a free disc is the same disc."""
+    factor = 1.04
+    heavier = {f"{PZT}.{name}": factor for name in ("density", "c11", "c12", "c13", "c33", "c44")}
+    heavier |= {f"{PZT}.{name}": factor**0.5 for name in ("e31", "e33", "e15")}
+    known = {**{f"{PZT}.{name}": "5 %" for name in ("c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15")},
+             f"{PZT}.eps33": "5 %", **{f"{PZT}.{name}.loss": "20 %" for name in ("c11", "c33", "c44")}}
+    bench.record("disc", "disc", factors=heavier)
+    free = bench.diagnosed(known)
+    assert not named(free)
+    assert free.base.reduced < 1.3
+    bench.record("loaded", "sample", factors=heavier)
+    known |= {f"{PLA}.shear_modulus": "10 %", f"{PLA}.bulk_modulus": "10 %"}
+    found = bench.diagnosed(known)
+    assert named(found) == ["density of the transducer"]
+    low, high = found.best.interval(f"{PZT}.density")
+    stated = found.model.parameters[found.model.index(f"{PZT}.density")].start
+    assert low < factor * stated < high
+    # Without it the polymer takes the blame.
+    moduli = [found.model.index(f"{PLA}.{name}") for name in ("shear_modulus", "bulk_modulus")]
+    bias = [abs(found.base.x[i] / found.model.parameters[i].start - 1.0) for i in moduli]
+    left = [abs(found.best.x[i] / found.model.parameters[i].start - 1.0) for i in moduli]
+    print("bias of the moduli", bias, left)
+    assert max(bias) > 3.0 * max(left)
+
+
+def test_a_lead_that_looks_like_damping_is_laid_to_the_bench(bench: Bench) -> None:
+    known = {f"{PZT}.{name}.loss": "50 %" for name in ("c11", "c33", "c44", "eps33")}
+    known |= {f"{PZT}.{name}": "2 %" for name in ("c33", "e33", "eps33")} | {"bench.series_resistance": "0.05 ohm"}
+    bench.record("disc", "disc", bench={"bench.series_resistance": 1.5})
+    found = bench.diagnosed(known)
+    assert named(found) == ["resistance of leads and contacts"]
+    low, high = found.best.interval("bench.series_resistance")
+    assert low < 1.5 < high
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_with_a_colour_is_no_physics(bench: Bench, seed: int) -> None:
+    bench.rng = np.random.default_rng(seed)
+    known = {f"{PZT}.{name}": "2 %" for name in ("c33", "e33", "eps33")} | {f"{PZT}.c33.loss": "30 %"}
+    bench.record("disc", "disc", colour=0.9)
+    found = bench.diagnosed(known)
+    assert not named(found)
+    assert any("no white noise" in text for text in found.findings)
