@@ -421,7 +421,7 @@ def test_long_recordings_are_searched_on_a_part_of_their_points(
     frequency = np.linspace(300e3, 700e3, points)
     number = np.arange(1.0, points + 1.0)
     whole = Recording("long", disc, Spectrum(frequency, np.asarray(number, dtype=complex), number))
-    thin = joint._thinned(whole).measured
+    thin = whole.thinned(SEARCHED_POINTS).measured
     assert thin.frequency == pytest.approx(frequency[::every])
     assert thin.uncertainty is not None
     assert thin.uncertainty == pytest.approx(thin.impedance.real)

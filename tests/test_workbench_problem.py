@@ -17,8 +17,19 @@ from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.operators import assemble
+from workbench.options import ELEMENTS
 from workbench.physics import absorption, electrode_mass, electrodes, fluid, piezoelectric, solid
-from workbench.problem import GAS_FINER, TRANSDUCER_FINER, Problem, build, chip_materials, mesh_speeds, model, problem
+from workbench.problem import (
+    FINENESS,
+    GAS_FINER,
+    TRANSDUCER_FINER,
+    Problem,
+    build,
+    chip_materials,
+    mesh_speeds,
+    model,
+    problem,
+)
 from workbench.solve import solve_full
 
 # The chip's transducer has the losses as the paper prints them, active by less than their rounding.
@@ -241,3 +252,7 @@ def test_air_changes_an_empty_chip_by_less_than_its_dimensions_are_known(
 
     change = np.abs(impedance({**empty, "cavity": registry.load("air")}) / impedance(empty) - 1.0)
     assert 0.0 < change.max() < 1e-2
+
+
+def test_the_options_name_the_usual_fineness() -> None:
+    assert {order: fine.elements_per_wavelength for order, fine in FINENESS.items()} == ELEMENTS

@@ -30,8 +30,12 @@ from workbench.instruments.instrument import InstrumentError
 from workbench.instruments.opening import found_ports, who_answers
 from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_oscilloscope import Errors
+from workbench.operators import assemble
+from workbench.problem import build
+from workbench.reduce import reduce
 from workbench.report import Table
-from workbench.simulate import simulate
+from workbench.simulate import frequency_grid, state_name
+from workbench.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -187,10 +191,14 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     chip = read_chip(options.device)
     asked = asked_model(options, chip)
     console.print(f"simulating {chip.name} ...", markup=False)
-    found = simulate(chip, options.state, registry=asked.registry, band=asked.band, points=asked.points,
-                     tolerance=asked.tolerance, elements_per_wavelength=asked.elements_per_wavelength,
-                     mesh_cache=user_cache())
-    return device_of(found.spectrum), f"{chip.name} ({found.state})"
+    state = state_name(chip, options.state)
+    frequencies = frequency_grid(asked.band, asked.points)
+    # What is measured is to be finer than what it is fitted with.
+    problem = build(chip, state, asked.registry, order=4, elements_per_wavelength=asked.elements_per_wavelength,
+                    band=asked.band, cache=user_cache())
+    model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.tolerance)
+    solved = model.solve(frequencies, problem.values)
+    return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"
 
 
 _FAULT = re.compile(r"(?P<instrument>\w+):(?P<kind>\w+)@(?P<at>\d+)(?:x(?P<count>\d+))?")

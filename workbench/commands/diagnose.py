@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from workbench.diagnose.campaign import DeviceState, read_campaign
 from workbench.diagnose.device import model
 from workbench.diagnose.element_map import element_map, largest
 from workbench.diagnose.refit import StateFit
-from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, gain, intervals
+from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, gain, intervals, known_physics
 from workbench.fit.objective import log_ratio
 from workbench.merit import Figures
 from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report
@@ -39,8 +39,9 @@ def run(options: argparse.Namespace, console: Console) -> int:
                        progress=lambda share: show(campaign.name, "meshing", 0.05 * share))
         found = diagnose(device, progress=lambda text, share: show(campaign.name, text, 0.05 + 0.95 * share))
         show(campaign.name, "done", 1.0)
-    write_json(folder / "diagnosis.json", record(found))
-    write_diagnosis_report(found, folder)
+    known = contributions(found)
+    write_json(folder / "diagnosis.json", {**record(found), "known_physics": [row._asdict() for row in known]})
+    write_diagnosis_report(found, known, folder)
     print_line(f"{campaign.name}: {found.verdict.replace('_', ' ')}")
     for text in found.findings:
         print_line(text)
@@ -130,7 +131,28 @@ def _figures(merit: Figures | None) -> tuple[str, str, str]:
     return f"{merit.f0 / 1e3:.3f}", number(merit.z_min), number(merit.q)
 
 
-def write_diagnosis_report(found: Diagnosis, folder: Path) -> None:
+class Contribution(NamedTuple):
+    """What an effect with known constants changes in a state: f0 (Hz) and Q (None: no resonance), and ln Z, rms."""
+
+    effect: str
+    state: str
+    f0_change: float | None
+    q_change: float | None
+    rms_log_change: float
+
+
+def contributions(found: Diagnosis) -> list[Contribution]:
+    """What every effect with known constants changes in every fitted state."""
+    rows = []
+    for effect, state, there, without in known_physics(found):
+        (one, _), (other, _) = measured_figures(there), measured_figures(without)
+        f0, q = (None, None) if one is None or other is None else (one.f0 - other.f0, one.q - other.q)
+        rms = float(np.sqrt(np.mean(np.abs(np.log(there.impedance / without.impedance)) ** 2)))
+        rows.append(Contribution(effect, state, f0, q, rms))
+    return rows
+
+
+def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> None:
     """``report.html``: one page with the verdict, then the evidence."""
     from workbench.render.plots import draw_residuals, draw_spectra
     from workbench.render.sections import draw_cells
@@ -171,7 +193,14 @@ def write_diagnosis_report(found: Diagnosis, folder: Path) -> None:
         ("Where", ["What each region and kind would explain at most, in standard deviations.", _location(found),
                    *maps]),
         ("Hypotheses by the score test", [scores]), ("Hypotheses refitted", [refits]),
-        ("Known parameters", [moved]), ("Spectra", pictures)]
+        ("Known parameters", [moved]),
+        ("Effects with known constants", [
+            "They are part of the model and never fitted; this is what each changes.",
+            Table(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
+                (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
+                                          for value in (row.f0_change, row.q_change)),
+                 f"{100.0 * row.rms_log_change:.3g}") for row in known))]),
+        ("Spectra", pictures)]
     write_report(folder / "report.html", f"Diagnosis: {found.campaign.name}", sections)
 
 

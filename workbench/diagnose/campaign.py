@@ -6,6 +6,7 @@
     recording = "empty.csv"
     drive = "1 Vpp"                 # at the electrodes
     temperature = "25 degC"         # of what fills the cavity
+    band = ["0.95 MHz", "1.05 MHz"] # of the recording, where not all of the chip's band
     noise = "0.5 %"                 # of a point, where the recording brings no uncertainty
     held_out = true                 # never fitted, only predicted
 
@@ -40,7 +41,7 @@ from workbench.problem import chip_materials
 from workbench.readers import read
 from workbench.spectrum import Spectrum
 
-STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "noise", "held_out")
+STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out")
 
 #: Which units an uncertainty may be written in, by the SI unit of what it is of.
 DIMENSIONS: Mapping[str, str] = {
@@ -177,7 +178,9 @@ def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceSt
         chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
     filling = chip_materials(chip, state.name, registry)
     recording = path.parent / text("recording")
-    measured = in_band(read(recording).spectrum, chip, None, name=str(recording))
+    band = _band(entry.get("band"), source, f"{field}.band")
+    whole = read(recording).spectrum
+    measured = in_band(whole, chip, band, name=str(recording))
     noise, stated = _noise(measured, quantity("noise", "dimensionless"), source, field)
     drive = quantity("drive", "peak-to-peak voltage")
     if drive is not None and not drive > 0.0:
@@ -186,8 +189,19 @@ def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceSt
                         None if drive is None else 0.5 * drive, temperature, held_out)
     if set(filling) == {TRANSDUCER}:
         # Loads shift resonances by more than this check allows for.
-        check_device(measured, chip, filling, name=str(recording))
+        check_device(in_band(whole, chip, None, name=str(recording)), chip, filling, name=str(recording))
     return found
+
+
+def _band(entry: object, source: str, field: str) -> tuple[float, float] | None:
+    if entry is None:
+        return None
+    if not isinstance(entry, list) or len(entry) != 2:
+        raise InputError(source, field, entry, "two frequencies")
+    low, high = (parse_quantity(each, "frequency", source=source, field=field) for each in entry)
+    if not low < high:
+        raise InputError(source, field, entry, "a lower and a higher frequency")
+    return low, high
 
 
 def _noise(

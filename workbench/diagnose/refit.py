@@ -19,7 +19,7 @@ from workbench.diagnose.device import Model
 from workbench.diagnose.score import Score, Tangents, columns
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
-from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
+from workbench.fit.joint import EXPLORATION, NO_END, SEARCHED_POINTS, Search, Weighted
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -161,7 +161,8 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     stated = model.fitted(search.centre, deviation=deviation)
     nominal = tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.fitted, stated.log_ratio, stated.impedance, strict=True))
-    x = search.descend(search.centre, lambda: None).x
+    thin = Search(model.fitted.thinned(SEARCHED_POINTS), free=free, lifted=lifted)
+    x = thin.descend(thin.centre, lambda: None).x
     return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH)), x
 
 
@@ -187,8 +188,8 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
     A wrong basin strains the known parameters. Where the data weigh little against these (`joint.EXPLORATION`), it
     costs more than the right one, and few steps lead from one to the other.
     """
-    search, deviation = fit.search, model.deviations()
-    weak = [EXPLORATION] * len(deviation)
+    search = fit.search
+    weak = [EXPLORATION] * len(model.campaign.fitted)
     levers = _levers(search, model.known, search.evaluate(x, weak))
     if not levers:
         return fit
@@ -198,21 +199,23 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
         corner[i] += side * search.scale[i]
         corners.append(corner)
     model.fitted.surround(search.centre, _moves(model), UNNEEDED, corners)
-    best = search.minimise(x, weak, limit=GLANCE, tolerance=0.01)
+    thin = Search(model.fitted.thinned(SEARCHED_POINTS), free=search.free.tolist())
+    best = thin.minimise(x, weak, limit=GLANCE, tolerance=0.01)
     before = best.cost
     for i, hop in itertools.product(levers, HOPS):
         there = best.x.copy()
         there[i] = search.centre[i] + hop * search.scale[i]
         try:
-            held = search.minimise(there, weak, limit=GLANCE, tolerance=0.01, fixed=(i,))
+            held = thin.minimise(there, weak, limit=GLANCE, tolerance=0.01, fixed=(i,))
             if held.cost < PROMISING * best.cost:
-                freed = search.minimise(held.x, weak, limit=GLANCE, tolerance=0.01)
+                freed = thin.minimise(held.x, weak, limit=GLANCE, tolerance=0.01)
                 best = min(best, freed, key=lambda end: end.cost)
         except NO_END:
             continue
         if best.cost < RIGHT * before:
             break
-    ended = _judged(model, fit.effects, search, search.minimise(best.x, deviation, limit=STEPS, tolerance=ENOUGH))
+    found = search.minimise(best.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
+    ended = _judged(model, fit.effects, search, found)
     return ended if ended.chi_square < fit.chi_square - fit.worth else fit
 
 

@@ -14,6 +14,7 @@ from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
 from workbench.diagnose.refit import (
     GOOD_STATE,
+    UNNEEDED,
     Refit,
     StateFit,
     base_fit,
@@ -23,6 +24,7 @@ from workbench.diagnose.refit import (
     refit,
 )
 from workbench.diagnose.score import Score, confusion, ranked, score
+from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Weighed = tuple[Refit, tuple[StateFit, ...]]
@@ -46,6 +48,10 @@ CLOSE = 3.0 * RIVAL
 #: An explanation is whole where no further hypothesis takes more than this of chi-square from what it leaves: of fifty,
 #: one in two thousand would by chance.
 LEFT = 20.0
+
+#: Effects with known constants, and the constant of the cavity's fluid without which there is none.
+KNOWN_PHYSICS = {"viscous boundary layer": "shear_viscosity", "thermal boundary layer": "thermal_conductivity",
+                 "absorption of the fluid": "diffusivity_of_sound"}
 
 #: Noise is called white up to this many neighbouring points that go together.
 CORRELATED = 2.0
@@ -349,6 +355,30 @@ def _next(model: Model, best: Refit, rivals: Sequence[Rival], scores: Sequence[S
     return (f"Record {most} again: {best.name} and {other.name} differ most there, by a chi-square of "
             f"{separation[most]:.1f}; {times:.0f} times the recordings tell them apart (their tangents have a cosine "
             f"of {alike:.3f}).")
+
+
+def known_physics(found: Diagnosis) -> list[tuple[str, str, Spectrum, Spectrum]]:
+    """What the effects with known constants do, which are part of the model and never fitted.
+
+    Returns:
+        (effect, state, spectrum with it, spectrum without it) at the parameters found, for every fitted state that has
+        it. Without it its constant is zero.
+    """
+    objective, x = found.model.fitted, found.best.x
+    objective.surround(x, {}, UNNEEDED)
+    result = []
+    for index, (state, recording) in enumerate(zip(found.campaign.fitted, objective.recordings, strict=True)):
+        if state.fluid is None:
+            continue
+        values, lengths, _ = objective.settings(x, index)
+        values = {**recording.problem.values, **values}
+        for effect, constant in KNOWN_PHYSICS.items():
+            name = f"{state.fluid.name}.{constant}"
+            if values.get(name):
+                pair = [Spectrum(state.measured.frequency, objective.predictors[index](there, lengths).impedance)
+                        for there in (values, {**values, name: 0j})]
+                result.append((effect, state.name, pair[0], pair[1]))
+    return result
 
 
 def detection_limits(diagnosis: Diagnosis) -> dict[str, float]:

@@ -290,7 +290,7 @@ def fit(
     started = time.perf_counter()
     _check(recordings, parameters)
     show = progress or (lambda _text, _fraction: None)
-    searched = [_thinned(r) for r in coarse or recordings]
+    searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
     scout = Search(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
     before = _start_spectra(scout, recordings)
     begins = [("start", scout.centre), *(starts or {}).items()]
@@ -329,15 +329,6 @@ def fit(
         (*_findings(minimum, improved, listed, matches, left_out, check), *verdict.findings),
         time.perf_counter() - started, solves,
     )
-
-
-def _thinned(recording: Recording) -> Recording:
-    """The recording with at most about :data:`SEARCHED_POINTS` of its points, evenly."""
-    measured = recording.measured
-    every = max(1, round(measured.frequency.size / SEARCHED_POINTS))
-    uncertainty = None if measured.uncertainty is None else measured.uncertainty[::every]
-    thin = Spectrum(measured.frequency[::every], measured.impedance[::every], uncertainty, measured.origin)
-    return replace(recording, measured=thin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,16 @@ class Recording:
     measured: Spectrum
     chip: Chip | None = None
 
+    def thinned(self, points: int) -> Recording:
+        """The recording with at most about so many of its points, evenly; itself where it has no more."""
+        measured = self.measured
+        every = max(1, round(measured.frequency.size / points))
+        if every == 1:
+            return self
+        uncertainty = None if measured.uncertainty is None else measured.uncertainty[::every]
+        thin = Spectrum(measured.frequency[::every], measured.impedance[::every], uncertainty, measured.origin)
+        return replace(self, measured=thin)
+
 
 @dataclass(frozen=True, eq=False)
 class Residual:
@@ -126,6 +136,19 @@ class Objective:
                 raise ValueError(f"{recording.name}: other frequencies than those the predictor was made for")
         other = copy.copy(self)
         other.recordings = tuple(replace(r, measured=m) for r, m in zip(self.recordings, spectra, strict=True))
+        return other
+
+    def thinned(self, points: int) -> Objective:
+        """The same of at most about so many points of each recording, on the bases there are now."""
+        other = copy.copy(self)
+        other.recordings = tuple(r.thinned(points) for r in self.recordings)
+        # What recordings share they go on sharing.
+        thin: dict[tuple[int, bytes], Predictor] = {}
+        for predictor, recording in zip(self.predictors, other.recordings, strict=True):
+            frequency = recording.measured.frequency
+            thin.setdefault((id(predictor), frequency.tobytes()), predictor.at(frequency))
+        other.predictors = tuple(thin[id(predictor), recording.measured.frequency.tobytes()]
+                                 for predictor, recording in zip(self.predictors, other.recordings, strict=True))
         return other
 
     def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:

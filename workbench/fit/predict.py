@@ -182,12 +182,18 @@ class Predictor:
         self._expansion, self._latest = expansion, prediction
         return prediction
 
+    def at(self, frequencies: Real) -> Predictor:
+        """The same at other frequencies (n,) Hz, beginning with the basis there is now."""
+        other = copy.copy(self)
+        other.frequencies, other._latest = np.asarray(frequencies, dtype=float), None
+        return other
+
     def elsewhere(
         self, frequencies: Real, tolerance: float, values: Mapping[str, complex], dimensions: Mapping[str, float]
     ) -> Prediction:
         """A prediction at other frequencies (n,) Hz and to another tolerance; what it takes is kept."""
-        other = copy.copy(self)
-        other.frequencies, other.tolerance = np.asarray(frequencies, dtype=float), tolerance
+        other = self.at(frequencies)
+        other.tolerance = tolerance
         prediction = other(values, dimensions)
         self._expansion, self.solves = other._expansion, other.solves
         return prediction

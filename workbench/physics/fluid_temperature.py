@@ -64,8 +64,10 @@ def _stiffness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]
     there = stated / (wide * fast**2)
     value = stated - there
     return value, {
-        "offset": there * ((a + 2.0 * b * offset) / wide + 2.0 * (s + 2.0 * k * offset) / fast), "rho": -value / rho, "c": -2.0 * value / c,
-        "a": there * offset / wide, "b": there * offset**2 / wide, "s": 2.0 * there * offset / fast, "k": 2.0 * there * offset**2 / fast,
+        "offset": there * ((a + 2.0 * b * offset) / wide + 2.0 * (s + 2.0 * k * offset) / fast),
+        "rho": -value / rho, "c": -2.0 * value / c,
+        "a": there * offset / wide, "b": there * offset**2 / wide,
+        "s": 2.0 * there * offset / fast, "k": 2.0 * there * offset**2 / fast,
     }
 
 
