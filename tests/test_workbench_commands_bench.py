@@ -195,13 +195,13 @@ def test_simulate_refuses(capsys: pytest.CaptureFixture[str], arguments: list[st
 
 @pytest.mark.slow
 def test_simulate_a_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The device behind the ports is the chip's own spectrum: the same simulation, by hand."""
+    """The device behind the ports is the chip's own spectrum: the usual simulation, but for the order of the fields."""
     from geometry.chip import read_chip
     from workbench.simulate import simulate
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     chip = Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml"
-    options = ["--from", "0.95 MHz", "--to", "1.05 MHz", "--elements-per-wavelength", "5"]
+    options = ["--from", "0.95 MHz", "--to", "1.05 MHz", "--elements-per-wavelength", "2"]
     made: list[object] = []
 
     def keep(device: object, **_settings: object) -> SimulatedBench:
@@ -210,7 +210,8 @@ def test_simulate_a_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(command, "SimulatedBench", keep)
     assert cli.main(["bench", "simulate", str(chip), *options]) == 130
-    expected = simulate(read_chip(chip), None, band=(0.95e6, 1.05e6), elements_per_wavelength=5.0).spectrum
+    expected = simulate(read_chip(chip), None, band=(0.95e6, 1.05e6), elements_per_wavelength=20.0).spectrum
     device = made[0]
     assert callable(device)
-    assert device(expected.frequency[170]) == pytest.approx(expected.impedance[170], rel=1e-4)
+    # Next to the resonance; the second order errs by 0.1 % rms at 15 elements per wavelength of a disc.
+    assert device(expected.frequency[170]) == pytest.approx(expected.impedance[170], rel=3e-3)

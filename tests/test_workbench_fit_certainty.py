@@ -56,7 +56,7 @@ class Made(Objective):
         off = log_ratio(np.exp(logarithm), self.recordings[0].measured.impedance)
         scaled, slopes = off / spread, gradient / spread[:, None]
         return Residual(np.concatenate([scaled.real, scaled.imag]), np.concatenate([slopes.real, slopes.imag]), (off,),
-                        (np.exp(logarithm),), 0.0)
+                        (np.exp(logarithm),))
 
 
 def free(

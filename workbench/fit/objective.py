@@ -15,6 +15,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -55,14 +56,19 @@ class Residual:
     """Weighted residuals and their derivative by the parameters in SI units.
 
     ``vector`` (2 n,) real parts then imaginary parts, recording after recording; ``jacobian`` (2 n, p); ``log_ratio``
-    ln(Z_model / Z_measured) of every recording, unweighted; ``error`` the largest estimated error of any prediction.
+    ln(Z_model / Z_measured) of every recording, unweighted; ``predictions`` one for every recording.
     """
 
     vector: Real
     jacobian: Real
     log_ratio: tuple[Complex, ...]
     impedance: tuple[Complex, ...]
-    error: float
+    predictions: tuple[Prediction, ...] = ()
+
+    @cached_property
+    def error(self) -> float:
+        """The largest estimated relative error of any prediction."""
+        return max((float(each.error.max()) for each in self.predictions), default=0.0)
 
     @property
     def cost(self) -> float:
@@ -197,12 +203,11 @@ class Objective:
         Raises:
             NotEnriched, MeshError, InputError: nothing can be predicted at x.
         """
-        parts, rows, logs, seen = [], [], [], []
-        worst = 0.0
+        parts, rows, logs, seen, predictions = [], [], [], [], []
         for index, recording in enumerate(self.recordings):
             impedance, gradient, prediction = self.predict(x, index)
             measured = recording.measured.impedance
-            worst = max(worst, float(prediction.error.max()))
+            predictions.append(prediction)
             logs.append(log_ratio(impedance, measured))
             seen.append(impedance)
             if smoothing > 0.0:
@@ -215,7 +220,7 @@ class Objective:
                                  else np.asarray(deviation[index])[:, None])
             parts += [ratio.real, ratio.imag]
             rows += [scaled.real, scaled.imag]
-        return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), worst)
+        return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), tuple(predictions))
 
 
 def _stretches(parameter: Parameter, recording: Recording) -> bool:

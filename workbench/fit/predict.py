@@ -8,8 +8,10 @@ grows along the path of the fit and serves every later one.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,12 +53,12 @@ WIDE = 200
 class Prediction:
     """A predicted spectrum and what it would do if parameters moved.
 
-    ``impedance`` (n,) ohm, e^{+j w t}; ``error`` (n,) its estimated relative error; ``values`` complex parameters,
-    e^{-i w t}; ``dimensions`` lengths in metres; ``slopes`` the derivative of the operators by each free dimension.
+    ``impedance`` (n,) ohm, e^{+j w t}; ``model`` the reduced one it is of; ``values`` complex parameters, e^{-i w t};
+    ``dimensions`` lengths in metres; ``slopes`` the derivative of the operators by each free dimension.
     """
 
     solution: Solution
-    error: Real
+    model: ReducedModel
     values: Mapping[str, complex]
     dimensions: Mapping[str, float]
     slopes: Mapping[str, Real]
@@ -64,6 +66,11 @@ class Prediction:
     @property
     def impedance(self) -> Complex:
         return np.conj(self.solution.impedance)
+
+    @cached_property
+    def error(self) -> Real:
+        """Estimated relative error (n,) of the impedance."""
+        return self.model.error(self.solution)
 
     def logarithmic_gradient(self, names: tuple[str, ...]) -> Complex:
         """d ln Z / d theta (n, len(names)) by complex parameters, e^{-i w t} on both sides.
@@ -166,17 +173,19 @@ class Predictor:
         """
         values = {**self.problem.values, **values}
         lengths = self._lengths(dimensions or {})
+        bounded = math.isfinite(self.tolerance)
         expansion = self._expansion
         if expansion is None:
             expansion = self._enriched(None, values, lengths)
         elif np.any(np.abs(lengths / expansion.centre - 1.0) > REACH):
-            expansion = self._expanded(projected(expansion.model, self._operators(lengths)), lengths)
+            model = projected(expansion.model, self._operators(lengths))
+            expansion = self._expanded(model, lengths) if bounded else self._tangent(model, lengths)
         prediction = self._predict(expansion, values, lengths)
-        if prediction.error.max() > self.tolerance and not np.array_equal(lengths, expansion.centre):
+        if bounded and prediction.error.max() > self.tolerance and not np.array_equal(lengths, expansion.centre):
             # States of lengths nearby are close; another centre takes many more matrices.
             expansion = self._enriched(expansion, values, expansion.centre)
             prediction = self._predict(expansion, values, lengths)
-        if prediction.error.max() > self.tolerance:
+        if bounded and prediction.error.max() > self.tolerance:
             expansion = self._enriched(expansion, values, lengths)
             prediction = self._predict(expansion, values, lengths)
         self._expansion, self._latest = expansion, prediction
@@ -212,7 +221,7 @@ class Predictor:
         model = reduce_around(self._operators(lengths), self.frequencies, around, moves, unneeded=unneeded, depth=DEPTH,
                               corners=[{**around, **corner} for corner in corners])
         self.solves += model.solves
-        self._expansion, self._latest = _Expansion(model, lengths, tuple(self._slopes(model, lengths)), {}), None
+        self._expansion, self._latest = self._tangent(model, lengths), None
 
     def settle(self, settings: Sequence[tuple[Mapping[str, complex], Mapping[str, float]]]) -> None:
         """Narrow the basis to what the spectra at these (values, dimensions) need: a neighbourhood to be searched.
@@ -249,7 +258,7 @@ class Predictor:
                 return replace(known, values=values)
         solution = model.solve(self.frequencies, values)
         slopes = {name: expansion.slope(i, lengths) for i, name in enumerate(self.names)}
-        return Prediction(solution, model.error(solution), values, dict(zip(self.names, lengths, strict=True)), slopes)
+        return Prediction(solution, model, values, dict(zip(self.names, lengths, strict=True)), slopes)
 
     def _enriched(self, expansion: _Expansion | None, values: Mapping[str, complex], lengths: Real) -> _Expansion:
         start = None
@@ -300,6 +309,10 @@ class Predictor:
                 (b, kb), (p, kp), (q, kq), (m, km) = (_parts(each) for each in (both, plus[i], plus[j], model))
                 second[j, i] = ((b - p - q + m) / area, (kb - kp - kq + km) / area)
         return _Expansion(model, lengths, tuple(first), second)
+
+    def _tangent(self, model: ReducedModel, lengths: Real) -> _Expansion:
+        """`model`, whose operators are those of `lengths`, with its first derivatives there."""
+        return _Expansion(model, lengths, tuple(self._slopes(model, lengths)), {})
 
     def _slopes(self, model: ReducedModel, lengths: Real) -> Iterator[tuple[Real, Real]]:
         """The derivatives of (matrices, sketch) by every dimension, which is enough for small moves."""

@@ -189,10 +189,18 @@ def _measured(
         change = [np.log(spectra[s.name] / device.spectrum(values, defects, s)) for s in fitted]
         return detectability(np.concatenate([part for c in change for part in (c.real, c.imag)]), tangents, noise)
 
+    def imitated(effect: Effect) -> float:
+        # Tangents do not reach far. What only moves a known parameter is that parameter, at the price of its prior.
+        shifts = [abs(value - device.design.nominal[name]) / device.design.prior[name]
+                  for name, value in effect.values.items() if name in device.design.prior]
+        return math.sqrt(sum(shift**2 for shift in shifts)) if len(shifts) == len(effect.values) > 0 else math.inf
+
     total = against(())
     if len(effects) == 1:
+        total = min(total, imitated(effects[0]))
         return (replace(effects[0], detectability=total),), total
-    return tuple(replace(e, detectability=against(tuple(o for o in effects if o is not e))) for e in effects), total
+    each = [min(against(tuple(o for o in effects if o is not e)), imitated(e)) for e in effects]
+    return tuple(replace(e, detectability=d) for e, d in zip(effects, each, strict=True)), total
 
 
 # --------------------------------------------------------------------------------------------------------------------
