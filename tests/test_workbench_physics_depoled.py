@@ -21,7 +21,8 @@ FRACTION, EXCESS = "transducer.depoled_fraction", "transducer.permittivity_exces
 
 
 def rimmed(base: Problem, beyond: float, fraction: complex, excess: complex = 0.0) -> Problem:
-    return base.with_terms((DepoledRim("transducer", "pzt", beyond),), {FRACTION: fraction, EXCESS: excess})
+    return base.with_terms((DepoledRim("transducer", "pzt", beyond, "transducer"),),
+                           {FRACTION: fraction, EXCESS: excess})
 
 
 def impedance(model: Problem, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -78,7 +79,7 @@ def test_a_poled_rim_changes_nothing_and_the_tangent_is_the_change(small_disc: P
 
 
 def test_the_rim_has_the_elements_whose_centre_lies_beyond(small_disc: Problem) -> None:
-    term = DepoledRim("transducer", "pzt", 2e-3)
+    term = DepoledRim("transducer", "pzt", 2e-3, "transducer")
     operators = assemble(small_disc.mesh, (*small_disc.terms, term))
     place = operators.places[term.integrals()[0].domain]
     mesh = small_disc.mesh.mesh
@@ -99,4 +100,4 @@ def test_a_depoled_rim_is_passive(small_disc: Problem) -> None:
 
 def test_a_rim_outside_of_the_disc_is_refused(small_disc: Problem) -> None:
     with pytest.raises(ModelError, match=r"'transducer' has no element beyond 0\.004 m; its outermost one"):
-        assemble(small_disc.mesh, (*small_disc.terms, DepoledRim("transducer", "pzt", 4e-3)))
+        assemble(small_disc.mesh, (*small_disc.terms, DepoledRim("transducer", "pzt", 4e-3, "transducer")))

@@ -27,7 +27,7 @@ def gas() -> Fluid:
 
 
 def ringed(base: Problem, beyond: float, fraction: complex) -> Problem:
-    term = MissingCouplant("couplant", "gel", "air", beyond)
+    term = MissingCouplant("couplant", "gel", "air", beyond, "couplant")
     return base.with_terms((term,), {FRACTION: fraction, "air.density": gas().density,
                                      "air.sound_speed": gas().sound_speed})
 

@@ -265,16 +265,18 @@ DETECTABLE, HELD = 5.0, 1.3
 def _claimed(folder: Path, number: int) -> bool:
     """Whether this process may do that piece of work: nobody alive has begun it."""
     folder.mkdir(parents=True, exist_ok=True)
-    mark = folder / f"{number:04d}.pid"
+    mark, own = folder / f"{number:04d}.pid", folder / f"by {os.getpid()}"
+    own.write_text(str(os.getpid()))
     try:
-        with mark.open("x") as file:
-            file.write(str(os.getpid()))
+        # A link appears at once, with its owner in it.
+        mark.hardlink_to(own)
     except FileExistsError:
-        owner = mark.read_text()
-        if owner and Path(f"/proc/{owner}").exists():
+        if Path(f"/proc/{mark.read_text()}").exists():
             return False
         mark.unlink(missing_ok=True)
         return _claimed(folder, number)
+    finally:
+        own.unlink()
     return True
 
 

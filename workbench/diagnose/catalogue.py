@@ -47,8 +47,11 @@ MISTAKEN_LENGTH, MISTAKEN_RADIUS = 0.2, 0.05
 #: Roles of the parts that are printed, layer on layer.
 PRINTED = {"substrate", "sidewall"}
 
-#: A rim begins at this share of the radius.
-RIM = 0.85
+#: Rims that may lack something begin at these shares of the radius, one in the other: a sharp edge lies between two.
+RIMS = (0.7, 0.85, 0.93)
+
+#: None is narrower than this share of the shear wavelength in the transducer, about half an element.
+NARROWEST = 0.15
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
@@ -331,17 +334,29 @@ def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
 def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     """A layer that does not reach its rim everywhere."""
     states = device.holding(region)
-    radius = states[0].chip.layer(region).outer_radius
-    name = f"{region}.missing_fraction"
-    limits = {name: missing_couplant.ADMISSIBLE["missing_fraction"]}
+    rings = _rims(device, region)
+    limits = {f"{ring}.missing_fraction": missing_couplant.ADMISSIBLE["missing_fraction"] for ring in rings}
 
     def missing(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        return ((missing_couplant.MissingCouplant(region, fluid.name, GAPS, RIM * radius),),
-                {name: 0.0, f"{GAPS}.density": device.air.density, f"{GAPS}.sound_speed": device.air.sound_speed})
+        return (tuple(missing_couplant.MissingCouplant(region, fluid.name, GAPS, beyond, ring)
+                      for ring, beyond in rings.items()),
+                {**dict.fromkeys(limits, 0j), f"{GAPS}.density": device.air.density,
+                 f"{GAPS}.sound_speed": device.air.sound_speed})
 
     terms, values = _added(states, missing)
     yield Effect(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
                  tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+
+
+def _rims(device: Device, region: str) -> dict[str, float]:
+    """Rims of a layer and where they begin (m), as many as have an element to themselves."""
+    state = device.holding(region)[0]
+    material = state.materials[TRANSDUCER]
+    assert isinstance(material, Piezoelectric)
+    wavelength = (abs(material.c44) / material.density) ** 0.5 / state.chip.band[1]
+    radius = state.chip.layer(region).outer_radius
+    return {f"{region} beyond {100 * share:.0f} %": share * radius for share in RIMS
+            if (1.0 - share) * radius > NARROWEST * wavelength}
 
 
 def _fluids(device: Device) -> list[tuple[str, Fluid]]:
@@ -497,12 +512,12 @@ def transducer(device: Device) -> Iterator[Effect]:
                  (Parameter(mass, 0.0, 0.0, limits[mass].highest, None, limits[mass].unit),), admissible=limits,
                  terms=terms, values=values)
 
-    radius = states[0].chip.layer(TRANSDUCER).outer_radius
-    depoled_limits = {f"{TRANSDUCER}.depoled_fraction": depoled.ADMISSIBLE["depoled_fraction"]}
+    rims = _rims(device, TRANSDUCER)
+    depoled_limits = {f"{rim}.depoled_fraction": depoled.ADMISSIBLE["depoled_fraction"] for rim in rims}
 
     def unpoled(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        return ((depoled.DepoledRim(TRANSDUCER, name, RIM * radius),),
-                {f"{TRANSDUCER}.depoled_fraction": 0.0, f"{TRANSDUCER}.permittivity_excess": 0.0})
+        return (tuple(depoled.DepoledRim(TRANSDUCER, name, beyond, rim) for rim, beyond in rims.items()),
+                {**dict.fromkeys(depoled_limits, 0j), **{f"{rim}.permittivity_excess": 0j for rim in rims}})
 
     terms, values = _added(states, unpoled)
     yield Effect("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a depoled rim, or an "

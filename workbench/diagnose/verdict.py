@@ -131,10 +131,8 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     if not any(fit.good for fit in (base, *singles)):
         progress("other basins", 0.6)
         other = elsewhere(model, base, end)
-        # The bases are elsewhere now: they are made again about the base, whichever it is.
-        moved = other is not base
-        base = gather(model, other, (_scores(model, other) if moved else scores)[:SINGLES])
-        if moved:
+        if other is not base:
+            base = gather(model, other, _scores(model, other)[:SINGLES])
             scores = _scores(model, base)
             singles = _singles(model, base, scores, progress)
     pairs: list[Refit] = []
@@ -142,11 +140,6 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     weighed = [(base, held_before)]
     best = min([base, *singles], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
-        progress(f"neighbourhood of {best.name}", 0.7)
-        # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
-        own = gather(model, best, _further(model, best)[:PAIRS])
-        singles = _with(singles, best, own)
-        best = own
         if not best.good or _left(model, best) > LEFT:
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
@@ -205,14 +198,19 @@ def _scores(model: Model, fit: Refit, effects: Sequence[Effect] | None = None) -
 
 
 def _singles(model: Model, base: Refit, scores: Sequence[Score], progress: Progress) -> list[Refit]:
-    """Refits of the hypotheses that the score test leaves in the race, best first."""
+    """Refits of the hypotheses that the score test leaves in the race, best first; the best on bases of its own."""
     found = []
     wanted = [s for s in scores[:SINGLES] if s.gain > max(ACCEPTED, WORTH * scores[0].gain)]
     for number, scored in enumerate(wanted):
-        progress(f"trying {scored.effect.name}", 0.4 + 0.35 * number / len(wanted))
+        progress(f"trying {scored.effect.name}", 0.4 + 0.2 * number / len(wanted))
         result = refit(model, (scored.effect,), base.x, [scored])
         if result is not None:
             found.append(result)
+    best = min([base, *found], key=lambda f: f.evidence)
+    if gain(base, best) > NEAR * ACCEPTED:
+        progress(f"neighbourhood of {best.name}", 0.6)
+        # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
+        found = _with(found, best, gather(model, best, _further(model, best)[:PAIRS]))
     return sorted(found, key=lambda f: f.evidence)
 
 

@@ -30,18 +30,19 @@ class DepoledRim(Term):
         - f [eps(v) e^T grad(phi) + grad(psi) e eps(u)] - x eps33 d_z(psi) d_z(phi)
 
     next to `piezoelectric.Piezoelectric` on the same region. The rim begins at the edge of an element: it has the
-    elements whose centre lies beyond. The stiffness, which poling changes by a few percent, stays. Parameters
-    ``<region>.depoled_fraction`` f and ``.permittivity_excess`` x (see :data:`ADMISSIBLE`), ``<material>.e31``,
-    ``.e33``, ``.e15`` and ``.eps33``.
+    elements whose centre lies beyond; of several each adds to those it lies in. The stiffness, which poling changes by
+    a few percent, stays. Parameters ``<rim>.depoled_fraction`` f and ``.permittivity_excess`` x (see
+    :data:`ADMISSIBLE`), ``<material>.e31``, ``.e33``, ``.e15`` and ``.eps33``.
     """
 
     region: str
     material: str
     beyond: float
+    rim: str
 
     def integrals(self) -> tuple[Integral, ...]:
         def of(amplitude: str, constant: str, scale: float, product: Product) -> Integral:
-            factors = ((f"{self.region}.{amplitude}", 1), (f"{self.material}.{constant}", 1))
+            factors = ((f"{self.rim}.{amplitude}", 1), (f"{self.material}.{constant}", 1))
             return Integral(Monomial(scale, 0, factors), self.region, (product,), beyond=self.beyond)
 
         return (

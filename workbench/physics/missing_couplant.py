@@ -26,22 +26,23 @@ class MissingCouplant(Term):
     next to `fluid.Fluid` on the same region: where patches are small, volumes add up in the compressibility (Wood 1930,
     A Textbook of Sound) and paths along the layer in the mobility 1 / rho. f = 1 is the gas itself, which differs from
     a couplant that ends at `beyond` by a thousandth of the effect; a tenth of gas differs from that by a hundredth, so
-    f says little but whether there is a ring. How wide it is is no parameter: take several. The ring begins at the
-    edge of an element: it has the elements whose centre lies beyond. A couplant missing elsewhere than at the rim is
-    another geometry. Parameters ``<region>.missing_fraction`` (see :data:`ADMISSIBLE`), ``<material>.density`` and
-    ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
+    f says little but whether there is a ring. How wide it is is no parameter: take several, of which each adds to those
+    it lies in. The ring begins at the edge of an element: it has the elements whose centre lies beyond. A couplant
+    missing elsewhere than at the rim is another geometry. Parameters ``<ring>.missing_fraction`` (see
+    :data:`ADMISSIBLE`), ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
     """
 
     region: str
     material: str
     gas: str
     beyond: float
+    ring: str
 
     def integrals(self) -> tuple[Integral, ...]:
         flow = (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z"))
         found = []
         for fluid, sign in ((self.gas, 1.0), (self.material, -1.0)):
-            shared = ((f"{self.region}.missing_fraction", 1), (f"{fluid}.density", -1))
+            shared = ((f"{self.ring}.missing_fraction", 1), (f"{fluid}.density", -1))
             squeezed = Monomial(-sign, 0, (*shared, (f"{fluid}.sound_speed", -2)))
             found.append(Integral(Monomial(sign, -2, shared), self.region, flow, beyond=self.beyond))
             found.append(Integral(squeezed, self.region, (Product("p", "p"),), beyond=self.beyond))
