@@ -7,6 +7,8 @@ deviations). More take minutes each: the benchmark runs them.
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +27,11 @@ pytestmark = pytest.mark.slow
 
 def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    assert main(["diagnose", str(TRIAL / "campaign.toml"), "-o", str(tmp_path / "out")]) == 0
+    shutil.copytree(TRIAL, tmp_path / "trial")
+    campaign = tmp_path / "trial" / "campaign.toml"
+    # The empty chip takes a third of the time and knows nothing of the drive.
+    campaign.write_text(re.sub(r"\[states\.empty\].*?(?=\[)", "", campaign.read_text(), flags=re.DOTALL))
+    assert main(["diagnose", str(campaign), "-o", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     truth = json.loads((TRIAL / "truth.json").read_text(encoding="utf-8"))
     assert found["verdict"] == "missing_physics"
@@ -49,6 +55,12 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
         assert set(state) >= {"f0", "z_min", "q", "mape_percent", "rms_log_residual", "reduced_chi_square"}
     assert set(found) >= {"verdict", "effects", "moved_parameters", "rivals", "location", "before", "after", "held_out",
                           "next_measurement", "detection_limits"}
+    # Boundary layers are on, and what they do is said: here next to nothing.
+    known = {(row["effect"], row["state"]): row["rms_log_change"] for row in found["known_physics"]}
+    assert {effect for effect, _ in known} == {"viscous boundary layer", "thermal boundary layer",
+                                               "absorption of the fluid"}
+    assert 0.0 < known["viscous boundary layer", "filled"] < 0.1
+    assert known["thermal boundary layer", "filled"] < known["viscous boundary layer", "filled"]
     assert {p.name for p in (tmp_path / "out").glob("where_*.png")} == {
         "where_stiffness.png", "where_mass.png", "where_loss.png"}
     assert "softening with the drive" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -9,8 +9,9 @@ import pytest
 
 from materials.kinds import Fluid
 from materials.registry import Registry
+from workbench.diagnose.catalogue import fluid_slopes
 from workbench.operators import assemble
-from workbench.physics.fluid_temperature import ADMISSIBLE, FluidTemperature, slopes
+from workbench.physics.fluid_temperature import ADMISSIBLE, FluidTemperature
 from workbench.problem import Problem
 from workbench.solve import solve_full
 
@@ -33,7 +34,7 @@ def named(fluid: Fluid, slope: dict[str, float], offset: float) -> dict[str, com
 @pytest.mark.parametrize("offset", [-10.0, -1.0, 5.0, 10.0])
 def test_it_is_water_of_that_temperature(filled: Problem, offset: float) -> None:
     stated, there = water(STATED), water(STATED + offset)
-    slope = slopes(stated, water)
+    slope = fluid_slopes(stated, water)
     assert slope is not None
 
     def of(fluid: Fluid) -> Problem:
@@ -50,7 +51,7 @@ def test_it_is_water_of_that_temperature(filled: Problem, offset: float) -> None
 
 def test_its_derivatives_are_those_of_its_coefficients() -> None:
     stated = water(STATED)
-    slope = slopes(stated, water)
+    slope = fluid_slopes(stated, water)
     assert slope is not None
     values = {"water.density": complex(stated.density), "water.sound_speed": complex(stated.sound_speed),
               **named(stated, slope, 4.0)}
@@ -66,7 +67,7 @@ def test_its_derivatives_are_those_of_its_coefficients() -> None:
 
 def test_at_the_stated_temperature_nothing_is_added() -> None:
     stated = water(STATED)
-    slope = slopes(stated, water)
+    slope = fluid_slopes(stated, water)
     assert slope is not None
     values = {"water.density": complex(stated.density), "water.sound_speed": complex(stated.sound_speed),
               **named(stated, slope, 0.0)}
@@ -75,14 +76,14 @@ def test_at_the_stated_temperature_nothing_is_added() -> None:
 
 
 def test_water_is_faster_when_warmer_and_a_fluid_without_a_law_has_no_slope() -> None:
-    found = slopes(water(STATED), water)
+    found = fluid_slopes(water(STATED), water)
     assert found is not None
     # 2.7 m/s per kelvin at 25 degC: IAPWS 2011.
     assert found["water/iapws_2011.speed_slope"] * 1496.7 == pytest.approx(2.68, rel=0.02)
     assert found["water/iapws_2011.density_slope"] == pytest.approx(-2.57e-4, rel=0.01)
     gel = Registry().load("coupling_gel")
     assert isinstance(gel, Fluid)
-    assert slopes(gel, partial(Registry().load, "coupling_gel")) is None  # type: ignore[arg-type]
+    assert fluid_slopes(gel, partial(Registry().load, "coupling_gel")) is None  # type: ignore[arg-type]
     # At the end of its law there is no slope to both sides.
-    assert slopes(water(280.15), water) is None
+    assert fluid_slopes(water(280.15), water) is None
     assert all(limit.lowest < limit.highest and limit.source for limit in ADMISSIBLE.values())

@@ -15,6 +15,7 @@ from functools import partial
 
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside, role_of
 from geometry.section import cut_section
+from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.diagnose.campaign import DeviceState, value_of
@@ -55,6 +56,9 @@ NARROWEST = 0.15
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
+
+#: A fluid's law is taken at so many kelvin to either side: the parabola meets it there.
+STEP = 5.0
 
 #: How far a real coefficient may lie from what is stated.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
@@ -218,7 +222,7 @@ def _warmer(device: Device) -> Iterator[Effect]:
     for state in device.filled:
         fluid = state.fluid
         assert fluid is not None
-        slopes = fluid_temperature.slopes(fluid, partial(_at, device.registry, fluid.name))
+        slopes = fluid_slopes(fluid, partial(_at, device.registry, fluid.name))
         if slopes is None:
             return
         terms[state.name] = (fluid_temperature.FluidTemperature(CAVITY, fluid.name),)
@@ -232,6 +236,25 @@ def _warmer(device: Device) -> Iterator[Effect]:
 def _at(registry: Registry, name: str, temperature: float) -> Fluid:
     found = registry.load(name, temperature=temperature)
     assert isinstance(found, Fluid)
+    return found
+
+
+def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
+    """The parameters of `fluid_temperature.FluidTemperature` but the offset, from a `law` of the temperature (K).
+
+    None where it has no law so far to both sides.
+    """
+    if fluid.temperature is None:
+        return None
+    try:
+        colder, warmer = law(fluid.temperature - STEP), law(fluid.temperature + STEP)
+    except InputError:
+        return None
+    found: dict[str, float] = {}
+    for kind, here, below, above in (("density", fluid.density, colder.density, warmer.density),
+                                     ("speed", fluid.sound_speed, colder.sound_speed, warmer.sound_speed)):
+        found[f"{fluid.name}.{kind}_slope"] = (above - below) / (2.0 * STEP * here)
+        found[f"{fluid.name}.{kind}_bend"] = (above + below - 2.0 * here) / (2.0 * STEP**2 * here)
     return found
 
 

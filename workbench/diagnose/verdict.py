@@ -17,6 +17,7 @@ from workbench.diagnose.refit import (
     UNNEEDED,
     Refit,
     StateFit,
+    anew,
     base_fit,
     elsewhere,
     gather,
@@ -210,7 +211,11 @@ def _singles(model: Model, base: Refit, scores: Sequence[Score], progress: Progr
     if gain(base, best) > NEAR * ACCEPTED:
         progress(f"neighbourhood of {best.name}", 0.6)
         # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
-        found = _with(found, best, gather(model, best, _further(model, best)[:PAIRS]))
+        own = gather(model, best, _further(model, best)[:PAIRS])
+        if not own.good:
+            progress(f"{best.name}, from what is stated", 0.65)
+            own = anew(model, own)
+        found = _with(found, best, own)
     return sorted(found, key=lambda f: f.evidence)
 
 

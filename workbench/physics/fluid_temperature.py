@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from inputs import InputError
-from materials.kinds import Fluid
 from workbench.physics.term import Admissible, Formula, Integral, Product, Term
 
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -14,10 +12,6 @@ ADMISSIBLE: Mapping[str, Admissible] = {
         -20.0, 45.0, "K", "from a fluid fresh from the tap to a chip without a heat sink: 43 K at 15 V, Megalinskii et "
         "al. 2025, Nanomaterials 15, 1832"),
 }
-
-#: A fluid's law is taken at so many kelvin to either side: the parabola meets it there.
-STEP = 5.0
-
 
 @dataclass(frozen=True)
 class FluidTemperature(Term):
@@ -27,7 +21,7 @@ class FluidTemperature(Term):
         rho' = rho (1 + a T + b T^2)        c' = c (1 + s T + k T^2)
 
     Viscosities stay. Parameters ``<material>.temperature_offset`` T (K; see :data:`ADMISSIBLE`), ``.density``,
-    ``.sound_speed``, and by :func:`slopes` ``.density_slope`` a and ``.speed_slope`` s (1/K), ``.density_bend`` b
+    ``.sound_speed``, and of the fluid's law ``.density_slope`` a and ``.speed_slope`` s (1/K), ``.density_bend`` b
     and ``.speed_bend`` k (1/K^2).
     """
 
@@ -69,19 +63,3 @@ def _stiffness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]
         "a": there * offset / wide, "b": there * offset**2 / wide,
         "s": 2.0 * there * offset / fast, "k": 2.0 * there * offset**2 / fast,
     }
-
-
-def slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
-    """a, b, s and k of a fluid, by the names above, from its `law` of the temperature (K); None where it has none."""
-    if fluid.temperature is None:
-        return None
-    try:
-        colder, warmer = law(fluid.temperature - STEP), law(fluid.temperature + STEP)
-    except InputError:
-        return None
-    found: dict[str, float] = {}
-    for kind, here, below, above in (("density", fluid.density, colder.density, warmer.density),
-                                     ("speed", fluid.sound_speed, colder.sound_speed, warmer.sound_speed)):
-        found[f"{fluid.name}.{kind}_slope"] = (above - below) / (2.0 * STEP * here)
-        found[f"{fluid.name}.{kind}_bend"] = (above + below - 2.0 * here) / (2.0 * STEP**2 * here)
-    return found
