@@ -241,8 +241,6 @@ def _judged(
 ) -> Diagnosis:
     best, held_after = weighed[0]
     gained, left = gain(base, best), _left(model, best)
-    strayed = tuple((name, shift) for name, shift in sorted(base.shifts.items(), key=lambda item: -abs(item[1]))
-                    if abs(shift) > STRAYED)
     found = best is not base and gained > ACCEPTED
     complete = best.good and left < LEFT
     worse = _held(model, held_after) - _held(model, held_before)
@@ -257,6 +255,8 @@ def _judged(
             findings.append(f"It predicts the states held out worse than the known parameters alone, by a chi-square "
                             f"of {worse:.1f}: it is not accepted.")
     chosen = best if accepted else base
+    strayed = tuple((name, shift) for name, shift in sorted(chosen.shifts.items(), key=lambda item: -abs(item[1]))
+                    if abs(shift) > STRAYED)
     first = best.evidence + _held(model, held_after)
     rivals: tuple[Rival, ...] = ()
     if accepted:
