@@ -103,10 +103,9 @@ class Device:
     fixed: tuple[str, ...]
     registry: Registry
 
-    @property
-    def air(self) -> Fluid:
-        """What fills gaps."""
-        found = self.registry.load(AIR)
+    def load_fluid(self, name: str, temperature: float | None = None) -> Fluid:
+        """A fluid of the registry; see `materials.registry.Registry.load`."""
+        found = self.registry.load(name, temperature=temperature)
         assert isinstance(found, Fluid)
         return found
 
@@ -222,7 +221,7 @@ def _warmer(device: Device) -> Iterator[Effect]:
     for state in device.filled:
         fluid = state.fluid
         assert fluid is not None
-        slopes = fluid_slopes(fluid, partial(_at, device.registry, fluid.name))
+        slopes = fluid_slopes(fluid, partial(device.load_fluid, fluid.name))
         if slopes is None:
             return
         terms[state.name] = (fluid_temperature.FluidTemperature(CAVITY, fluid.name),)
@@ -231,12 +230,6 @@ def _warmer(device: Device) -> Iterator[Effect]:
     limits = {name: fluid_temperature.ADMISSIBLE["temperature_offset"]}
     yield Effect("fluid temperature", CAVITY, "stiffness", "the liquid is warmer or colder than stated",
                  tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
-
-
-def _at(registry: Registry, name: str, temperature: float) -> Fluid:
-    found = registry.load(name, temperature=temperature)
-    assert isinstance(found, Fluid)
-    return found
 
 
 def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
@@ -359,12 +352,12 @@ def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     states = device.holding(region)
     rings = _rims(device, region)
     limits = {f"{ring}.missing_fraction": missing_couplant.ADMISSIBLE["missing_fraction"] for ring in rings}
+    air = device.load_fluid(AIR)
 
     def missing(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
         return (tuple(missing_couplant.MissingCouplant(region, fluid.name, GAPS, beyond, ring)
                       for ring, beyond in rings.items()),
-                {**dict.fromkeys(limits, 0j), f"{GAPS}.density": device.air.density,
-                 f"{GAPS}.sound_speed": device.air.sound_speed})
+                {**dict.fromkeys(limits, 0j), f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
 
     terms, values = _added(states, missing)
     yield Effect(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",

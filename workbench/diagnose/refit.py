@@ -7,7 +7,6 @@ parameter at one of a thousand admissible places is worth less than one that wou
 
 from __future__ import annotations
 
-import copy
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from workbench.diagnose.device import Model
 from workbench.diagnose.score import Score, Tangents, columns
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
-from workbench.fit.joint import EXPLORATION, NO_END, SEARCHED_POINTS, Search, Weighted
+from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -162,8 +161,7 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     stated = model.fitted(search.centre, deviation=deviation)
     nominal = tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.fitted, stated.log_ratio, stated.impedance, strict=True))
-    thin = Search(model.fitted.thinned(SEARCHED_POINTS), free=free, lifted=lifted)
-    x = thin.descend(thin.centre, lambda: None).x
+    x = search.thinned().descend(search.centre, lambda: None).x
     return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH)), x
 
 
@@ -179,10 +177,8 @@ def anew(model: Model, fit: Refit) -> Refit:
     for i in own:
         reach[model.parameters[i].name] = abs(float(fit.x[i] - fit.search.centre[i]))
     model.fitted.surround(start, reach, UNNEEDED)
-    thin = copy.copy(fit.search)
-    thin.objective = model.fitted.thinned(SEARCHED_POINTS)
     try:
-        x = thin.descend(start, lambda: None).x
+        x = fit.search.thinned().descend(start, lambda: None).x
         found = fit.search.minimise(x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
     except NO_END:
         return fit
@@ -223,7 +219,7 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
         corner[i] += side * search.scale[i]
         corners.append(corner)
     model.fitted.surround(search.centre, _moves(model), UNNEEDED, corners)
-    thin = Search(model.fitted.thinned(SEARCHED_POINTS), free=search.free.tolist())
+    thin = search.thinned()
     best = thin.minimise(x, weak, limit=GLANCE, tolerance=0.01)
     before = best.cost
     for i, hop in itertools.product(levers, HOPS):

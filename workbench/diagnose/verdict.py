@@ -31,8 +31,6 @@ Real = NDArray[np.float64]
 Weighed = tuple[Refit, tuple[StateFit, ...]]
 Progress = Callable[[str, float], None]
 
-VERDICTS = ("no_mismatch", "parameters_explain", "missing_physics", "ambiguous", "unexplained", "below_detection")
-
 #: A hypothesis is accepted where its evidence is better than that of the base model by this much (twice a logarithm):
 #: odds of 150 to 1, so that fifty hypotheses together raise a false alarm in few campaigns.
 ACCEPTED = 10.0
@@ -87,8 +85,8 @@ class Diagnosis:
 
     ``nominal`` the states as stated, ``base`` after the known parameters were fitted, ``best`` with the accepted
     effects (the base itself if none); ``scores`` of all hypotheses at the base; ``singles`` and ``pairs`` refitted;
-    ``location`` (region, kind, sigmas) ranked; ``held_out`` before and after; ``known_physics`` what the effects with
-    known constants change, as rms of ln Z by state; ``next_measurement`` in words; ``findings`` plain statements.
+    ``location`` (region, kind, sigmas) ranked; ``held_before`` and ``held_after`` the states held out, by the base and
+    by ``best``; ``next_measurement`` in words; ``findings`` plain statements.
     """
 
     campaign: Campaign
@@ -240,8 +238,9 @@ def _judged(
     singles: Sequence[Refit], pairs: Sequence[Refit], held_before: tuple[StateFit, ...], seconds: float,
 ) -> Diagnosis:
     best, held_after = weighed[0]
-    gained, left = gain(base, best), _left(model, best)
+    gained = gain(base, best)
     found = best is not base and gained > ACCEPTED
+    left = _left(model, best) if found else 0.0
     complete = best.good and left < LEFT
     worse = _held(model, held_after) - _held(model, held_before)
     accepted = found and complete and worse < RIVAL

@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -188,6 +189,12 @@ class Search:
         found = (inequalities(problems, moving) if poisson is None
                  else inequalities(problems, moving, poisson=poisson))
         self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
+
+    def thinned(self) -> Search:
+        """The same problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
+        other = copy.copy(self)
+        other.objective = self.objective.thinned(SEARCHED_POINTS)
+        return other
 
     def _among_all(self, inequality: Inequality) -> Inequality:
         """An inequality of the free parameters as one of all."""

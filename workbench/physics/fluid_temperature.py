@@ -13,6 +13,7 @@ ADMISSIBLE: Mapping[str, Admissible] = {
         "al. 2025, Nanomaterials 15, 1832"),
 }
 
+
 @dataclass(frozen=True)
 class FluidTemperature(Term):
     """What `fluid.Fluid` on the same region lacks at a temperature T beyond the stated one.
