@@ -212,11 +212,12 @@ def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip
     # Also where the basis is good enough, which is to say always.
     predictor.tolerance = np.inf
     solves = predictor.solves
-    predictor({}, {THICKNESS: 2.09e-3, "transducer.radius": 2.9e-3})
-    assert predictor._expansion is not None
-    assert predictor._expansion.centre == pytest.approx([2.1e-3, 2.9e-3])
-    predictor({}, {THICKNESS: 2.08e-3, "transducer.radius": 2.9e-3})
-    assert predictor._expansion.centre == pytest.approx([2.08e-3, 2.9e-3])
+    for thickness, centre, parabola in ((2.09e-3, 2.1e-3, True), (2.04e-3, 2.04e-3, False), (2.045e-3, 2.04e-3, False),
+                                        (2.06e-3, 2.04e-3, True), (2.02e-3, 2.04e-3, True), (1.9e-3, 1.9e-3, False)):
+        predictor({}, {THICKNESS: thickness, "transducer.radius": 2.9e-3})
+        assert predictor._expansion is not None
+        assert predictor._expansion.centre == pytest.approx([centre, 2.9e-3])
+        assert bool(predictor._expansion.second) == parabola
     assert predictor.solves == solves
 
 
@@ -261,16 +262,22 @@ def test_the_slope_of_the_expansion_is_its_own_derivative(stack: Problem, chip: 
     expansion = predictor._expansion
     assert expansion is not None
     lengths = expansion.centre * [1.0 + 0.6 * REACH, 1.0 - 0.4 * REACH]
+
+    def whole(slope: tuple[NDArray[np.int64], NDArray[np.float64]]) -> NDArray[np.float64]:
+        matrices = np.zeros_like(expansion.model.operators.matrices)
+        matrices[slope[0]] = slope[1]
+        return matrices
+
     for index in range(2):
         step = np.zeros(2)
         step[index] = 0.3 * REACH * expansion.centre[index]
         ahead, behind = (expansion.at(lengths + sign * step).operators.matrices for sign in (1.0, -1.0))
         exact = (ahead - behind) / (2.0 * step[index])  # of a parabola, whatever the step
-        found = expansion.slope(index, lengths)
+        found = whole(expansion.slope(index, lengths))
         # Rounding of 1e-15 over steps of 1.5e-3.
         size = np.abs(exact).max(axis=(1, 2), keepdims=True) + np.abs(ahead).max(axis=(1, 2), keepdims=True)
         assert (np.abs(found - exact) <= 1e-9 * size / expansion.centre[index]).all()
-        assert np.abs(found - expansion.slope(index, expansion.centre)).max() > 1e-3 * np.abs(found).max()
+        assert np.abs(found - whole(expansion.slope(index, expansion.centre))).max() > 1e-3 * np.abs(found).max()
 
 
 def test_dimensions_need_a_chip(stack: Problem) -> None:

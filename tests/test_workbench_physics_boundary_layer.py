@@ -369,7 +369,8 @@ def test_fluid_and_wall_that_move_together_feel_nothing(shaken: FullOperators) -
     forms = g * shaken.quadratic(state, state)[0, layer]
     assert len(layer) == 3
     assert abs(forms.sum()) < 1e-12 * np.abs(forms).max()
-    forces = g[:, None] * shaken.images(state[:, 0])[layer]
+    each = np.eye(len(shaken.integrals), dtype=complex)[:, layer]
+    forces = g[:, None] * shaken.images(state[:, 0], each).T
     assert np.abs(forces).max(axis=1).min() > 0.0
     # Of the fluid's rows and of the solid's, each against its own size.
     for rows_ in (state[:, 0] == 1.0, (state[:, 0] != 1.0) & (state[:, 0] != 0.0)):

@@ -177,7 +177,8 @@ def test_the_uses_of_the_declaration_agree(operators: FullOperators) -> None:
     pattern = operators.pattern
     states = columns.astype(np.complex128)
     forms, projected = operators.quadratic(states, states), operators.project(columns)
-    parts, images = operators.element_quadratic(states, states), operators.images(states[:, 0])
+    each = np.eye(len(operators.integrals), dtype=complex)
+    parts, images = operators.element_quadratic(states, states), operators.images(states[:, 0], each).T
     assert len(mine(operators)) == 6
     for q in mine(operators):
         unit = np.zeros(len(operators.integrals), dtype=complex)
@@ -202,7 +203,8 @@ def test_walls_that_move_with_the_fluid_between_them_feel_nothing(operators: Ful
         numbers = operators.numbering[component]
         state[numbers[numbers >= 0]] = shape[numbers >= 0]
     g = np.array([operators.integrals[q].coefficient(np.array([omega]), values)[0] for q in mine(operators)])
-    forces = g[:, None] * operators.images(state)[mine(operators)]
+    each = np.eye(len(operators.integrals), dtype=complex)[:, mine(operators)]
+    forces = g[:, None] * operators.images(state, each).T
     # Of the fluid's rows and of the solids', each against its own size.
     pressure = np.zeros(operators.size, dtype=bool)
     pressure[operators.numbering["p"][operators.numbering["p"] >= 0]] = True

@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skfem import Basis
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
+from workbench.elements import Lagrange
 from workbench.operators import ModelError, assemble
 from workbench.physics.depoled import DepoledRim
 from workbench.problem import Problem, problem
@@ -78,15 +80,23 @@ def test_a_poled_rim_changes_nothing_and_the_tangent_is_the_change(small_disc: P
     assert np.abs((above.impedance - below.impedance) / 2e-6 / slope - 1.0).max() < 1e-4
 
 
-def test_the_rim_has_the_elements_whose_centre_lies_beyond(small_disc: Problem) -> None:
-    term = DepoledRim("transducer", "pzt", 2e-3, "transducer")
+@pytest.mark.parametrize("beyond", [1.9e-3, 2e-3, 2.96e-3])
+def test_the_rim_begins_where_it_is_said_to(small_disc: Problem, beyond: float) -> None:
+    term = DepoledRim("transducer", "pzt", beyond, "transducer")
     operators = assemble(small_disc.mesh, (*small_disc.terms, term))
-    place = operators.places[term.integrals()[0].domain]
-    mesh = small_disc.mesh.mesh
-    centre = mesh.p[0, mesh.t].mean(axis=0)
-    assert sorted(place.elements) == np.flatnonzero(centre > 2e-3).tolist()
-    assert 0 < place.elements.size < centre.size
-    assert operators.places["transducer"].elements.size == centre.size
+    rim = operators.places[term.integrals()[0].domain]
+    disc, (r, z) = operators.places["transducer"], small_disc.mesh.mesh.p
+    assert rim.weights.sum() == pytest.approx(np.pi * (r.max() ** 2 - beyond**2) * np.ptp(z), rel=1e-12)
+    outer = r[small_disc.mesh.mesh.t].max(axis=0)
+    assert sorted(rim.elements) == np.flatnonzero(outer > beyond).tolist()
+    assert 0 < rim.elements.size < disc.elements.size
+    # A field of the elements' own order is integrated exactly there: u_r = r^2, whose strain about the axis is r.
+    state = np.zeros((operators.size, 1))
+    numbers, nodes = operators.numbering["u_r"], Basis(small_disc.mesh.mesh, Lagrange(small_disc.mesh.order)).doflocs
+    state[numbers[numbers >= 0], 0] = nodes[0, numbers >= 0] ** 2
+    strain = operators.evaluate(rim, ["strain_tt"], state)["strain_tt"][:, :, 0]
+    expected = 2.0 * np.pi * np.ptp(z) * (r.max() ** 4 - beyond**4) / 4.0
+    assert float((strain**2 * rim.weights).sum()) == pytest.approx(expected, rel=1e-10)
 
 
 def test_a_depoled_rim_is_passive(small_disc: Problem) -> None:
@@ -99,5 +109,5 @@ def test_a_depoled_rim_is_passive(small_disc: Problem) -> None:
 
 
 def test_a_rim_outside_of_the_disc_is_refused(small_disc: Problem) -> None:
-    with pytest.raises(ModelError, match=r"'transducer' has no element beyond 0\.004 m; its outermost one"):
+    with pytest.raises(ModelError, match=r"'transducer' ends at 0\.003 m: nothing of it is beyond 0\.004 m"):
         assemble(small_disc.mesh, (*small_disc.terms, DepoledRim("transducer", "pzt", 4e-3, "transducer")))

@@ -45,9 +45,10 @@ def test_all_of_it_missing_is_a_couplant_of_gas(filled: Problem) -> None:
     assert np.abs(found / expected - 1.0).max() < 1e-9
 
 
-@pytest.mark.parametrize("beyond", [2e-3, 2.6e-3])
+@pytest.mark.parametrize(("within", "tolerance"), [(0.0, 3e-3), (0.3, 0.15), (0.7, 0.4)])
+@pytest.mark.parametrize("about", [2e-3, 2.6e-3])
 def test_a_ring_of_gas_is_a_couplant_that_ends_there(
-    beyond: float, stacked: Callable[..., Chip], meshed: Callable[..., Problem],
+    about: float, within: float, tolerance: float, stacked: Callable[..., Chip], meshed: Callable[..., Problem],
     filled_materials: dict[str, Material],
 ) -> None:
     materials = {region: filled_materials[region] for region in ("transducer", "couplant", "substrate")}
@@ -58,19 +59,21 @@ def test_a_ring_of_gas_is_a_couplant_that_ends_there(
         return meshed(stacked(layers, band=(300e3, 700e3)), materials, elements_per_wavelength=8.0)
 
     base = chip(3e-3)
-    # The ring begins where its first element does.
+    # The ring begins at the edge of an element, or at a share of its width.
     radii = np.unique(base.mesh.mesh.p[0])
-    centres = 0.5 * (radii[1:] + radii[:-1])
-    edge = float(radii[:-1][centres > beyond][0])
-    full, expected = impedance(base, frequency), impedance(chip(edge), frequency)
+    first = int(np.flatnonzero(radii >= about)[0])
+    beyond = float((1.0 - within) * radii[first] + within * radii[first + 1])
+    full, expected = impedance(base, frequency), impedance(chip(beyond), frequency)
     effect = np.abs(expected - full).max()
     misses = {f: np.abs(impedance(ringed(base, beyond, f), frequency) - expected).max() / effect
               for f in (1e-2, 1e-1, 1.0)}
-    print(f"couplant up to {edge * 1e3:.2f} mm: effect {np.abs(expected / full - 1.0).max():.2f} of Z, misses {misses}")
+    print(f"couplant up to {beyond * 1e3:.2f} mm: {np.abs(expected / full - 1.0).max():.2f} of Z, misses {misses}")
     assert np.abs(expected / full - 1.0).max() > 0.03
-    # What is left: the stress in the gas, 3e-4 of the liquid's, and two meshes, on the flanks of resonances.
-    assert misses[1.0] < 3e-3
-    assert misses[0.1] < 0.02
+    # What is left at an edge: the stress in the gas, 3e-4 of the liquid's, and two meshes, on the flanks of resonances.
+    # Within an element its functions, here of order two, have no kink where the pressure has one: with a contrast of a
+    # thousand a third of the effect is off. That there is a ring is seen; how wide it is, only to a part of an element.
+    assert misses[1.0] < tolerance
+    assert misses[0.1] < tolerance + 0.02
 
 
 def test_a_full_ring_changes_nothing_and_the_tangent_is_the_change(filled: Problem) -> None:

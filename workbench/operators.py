@@ -8,7 +8,7 @@ diagnosing do not know which of the two they hold. Parameter values are never st
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from skfem import Basis, FacetBasis
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefQuad
 
 from geometry.mesh import SectionMesh
 from geometry.names import whole
@@ -38,6 +40,10 @@ from workbench.physics.term import (
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+
+#: Cells that differ by less than this share of their size are the same: rounding of where they are.
+SAME_SHAPE = 1e-9
 
 
 class ModelError(ValueError):
@@ -102,30 +108,70 @@ class Place:
         return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name.removesuffix(FACING)]
 
 
-def _place(mesh: SectionMesh, integral: Integral) -> Place:
+def _place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | None = None) -> Place | None:
+    """The place of an integral, of the cells `within` (number of cells,) only if given; None if that leaves nothing."""
     if not integral.on_boundary:
-        return _volume_place(mesh, integral.place, integral.beyond)
+        return _volume_place(mesh, integral.place, integral.beyond, within)
     if integral.beyond is not None:
         raise ModelError(f"boundary {integral.place!r} is restricted to radii beyond {integral.beyond:g} m; only a "
                          "region can be")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
     if not integral.facing:
-        return _boundary_place(mesh, facets, integral.solid)
+        facets = facets[_touching(mesh, facets, within)]
+        return _boundary_place(mesh, facets, integral.solid) if facets.size else None
     near, far = _facing_facets(mesh, facets, integral)
+    kept = _touching(mesh, near, within) | _touching(mesh, far, within)
+    if not kept.any():
+        return None
+    near, far = near[kept], far[kept]
     return _facing_place(_boundary_place(mesh, near, integral.solid), _boundary_place(mesh, far, integral.facing_solid))
 
 
-def _volume_place(mesh: SectionMesh, region: str, beyond: float | None) -> Place:
+def _touching(mesh: SectionMesh, facets: NDArray[np.int64], cells: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """Which of some facets are sides of `cells`: all where those are None."""
+    if cells is None:
+        return np.ones(facets.size, dtype=bool)
+    sides = mesh.mesh.f2t[:, facets]
+    return np.asarray((cells[sides] & (sides >= 0)).any(axis=0))
+
+
+def _volume_place(
+    mesh: SectionMesh, region: str, beyond: float | None, within: NDArray[np.bool_] | None
+) -> Place | None:
     cells = np.asarray(mesh.mesh.subdomains[region])
-    if beyond is not None:
-        radius = mesh.mesh.p[0, mesh.mesh.t[:, cells]].mean(axis=0)
-        cells = cells[radius > beyond]
+    if within is not None:
+        cells = cells[within[cells]]
         if not cells.size:
-            raise ModelError(f"region {region!r} has no element beyond {beyond:g} m; its outermost one is centred at "
-                             f"{radius.max():g} m")
-    # Nine Gauss points integrate r times a product of two biquadratic functions exactly (degree 5 per direction).
-    basis = Basis(mesh.mesh, Lagrange(mesh.order), elements=cells, intorder=2 * mesh.order + 1)
-    return _tabulate(basis, cells)
+            return None
+    radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
+    inner, outer = radii.min(axis=0), radii.max(axis=0)
+    # The share of each cell's width that lies inside the radius from which on the place begins.
+    left_out = np.zeros(cells.size)
+    if beyond is not None:
+        left_out = np.clip((beyond - inner) / (outer - inner), 0.0, 1.0)
+        if left_out.min() > 1.0 - SAME_SHAPE:
+            if within is not None:
+                return None
+            raise ModelError(f"region {region!r} ends at {outer.max():g} m: nothing of it is beyond {beyond:g} m")
+    # So many Gauss points integrate r times a product of two functions exactly: of order two nine.
+    points, weights = get_quadrature(RefQuad, 2 * mesh.order + 1)
+    parts = []
+    for share in np.unique(np.round(left_out[left_out <= 1.0 - SAME_SHAPE], 9)):
+        kept = np.abs(left_out - share) < SAME_SHAPE
+        rule = (np.stack([share + (1.0 - share) * points[0], points[1]]), (1.0 - share) * weights)
+        basis = Basis(mesh.mesh, Lagrange(mesh.order), elements=cells[kept], quadrature=rule)
+        parts.append(_tabulate(basis, cells[kept]))
+    return _together(parts)
+
+
+def _together(parts: Sequence[Place]) -> Place:
+    """Several parts of one region as one place."""
+    if len(parts) == 1:
+        return parts[0]
+    shapes = {kind: np.concatenate([part.shapes[kind] for part in parts]) for kind in parts[0].shapes}
+    return Place(np.concatenate([part.dofs for part in parts], axis=1),
+                 np.concatenate([part.weights for part in parts]), shapes,
+                 np.concatenate([part.elements for part in parts]))
 
 
 def _facing_facets(
@@ -173,6 +219,14 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
     dofs = np.take_along_axis(place.dofs.T, keep, axis=1).T
     normal = np.asarray(basis.normals) * sign[None, :, None]
     return Place(np.ascontiguousarray(dofs), place.weights, shapes, owners, normal)
+
+
+def _reshaped(mesh: SectionMesh, other: SectionMesh) -> NDArray[np.bool_]:
+    """Which cells are not the same in both meshes but for a shift along the axis."""
+    corners = np.stack([each.mesh.p[:, each.mesh.t] for each in (mesh, other)])  # (2, r or z, corners, cells)
+    corners[:, 1] -= corners[:, 1, :1].copy()
+    size = np.ptp(corners, axis=2).max(axis=0)
+    return np.asarray((np.abs(corners[1] - corners[0]).max(axis=1) > SAME_SHAPE * size).any(axis=0))
 
 
 def _tabulate(basis: Basis | FacetBasis, elements: NDArray[np.int64]) -> Place:
@@ -253,10 +307,25 @@ class FullOperators:
 
     def project(self, basis: Real, test: Real | None = None) -> Real:
         """test^T A_q basis for real columns (size, n): (number of integrals, n_test, n). `test` defaults to `basis`."""
+        return self._projected(self.places, basis, test)
+
+    def project_change(self, mesh: SectionMesh, basis: Real, test: Real) -> Real:
+        """What :meth:`project` changes by when the model moves onto `mesh` (a `geometry.stretch` of its own).
+
+        Integrated over those cells only whose shape differs: of a layer that grows, not of those that it lifts.
+        """
+        within = _reshaped(self.mesh, mesh)
+        change = np.zeros((len(self.integrals), test.shape[1], basis.shape[1]))
+        for each, sign in ((mesh, 1.0), (self.mesh, -1.0)):
+            places = {name: _place(each, group[0], within) for name, group in self._by_place.items()}
+            change += sign * self._projected({name: p for name, p in places.items() if p is not None}, basis, test)
+        return change
+
+    def _projected(self, places: Mapping[str, Place], basis: Real, test: Real | None) -> Real:
         left = basis if test is None else test
         result = np.zeros((len(self.integrals), left.shape[1], basis.shape[1]))
-        for place_name, group in self._by_place.items():
-            place = self.places[place_name]
+        for place_name, place in places.items():
+            group = self._by_place[place_name]
             weights = place.weights.reshape(-1, 1)
             used = _operators_of(group)
             rights = {name: v.reshape(weights.size, -1) for name, v in self.evaluate(place, used, basis).items()}
@@ -271,27 +340,40 @@ class FullOperators:
                         result[self._index[id(integral)]] += 0.5 * p.weight * grams[pair]
         return result
 
-    def images(self, state: Complex, wanted: NDArray[np.bool_] | None = None) -> Complex:
-        """A_q x of every integral for one state x (size,): (number of integrals, size), zero where not wanted."""
+    def images(self, state: Complex, constants: Complex) -> Complex:
+        """sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k)."""
         # The entry after the last takes what is no unknown.
-        result = np.zeros((len(self.integrals), self.size + 1), dtype=complex)
+        result = np.zeros((self.size + 1, constants.shape[1]), dtype=complex)
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
-            group = [integral for integral in group if wanted is None or wanted[self._index[id(integral)]]]
-            if not group:
+            of_group = constants[[self._index[id(integral)] for integral in group]]
+            acting = np.flatnonzero(of_group.any(axis=0))
+            if not acting.size:
                 continue
-            seen = self.evaluate(place, _operators_of(group), state[:, None])
-            tested = {name: self._test(name, place) for name in seen}
-            for integral in group:
-                image = result[self._index[id(integral)]]
+            used = _operators_of(group)
+            seen = self.evaluate(place, used, state[:, None])
+            columns = np.concatenate([seen[name].reshape(-1, 1) for name in used], axis=1)
+            # What is tested with each operator, as a combination of the operators seen.
+            mixed = np.zeros((len(used), len(used), acting.size), dtype=complex)
+            for integral, weights in zip(group, of_group[:, acting], strict=True):
                 for p in integral.products:
                     for row, column in ((p.row, p.column), (p.column, p.row)):
-                        flux = 0.5 * p.weight * place.weights * seen[column][:, :, 0]
-                        for rows, shape in tested[row]:
-                            local = np.einsum("eq,eqb->be", flux, shape).ravel()
-                            for part, unit in ((local.real, 1.0), (local.imag, 1j)):
-                                image += unit * np.bincount(rows, part, minlength=self.size + 1)
-        return result[:, :-1]
+                        mixed[used.index(row), used.index(column)] += 0.5 * p.weight * weights
+            rows, forces = [], []
+            for name, combination in zip(used, mixed, strict=True):
+                if not combination.any():
+                    continue
+                flux = place.weights[:, :, None] * (columns @ combination).reshape(*place.weights.shape, -1)
+                parts = np.concatenate([flux.real, flux.imag], axis=2)  # shapes are real, and so are these products
+                for unknowns, shape in self._test(name, place):
+                    rows.append(unknowns)
+                    forces.append((shape.transpose(0, 2, 1) @ parts).transpose(1, 0, 2).reshape(unknowns.size, -1))
+            target = np.concatenate(rows)
+            count = target.size
+            gather = sparse.csr_array((np.ones(count), (target, np.arange(count))), shape=(self.size + 1, count))
+            found = gather @ np.concatenate(forces)
+            result[:, acting] += found[:, :acting.size] + 1j * found[:, acting.size:]
+        return result[:-1]
 
     def _test(self, operator: str, place: Place) -> list[tuple[NDArray[np.int64], Real]]:
         """Unknowns (nb * ne,) and shapes (ne, nq, nb) of every part of an operator, for testing with it."""
@@ -465,7 +547,9 @@ def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
     places: dict[str, Place] = {}
     for integral in integrals:
         if integral.domain not in places:
-            places[integral.domain] = _place(mesh, integral)
+            found = _place(mesh, integral)
+            assert found is not None  # nothing was left out
+            places[integral.domain] = found
     numbering, size = _number(mesh, unknowns, conditions)
     return FullOperators(mesh, terms, integrals, places, numbering, size)
 

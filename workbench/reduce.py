@@ -366,19 +366,21 @@ def reduce_around(
     corners: Sequence[Values] = (),
     nodes: int = 5,
     depth: int = DEPTH,
+    like: ReducedModel | None = None,
 ) -> ReducedModel:
     """A reduced model for a neighbourhood: every parameter named in `moves` may change by about so much.
 
     From `nodes` full solves at Chebyshev's frequencies, the states and their neighbours in frequency, and of what the
     moves change them by, the directions of more than `unneeded` (relative to the states); likewise of the states at
     other values, `corners`, where a parameter moves so far that its derivative does not tell where to. Whether that
-    is enough, :meth:`ReducedModel.error` says.
+    is enough, :meth:`ReducedModel.error` says. Unknowns and residuals are measured as in the model `like`, of the same
+    unknowns and much the same values, if there is one.
     """
     frequencies = np.asarray(frequencies, dtype=float)
     at, names = chebyshev(frequencies.size, nodes), tuple(moves)
     with one_thread():
         system = System(operators, values)
-        weights, test = norms(system, frequencies)
+        weights, test = norms(system, frequencies) if like is None else (like.weights, like.test)
         basis, changes, worst = np.zeros((operators.size, 0)), [], 0.0
         for index in at:
             found, residual = system.krylov(float(frequencies[index]), depth, tangents=names)

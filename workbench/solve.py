@@ -268,11 +268,13 @@ class System:
     def _changes(self, frequency: float, state: Complex, names: tuple[str, ...]) -> Complex:
         """(dA / dtheta) x (size, len(names)) for complex parameters."""
         omega = np.array([2.0 * np.pi * frequency])
-        slopes = np.array([
-            [integral.coefficient.derivative(omega, self.values, name)[0] for name in names]
-            for integral in self.operators.integrals
-        ])
-        return self.operators.images(state, np.asarray(slopes.any(axis=1))).T @ slopes
+        integrals = self.operators.integrals
+        depending = _dependence(integrals)
+        slopes = np.zeros((len(integrals), len(names)), dtype=complex)
+        for column, name in enumerate(names):
+            for q in depending.get(name, ()):
+                slopes[q, column] = integrals[q].coefficient.derivative(omega, self.values, name)[0]
+        return self.operators.images(state, slopes)
 
 
 def factorise(matrix: sparse.csc_matrix, frequency: float) -> Factor:

@@ -49,10 +49,7 @@ MISTAKEN_LENGTH, MISTAKEN_RADIUS = 0.2, 0.05
 PRINTED = {"substrate", "sidewall"}
 
 #: Rims that may lack something begin at these shares of the radius, one in the other: a sharp edge lies between two.
-RIMS = (0.7, 0.85, 0.93)
-
-#: None is narrower than this share of the shear wavelength in the transducer, about half an element.
-NARROWEST = 0.15
+RIMS = (0.7, 0.85, 0.93, 0.97, 0.99, 0.997)
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
@@ -365,14 +362,9 @@ def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
 
 
 def _rims(device: Device, region: str) -> dict[str, float]:
-    """Rims of a layer and where they begin (m), as many as have an element to themselves."""
-    state = device.holding(region)[0]
-    material = state.materials[TRANSDUCER]
-    assert isinstance(material, Piezoelectric)
-    wavelength = (abs(material.c44) / material.density) ** 0.5 / state.chip.band[1]
-    radius = state.chip.layer(region).outer_radius
-    return {f"{region} beyond {100 * share:.0f} %": share * radius for share in RIMS
-            if (1.0 - share) * radius > NARROWEST * wavelength}
+    """Rims of a layer and where they begin (m)."""
+    radius = device.holding(region)[0].chip.layer(region).outer_radius
+    return {f"{region} beyond {100 * share:g} %": share * radius for share in RIMS}
 
 
 def _fluids(device: Device) -> list[tuple[str, Fluid]]:
@@ -592,7 +584,7 @@ def bench(device: Device) -> Iterator[Effect]:
 
 def _about(value: float, share: float, unit: str) -> Admissible:
     return Admissible((1.0 - share) * value, (1.0 + share) * value, unit,
-                      f"within {100 * share:.0f} % of what is stated: a mistake that goes unnoticed")
+                      f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")
 
 
 def _mistaken(

@@ -14,7 +14,7 @@ from geometry.mesh import SectionMesh
 from geometry.names import role_of
 from geometry.section import Section
 from materials.kinds import Fluid
-from workbench.diagnose.campaign import Campaign, DeviceState, unit_of, value_of
+from workbench.diagnose.campaign import Campaign, unit_of, value_of
 from workbench.diagnose.catalogue import (
     MISTAKEN,
     MISTAKEN_LENGTH,
@@ -99,12 +99,11 @@ def model(
             more.setdefault(parameter.name, parameter)
     parameters = (*known, *more.values())
 
-    def over(states: Sequence[DeviceState]) -> Objective:
-        # Bases are made about one point after the other (`Objective.surround`), not enriched on the way.
-        return Objective([recordings[s.name] for s in states], parameters, tolerance=math.inf)
-
-    return Model(campaign, parameters, len(known), hypotheses, over(campaign.fitted),
-                 over(campaign.held_out) if campaign.held_out else None)
+    # Bases are made about one point after the other (`Objective.surround`), not enriched on the way.
+    whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
+    fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
+    return Model(campaign, parameters, len(known), hypotheses, whole.of(fitted),
+                 whole.of(held_out) if held_out else None)
 
 
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
-from workbench.diagnose.score import Score, Tangents, columns
+from workbench.diagnose.score import Score, Tangents, columns, ranked, score
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
 from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
@@ -66,9 +66,14 @@ SHARES = (1.0, 0.1, 0.0)
 #: It begins no closer to the end of its range than this share of it.
 AT_END = 1e-4
 
+#: Of the hypotheses that promise most where the data weigh little, so many are followed, if they promise more than the
+#: second number of what the best one does; at most the third number of them to the end.
+FOLLOWED, WORTH, KEPT = 6, 0.3, 2
+
 #: With the lever held, so many times the cost of the best end is no reason to let it go there; an end that costs less
 #: than this share of the first is in the right basin.
 PROMISING, RIGHT = 2.5, 0.75
+
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
@@ -165,25 +170,48 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH)), x
 
 
-def anew(model: Model, fit: Refit) -> Refit:
-    """`fit`, or a better one of the same hypotheses with the known parameters once more from what is stated.
+def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
+    """Scores and the best single hypotheses where the data weigh little, about x (p,), the end of the way down.
 
-    A strong effect strains the known parameters while it is missing: from where that leaves them the way back is long.
+    A strong effect strains the known parameters while it is missing: where the data weigh in full, hypotheses are asked
+    what is left of it there, and the way back is long. With little weight (`joint.EXPLORATION`) those stay near what is
+    known, and the best hypotheses are followed from there.
+
+    Returns:
+        the scores with that weight, best first, and refits with full weight, each on bases of its own.
     """
-    own = [model.index(name) for effect in fit.effects for name in effect.names]
-    start = fit.search.centre.copy()
-    start[own] = fit.x[own]
-    reach = _moves(model)
-    for i in own:
-        reach[model.parameters[i].name] = abs(float(fit.x[i] - fit.search.centre[i]))
-    model.fitted.surround(start, reach, UNNEEDED)
-    try:
-        x = fit.search.thinned().descend(start, lambda: None).x
-        found = fit.search.minimise(x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
-    except NO_END:
-        return fit
-    ended = gather(model, _judged(model, fit.effects, fit.search, found))
-    return ended if ended.chi_square < fit.chi_square else fit
+    weak = [EXPLORATION] * len(model.campaign.fitted)
+    model.fitted.surround(x, _moves(model), UNNEEDED)
+    x = base.search.thinned().minimise(x, weak, limit=GLANCE, tolerance=0.01).x
+    here = base.search.evaluate(x, weak)
+    tangents = Tangents.at(base.search, here)
+    scores = ranked([score(model, x, here, tangents, effect) for effect in model.effects])
+    ends: list[tuple[Effect, Search, Minimum]] = []
+    for scored in scores[:FOLLOWED]:
+        if scored.gain > WORTH * scores[0].gain:
+            try:
+                search, begin = _begun(model, (scored.effect,), x, [scored], weak)
+                end = search.thinned().minimise(begin, weak, limit=GLANCE, tolerance=0.01)
+                ends.append((scored.effect, search, end))
+            except NO_END:
+                continue
+    least = min((end.cost for _, _, end in ends), default=0.0)
+    found: list[Refit] = []
+    for effect, search, end in sorted(ends, key=lambda each: each[2].cost):
+        if end.cost > PROMISING * least or len(found) == KEPT:
+            break
+        reach = _moves(model)
+        for name in effect.names:
+            i = model.index(name)
+            reach[name] = abs(float(end.x[i] - search.centre[i]))
+        model.fitted.surround(end.x, reach, UNNEEDED)
+        try:
+            near = search.thinned().minimise(end.x, weak, limit=GLANCE, tolerance=0.01)
+            full = search.minimise(near.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
+        except NO_END:
+            continue
+        found.append(gather(model, _judged(model, (effect,), search, full)))
+    return scores, found
 
 
 def _moves(model: Model) -> dict[str, float]:
@@ -265,6 +293,19 @@ def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence
 
     None where nothing can be predicted, or no admissible point lies near.
     """
+    deviation = model.deviations()
+    try:
+        search, begin = _begun(model, effects, start, scores, deviation)
+        found = search.minimise(begin, deviation, limit=STEPS, tolerance=ENOUGH)
+    except NO_END:
+        return None
+    return _judged(model, tuple(effects), search, found)
+
+
+def _begun(
+    model: Model, effects: Sequence[Effect], start: Real, scores: Sequence[Score], deviation: Sequence[Real | float]
+) -> tuple[Search, Real]:
+    """The search under `effects`, with ranges that `scores` give their parameters, and where it had best begin (p,)."""
     free, lifted = model.free(effects)
     search = Search(model.fitted, free=free, lifted=lifted)
     asked = np.zeros(start.size)
@@ -284,14 +325,8 @@ def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence
         x = start.copy()
         x[own] = np.clip((start + share * asked)[own], search.low[own] + margin, search.high[own] - margin)
         begins.append(x)
-    deviation = model.deviations()
-    try:
-        # What is asked for goes with moves of the known parameters, without which less of it may be closer.
-        x = min(begins, key=lambda begin: float(np.sum(search.evaluate(begin, deviation).vector ** 2)))
-        found = search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH)
-    except NO_END:
-        return None
-    return _judged(model, tuple(effects), search, found)
+    # What is asked for goes with moves of the known parameters, without which less of it may be closer.
+    return search, min(begins, key=lambda begin: float(np.sum(search.evaluate(begin, deviation).vector ** 2)))
 
 
 def _judged(model: Model, effects: tuple[Effect, ...], search: Search, minimum: Minimum) -> Refit:
@@ -341,7 +376,12 @@ def predicted(model: Model, fit: Refit) -> tuple[StateFit, ...]:
     """The states held out, as a refit predicts them."""
     if model.held_out is None:
         return ()
-    model.held_out.surround(fit.x, {}, UNNEEDED)
-    found = model.held_out(fit.x, deviation=[s.noise for s in model.campaign.held_out])
+    deviation = [s.noise for s in model.campaign.held_out]
+    shared = set(model.held_out.predictors) <= set(model.fitted.predictors)
+    found = model.held_out(fit.x, deviation=deviation) if shared else None
+    if found is None or not found.error < TRUSTED:
+        apart = model.held_out.apart()
+        apart.surround(fit.x, {}, UNNEEDED)
+        found = apart(fit.x, deviation=deviation)
     return tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.held_out, found.log_ratio, found.impedance, strict=True))

@@ -15,9 +15,10 @@ from workbench.diagnose.device import Model
 from workbench.diagnose.refit import (
     GOOD_STATE,
     UNNEEDED,
+    WORTH,
     Refit,
     StateFit,
-    anew,
+    afar,
     base_fit,
     elsewhere,
     gather,
@@ -55,6 +56,11 @@ KNOWN_PHYSICS = {"viscous boundary layer": "shear_viscosity", "thermal boundary 
 #: Noise is called white up to this many neighbouring points that go together.
 CORRELATED = 2.0
 
+#: A strong effect is explained where no more than this share of what the known parameters leave is left: a ring whose
+#: edge lies between two of the catalogue's is described to a few per cent of what it does. Neither must any further
+#: hypothesis take more than this share of what it explains.
+REMNANT = 0.1
+
 #: A known parameter that left what was known of it by more than this many uncertainties is a finding of its own.
 STRAYED = 3.5
 
@@ -64,8 +70,8 @@ HINT = 3.5
 #: Hypotheses refitted alone, how many of the best are paired, and pairs refitted.
 SINGLES, PAIRED, PAIRS = 8, 3, 4
 
-#: A hypothesis that promises less than this share of what the best one promises is not refitted.
-WORTH = 0.3
+#: A base fit above this reduced chi-square has strained the known parameters to make up for a strong effect.
+STRAINED = 2.0
 
 #: Detection needs this many standard deviations.
 DETECTED = 5.0
@@ -123,23 +129,28 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     started = time.perf_counter()
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
-    progress("neighbourhood", 0.2)
-    base = gather(model, base, _scores(model, base)[:SINGLES])
-    scores = _scores(model, base)
-    singles = _singles(model, base, scores, progress)
-    if not any(fit.good for fit in (base, *singles)):
+    singles: list[Refit] = []
+    if base.reduced > STRAINED:
+        progress("strong effects", 0.2)
+        seen, singles = afar(model, base, end)
+    if any(_explains(base, fit) for fit in singles):
+        scores = _scores(model, base)
+    else:
+        base, scores, more = _near(model, base, progress)
+        singles = sorted([*singles, *more], key=lambda f: f.evidence)
+    if not any(_explains(base, fit) for fit in (base, *singles)):
         progress("other basins", 0.6)
         other = elsewhere(model, base, end)
         if other is not base:
-            base = gather(model, other, _scores(model, other)[:SINGLES])
-            scores = _scores(model, base)
-            singles = _singles(model, base, scores, progress)
+            base, scores, more = _near(model, other, progress)
+            singles = sorted([*singles, *more], key=lambda f: f.evidence)
+    location = _location(seen if base.reduced > STRAINED else scores)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
     best = min([base, *singles], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
-        if not best.good or _left(model, best) > LEFT:
+        if not _complete(model, base, best):
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
             if both is not best:
@@ -151,7 +162,8 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         if weighed[0][0] is not best:
             best = gather(model, weighed[0][0])
             weighed[0] = (best, predicted(model, best))
-    return _judged(model, nominal, base, weighed, scores, singles, pairs, held_before, time.perf_counter() - started)
+    return _judged(model, nominal, base, weighed, scores, location, singles, pairs, held_before,
+                   time.perf_counter() - started)
 
 
 def gain(base: Refit, fit: Refit) -> float:
@@ -172,6 +184,17 @@ def _further(model: Model, fit: Refit) -> list[Score]:
 def _left(model: Model, fit: Refit) -> float:
     """The most that any further hypothesis promises to explain of what a fit leaves."""
     return _further(model, fit)[0].gain / fit.correlation
+
+
+def _explains(base: Refit, fit: Refit) -> bool:
+    """Whether a fit leaves nothing but noise, or next to nothing of what the base leaves."""
+    return fit.good or fit.reduced - 1.0 < REMNANT * (base.reduced - 1.0)
+
+
+def _complete(model: Model, base: Refit, fit: Refit, left: float | None = None) -> bool:
+    """Whether a fit explains, and no further hypothesis takes much (:func:`_left`) of what it leaves."""
+    left = _left(model, fit) if left is None else left
+    return _explains(base, fit) and left < (LEFT if fit.good else max(LEFT, REMNANT * gain(base, fit)))
 
 
 def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
@@ -196,8 +219,14 @@ def _scores(model: Model, fit: Refit, effects: Sequence[Effect] | None = None) -
     return ranked([score(model, fit.x, fit.here, tangents, e) for e in (model.effects if effects is None else effects)])
 
 
-def _singles(model: Model, base: Refit, scores: Sequence[Score], progress: Progress) -> list[Refit]:
-    """Refits of the hypotheses that the score test leaves in the race, best first; the best on bases of its own."""
+def _near(model: Model, base: Refit, progress: Progress) -> tuple[Refit, list[Score], list[Refit]]:
+    """The base on bases of its own, the scores there, and refits of the hypotheses that these leave in the race.
+
+    Best first; the best on bases of its own.
+    """
+    progress("neighbourhood", 0.3)
+    base = gather(model, base, _scores(model, base)[:SINGLES])
+    scores = _scores(model, base)
     found = []
     wanted = [s for s in scores[:SINGLES] if s.gain > max(ACCEPTED, WORTH * scores[0].gain)]
     for number, scored in enumerate(wanted):
@@ -209,12 +238,8 @@ def _singles(model: Model, base: Refit, scores: Sequence[Score], progress: Progr
     if gain(base, best) > NEAR * ACCEPTED:
         progress(f"neighbourhood of {best.name}", 0.6)
         # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
-        own = gather(model, best, _further(model, best)[:PAIRS])
-        if not own.good:
-            progress(f"{best.name}, from what is stated", 0.65)
-            own = anew(model, own)
-        found = _with(found, best, own)
-    return sorted(found, key=lambda f: f.evidence)
+        found = _with(found, best, gather(model, best, _further(model, best)[:PAIRS]))
+    return base, scores, sorted(found, key=lambda f: f.evidence)
 
 
 def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[Refit]:
@@ -235,18 +260,23 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
 
 def _judged(
     model: Model, nominal: tuple[StateFit, ...], base: Refit, weighed: Sequence[Weighed], scores: Sequence[Score],
-    singles: Sequence[Refit], pairs: Sequence[Refit], held_before: tuple[StateFit, ...], seconds: float,
+    location: tuple[tuple[str, str, float], ...], singles: Sequence[Refit], pairs: Sequence[Refit],
+    held_before: tuple[StateFit, ...], seconds: float,
 ) -> Diagnosis:
     best, held_after = weighed[0]
     gained = gain(base, best)
     found = best is not base and gained > ACCEPTED
     left = _left(model, best) if found else 0.0
-    complete = best.good and left < LEFT
+    complete = found and _complete(model, base, best, left)
     worse = _held(model, held_after) - _held(model, held_before)
     accepted = found and complete and worse < RIVAL
     findings = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}."]
     if found:
         findings.append(_closest(base, best, gained, held_before, held_after))
+        if complete and not best.good:
+            share = (best.reduced - 1.0) / (base.reduced - 1.0)
+            findings.append(f"It describes the effect roughly: {100 * share:.2g} % of what the known parameters left, "
+                            "and noise does not explain, is left by it too.")
         if not complete:
             findings.append(f"That is not all: of the reduced chi-square of {best.reduced:.3g} that it leaves, a "
                             f"further hypothesis would take {left:.1f}. It is not accepted.")
@@ -271,7 +301,6 @@ def _judged(
         verdict = "parameters_explain"
     else:
         verdict = "no_mismatch"
-    location = _location(scores)
     findings += _statements(verdict, chosen, rivals, strayed, location)
     return Diagnosis(model.campaign, model, verdict, nominal, base, chosen, tuple(scores), tuple(singles), tuple(pairs),
                      rivals, location, held_before, held_after if accepted else held_before, strayed,

@@ -13,7 +13,8 @@ the one broad resonance that every parameter set has. The width is then let down
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -40,7 +41,7 @@ class Recording:
     measured: Spectrum
     chip: Chip | None = None
 
-    def thinned(self, points: int) -> Recording:
+    def thinned(self, points: float) -> Recording:
         """The recording with at most about so many of its points, evenly; itself where it has no more."""
         measured = self.measured
         every = max(1, round(measured.frequency.size / points))
@@ -144,8 +145,21 @@ class Objective:
         other.recordings = tuple(replace(r, measured=m) for r, m in zip(self.recordings, spectra, strict=True))
         return other
 
-    def thinned(self, points: int) -> Objective:
-        """The same of at most about so many points of each recording, on the bases there are now."""
+    def of(self, names: Collection[str]) -> Objective:
+        """The same of some recordings only, sharing what the predictors have learnt."""
+        kept = [k for k, recording in enumerate(self.recordings) if recording.name in names]
+        other = copy.copy(self)
+        other.recordings, other.predictors = (tuple(self.recordings[k] for k in kept),
+                                              tuple(self.predictors[k] for k in kept))
+        other._acting, other.coefficients = [self._acting[k] for k in kept], [self.coefficients[k] for k in kept]
+        return other
+
+    def apart(self) -> Objective:
+        """The same with predictors of its own, beginning with the bases there are now."""
+        return self.thinned(math.inf)
+
+    def thinned(self, points: float) -> Objective:
+        """The same :meth:`apart`, of at most about so many points of each recording."""
         other = copy.copy(self)
         other.recordings = tuple(r.thinned(points) for r in self.recordings)
         # What recordings share they go on sharing.

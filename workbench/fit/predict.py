@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import SAME_LENGTH, Chip
+from geometry.mesh import SectionMesh
 from geometry.stretch import stretch
 from workbench.operators import FullOperators, assemble, coefficients, combined, frequency_groups
 from workbench.problem import Problem
@@ -25,9 +26,13 @@ from workbench.solve import Solution, reduced_tangents, solve_full
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Integers = NDArray[np.int64]
 
 #: Reach, relative, of the quadratic expansion of the reduced matrices in a dimension: what it leaves out is the cube.
 REACH = 5e-3
+
+#: Where that reach is left only now and then, one expansion serves further.
+FAR = 0.02
 
 #: Step, relative, of a derivative by a dimension where that is all there is: its own error is as small.
 SHORT = 1e-4
@@ -45,6 +50,9 @@ NEGLIGIBLE = 1e-8
 #: How far, relative, a parameter is expected to move before the basis is made again.
 MOVED = 0.1
 
+#: Lengths whose operators are kept.
+ASSEMBLED = 4
+
 #: A basis of more columns is narrowed: the dense algebra grows with their cube.
 WIDE = 200
 
@@ -54,14 +62,15 @@ class Prediction:
     """A predicted spectrum and what it would do if parameters moved.
 
     ``impedance`` (n,) ohm, e^{+j w t}; ``model`` the reduced one it is of; ``values`` complex parameters, e^{-i w t};
-    ``dimensions`` lengths in metres; ``slopes`` the derivative of the operators by each free dimension.
+    ``dimensions`` lengths in metres; ``slopes`` by each free dimension the integrals whose matrices it changes (k,) and
+    their derivatives (k, r, r), 1/m.
     """
 
     solution: Solution
     model: ReducedModel
     values: Mapping[str, complex]
     dimensions: Mapping[str, float]
-    slopes: Mapping[str, Real]
+    slopes: Mapping[str, tuple[Integers, Real]]
 
     @property
     def impedance(self) -> Complex:
@@ -83,57 +92,79 @@ class Prediction:
         """d ln Z / d dimension (n,), 1/m, e^{-i w t}."""
         states, operators = self.solution.states, self.solution.operators
         groups = frequency_groups(operators.integrals, self.solution.omega, self.values)
-        matrices = self.slopes[dimension]
-        change = sum(factors * np.einsum("in,in->n", states, combined(constants, matrices) @ states)
+        integrals, matrices = self.slopes[dimension]
+        change = sum(factors * np.einsum("in,in->n", states, combined(constants[integrals], matrices) @ states)
                      for factors, constants in groups)
         # ln Z = -ln Q + const, dQ = -x^T (dA) x
         return np.asarray(change / self.solution.charge)
 
 
 @dataclass(frozen=True, eq=False)
+class _Change:
+    """A derivative of a reduced model: ``matrices`` (k, r, r) and ``sketch`` (k, PROJECTIONS, r) of ``integrals`` (k,).
+
+    All others have none.
+    """
+
+    integrals: Integers
+    matrices: Real
+    sketch: Real
+
+    @classmethod
+    def of(cls, whole: Real) -> _Change:
+        """From the change (integrals, r + PROJECTIONS, r) of both, one below the other."""
+        integrals = np.flatnonzero(whole.any(axis=(1, 2)))
+        rank = whole.shape[2]
+        return cls(integrals, whole[integrals, :rank], whole[integrals, rank:])
+
+
+@dataclass(frozen=True, eq=False)
 class _Expansion:
     """A reduced model and how its matrices and sketch change with dimensions, to second order about `centre`.
 
-    ``first[i]`` and ``second[i, j]`` are the derivatives of (matrices, sketch) by dimensions i and j; those left out
-    of ``second`` do not matter.
+    ``first[i]`` and ``second[i, j]`` are the derivatives by dimensions i and j; those left out of ``second`` do not
+    matter.
     """
 
     model: ReducedModel
     centre: Real
-    first: tuple[tuple[Real, Real], ...]
-    second: Mapping[tuple[int, int], tuple[Real, Real]]
+    first: tuple[_Change, ...]
+    second: Mapping[tuple[int, int], _Change]
 
     def at(self, lengths: Real) -> ReducedModel:
         """The model at other lengths (metres)."""
-        if not self.first:
-            return self.model
         step = lengths - self.centre
-        matrices, sketch = self.model.operators.matrices, self.model.sketch
-        for i, (m, k) in enumerate(self.first):
-            matrices, sketch = matrices + step[i] * m, sketch + step[i] * k
-        for (i, j), (m, k) in self.second.items():
-            factor = step[i] * step[j] * (0.5 if i == j else 1.0)
-            matrices, sketch = matrices + factor * m, sketch + factor * k
+        if not step.any():
+            return self.model
+        matrices, sketch = self.model.operators.matrices.copy(), self.model.sketch.copy()
+        terms = [(step[i], change) for i, change in enumerate(self.first)]
+        terms += [(step[i] * step[j] * (0.5 if i == j else 1.0), change) for (i, j), change in self.second.items()]
+        for factor, change in terms:
+            matrices[change.integrals] += factor * change.matrices
+            sketch[change.integrals] += factor * change.sketch
         return replace(self.model, operators=replace(self.model.operators, matrices=matrices), sketch=sketch)
 
     def narrowed(self, states: Complex, tolerance: float) -> _Expansion:
         """The same on the part of the basis that reduced `states` (rank, n) need."""
         model, within = narrowed(self.model, states, tolerance)
 
-        def inside(pair: tuple[Real, Real]) -> tuple[Real, Real]:
-            return within.T @ pair[0] @ within, pair[1] @ within
+        def inside(change: _Change) -> _Change:
+            return replace(change, matrices=within.T @ change.matrices @ within, sketch=change.sketch @ within)
 
-        return _Expansion(model, self.centre, tuple(inside(pair) for pair in self.first),
-                          {key: inside(pair) for key, pair in self.second.items()})
+        return _Expansion(model, self.centre, tuple(inside(change) for change in self.first),
+                          {key: inside(change) for key, change in self.second.items()})
 
-    def slope(self, index: int, lengths: Real) -> Real:
-        """d matrices / d length of one dimension (integrals, r, r), 1/m."""
+    def slope(self, index: int, lengths: Real) -> tuple[Integers, Real]:
+        """The integrals whose matrices one dimension changes (k,), and d matrices / d length (k, r, r), 1/m."""
         step = lengths - self.centre
-        result = self.first[index][0]
-        for (i, j), (m, _) in self.second.items():
-            if index in (i, j):
-                result = result + step[j if index == i else i] * m
-        return result
+        changes = [(1.0, self.first[index])]
+        changes += [(step[j if index == i else i], change) for (i, j), change in self.second.items() if index in (i, j)]
+        integrals = np.unique(np.concatenate([change.integrals for _, change in changes]))
+        rank = self.model.operators.size
+        result = np.zeros((integrals.size, rank, rank))
+        for factor, change in changes:
+            result[np.searchsorted(integrals, change.integrals)] += factor * change.matrices
+        return integrals, result
 
 
 class Predictor:
@@ -175,11 +206,7 @@ class Predictor:
         lengths = self._lengths(dimensions or {})
         bounded = math.isfinite(self.tolerance)
         expansion = self._expansion
-        if expansion is None:
-            expansion = self._enriched(None, values, lengths)
-        elif np.any(np.abs(lengths / expansion.centre - 1.0) > REACH):
-            model = projected(expansion.model, self._operators(lengths))
-            expansion = self._expanded(model, lengths) if bounded else self._tangent(model, lengths)
+        expansion = self._enriched(None, values, lengths) if expansion is None else self._reaching(expansion, lengths)
         prediction = self._predict(expansion, values, lengths)
         if bounded and prediction.error.max() > self.tolerance and not np.array_equal(lengths, expansion.centre):
             # States of lengths nearby are close; another centre takes many more matrices.
@@ -219,7 +246,8 @@ class Predictor:
         lengths = self._lengths(dimensions)
         around = {**self.problem.values, **values}
         model = reduce_around(self._operators(lengths), self.frequencies, around, moves, unneeded=unneeded, depth=DEPTH,
-                              corners=[{**around, **corner} for corner in corners])
+                              corners=[{**around, **corner} for corner in corners],
+                              like=None if self._expansion is None else self._expansion.model)
         self.solves += model.solves
         self._expansion, self._latest = self._tangent(model, lengths), None
 
@@ -260,6 +288,17 @@ class Predictor:
         slopes = {name: expansion.slope(i, lengths) for i, name in enumerate(self.names)}
         return Prediction(solution, model, values, dict(zip(self.names, lengths, strict=True)), slopes)
 
+    def _reaching(self, expansion: _Expansion, lengths: Real) -> _Expansion:
+        """An expansion, on the same basis, that serves these lengths."""
+        farthest = float(np.abs(lengths / expansion.centre - 1.0).max(initial=0.0))
+        if farthest <= REACH or (expansion.second and farthest <= FAR and not math.isfinite(self.tolerance)):
+            return expansion
+        if math.isfinite(self.tolerance):
+            return self._expanded(projected(expansion.model, self._operators(lengths)), lengths)
+        if farthest <= FAR:
+            return self._expanded(expansion.model, expansion.centre)
+        return self._tangent(projected(expansion.model, self._operators(lengths)), lengths)
+
     def _enriched(self, expansion: _Expansion | None, values: Mapping[str, complex], lengths: Real) -> _Expansion:
         start = None
         if expansion is not None:
@@ -287,41 +326,38 @@ class Predictor:
         steps = REACH * lengths
         count = len(self.names)
 
-        def moved(*indices: tuple[int, float]) -> ReducedModel:
+        def moved(*indices: tuple[int, float]) -> Real:
             other = lengths.copy()
             for index, sign in indices:
                 other[index] += sign * steps[index]
-            return projected(model, self._operators(other))
+            return self._change(model, other)
 
-        first: list[tuple[Real, Real]] = []
-        second: dict[tuple[int, int], tuple[Real, Real]] = {}
-        plus: list[ReducedModel] = []
+        first: list[_Change] = []
+        second: dict[tuple[int, int], _Change] = {}
+        plus: list[Real] = []
         for i in range(count):
             ahead, behind = moved((i, 1.0)), moved((i, -1.0))
             plus.append(ahead)
-            (a, ka), (b, kb), (m, km) = (_parts(each) for each in (ahead, behind, model))
-            first.append(((a - b) / (2.0 * steps[i]), (ka - kb) / (2.0 * steps[i])))
-            second[i, i] = ((a + b - 2.0 * m) / steps[i] ** 2, (ka + kb - 2.0 * km) / steps[i] ** 2)
+            first.append(_Change.of((ahead - behind) / (2.0 * steps[i])))
+            second[i, i] = _Change.of((ahead + behind) / steps[i] ** 2)
         for i in range(count):
             for j in range(i):
-                area = steps[i] * steps[j]
                 both = moved((i, 1.0), (j, 1.0))
-                (b, kb), (p, kp), (q, kq), (m, km) = (_parts(each) for each in (both, plus[i], plus[j], model))
-                second[j, i] = ((b - p - q + m) / area, (kb - kp - kq + km) / area)
+                second[j, i] = _Change.of((both - plus[i] - plus[j]) / (steps[i] * steps[j]))
         return _Expansion(model, lengths, tuple(first), second)
 
     def _tangent(self, model: ReducedModel, lengths: Real) -> _Expansion:
-        """`model`, whose operators are those of `lengths`, with its first derivatives there."""
-        return _Expansion(model, lengths, tuple(self._slopes(model, lengths)), {})
-
-    def _slopes(self, model: ReducedModel, lengths: Real) -> Iterator[tuple[Real, Real]]:
-        """The derivatives of (matrices, sketch) by every dimension, which is enough for small moves."""
-        matrices, sketch = _parts(model)
+        """`model`, whose operators are those of `lengths`, with its first derivatives, which serve small moves."""
+        first = []
         for i in range(len(self.names)):
-            step = np.zeros_like(lengths)
-            step[i] = SHORT * lengths[i]
-            there, seen = _parts(projected(model, self._operators(lengths + step)))
-            yield (there - matrices) / step[i], (seen - sketch) / step[i]
+            other = lengths.copy()
+            other[i] += SHORT * lengths[i]
+            first.append(_Change.of(self._change(model, other) / (other[i] - lengths[i])))
+        return _Expansion(model, lengths, tuple(first), {})
+
+    def _change(self, model: ReducedModel, lengths: Real) -> Real:
+        """What matrices and, below them, sketch of `model` change by: (integrals, r + PROJECTIONS, r)."""
+        return model.full.project_change(self._mesh(lengths), model.basis, np.column_stack([model.basis, model.test]))
 
     def _lengths(self, dimensions: Mapping[str, float]) -> Real:
         if self.chip is None:
@@ -329,21 +365,19 @@ class Predictor:
         known = self.chip.dimensions()
         return np.array([dimensions.get(name, known[name].value) for name in self.names])
 
+    def _mesh(self, lengths: Real) -> SectionMesh:
+        mesh = self.problem.mesh
+        if self.chip is None or not self.names:
+            return mesh
+        return stretch(mesh, moved_chip(self.chip, self.names, lengths))
+
     def _operators(self, lengths: Real) -> FullOperators:
         key = tuple(map(float, lengths))
         if key not in self._assembled:
-            mesh = self.problem.mesh
-            if self.chip is not None and self.names:
-                mesh = stretch(mesh, moved_chip(self.chip, self.names, lengths))
-            # As many as an expansion about one centre takes.
-            while len(self._assembled) > (len(self.names) + 1) ** 2:
+            while len(self._assembled) >= ASSEMBLED:
                 self._assembled.pop(next(iter(self._assembled)))
-            self._assembled[key] = assemble(mesh, self.problem.terms)
+            self._assembled[key] = assemble(self._mesh(lengths), self.problem.terms)
         return self._assembled[key]
-
-
-def _parts(model: ReducedModel) -> tuple[Real, Real]:
-    return model.operators.matrices, model.sketch
 
 
 def moved_chip(chip: Chip, names: tuple[str, ...], lengths: Real) -> Chip:

@@ -29,9 +29,9 @@ class DepoledRim(Term):
 
         - f [eps(v) e^T grad(phi) + grad(psi) e eps(u)] - x eps33 d_z(psi) d_z(phi)
 
-    next to `piezoelectric.Piezoelectric` on the same region. The rim begins at the edge of an element: it has the
-    elements whose centre lies beyond; of several each adds to those it lies in. The stiffness, which poling changes by
-    a few percent, stays. Parameters ``<rim>.depoled_fraction`` f and ``.permittivity_excess`` x (see
+    next to `piezoelectric.Piezoelectric` on the same region. It is integrated over exactly that rim, also where it
+    begins within an element; of several each adds to those it lies in. The stiffness, which poling changes by a few
+    percent, stays. Parameters ``<rim>.depoled_fraction`` f and ``.permittivity_excess`` x (see
     :data:`ADMISSIBLE`), ``<material>.e31``, ``.e33``, ``.e15`` and ``.eps33``.
     """
 

@@ -27,9 +27,9 @@ class MissingCouplant(Term):
     A Textbook of Sound) and paths along the layer in the mobility 1 / rho. f = 1 is the gas itself, which differs from
     a couplant that ends at `beyond` by a thousandth of the effect; a tenth of gas differs from that by a hundredth, so
     f says little but whether there is a ring. How wide it is is no parameter: take several, of which each adds to those
-    it lies in. The ring begins at the edge of an element: it has the elements whose centre lies beyond. A couplant
-    missing elsewhere than at the rim is another geometry. Parameters ``<ring>.missing_fraction`` (see
-    :data:`ADMISSIBLE`), ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
+    it lies in. It is integrated over exactly that ring, also where it begins within an element. A couplant missing
+    elsewhere than at the rim is another geometry. Parameters ``<ring>.missing_fraction`` (see :data:`ADMISSIBLE`),
+    ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
     """
 
     region: str

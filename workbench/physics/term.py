@@ -269,7 +269,7 @@ class Integral:
     ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
     ``facing`` names the boundary across a thin layer and ``facing_solid`` the solid there, for the operators that are
     taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` (metres) restricts a region to
-    its elements whose centre has a larger radius.
+    larger radii, also within an element.
     """
 
     coefficient: Coefficient
