@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,6 +195,8 @@ class Predictor:
         self._expansion: _Expansion | None = None
         self._latest: Prediction | None = None
         self._assembled: dict[tuple[float, ...], FullOperators] = {}
+        #: Expansions to second order of those to first order; copies of a predictor share them.
+        self._parabolas: WeakKeyDictionary[_Expansion, _Expansion] = WeakKeyDictionary()
 
     def __call__(self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None = None) -> Prediction:
         """The spectrum at these parameters (those not given keep the problem's own values), enriched if need be.
@@ -296,7 +299,9 @@ class Predictor:
         if math.isfinite(self.tolerance):
             return self._expanded(projected(expansion.model, self._operators(lengths)), lengths)
         if farthest <= FAR:
-            return self._expanded(expansion.model, expansion.centre)
+            if expansion not in self._parabolas:
+                self._parabolas[expansion] = self._expanded(expansion.model, expansion.centre)
+            return self._parabolas[expansion]
         return self._tangent(projected(expansion.model, self._operators(lengths)), lengths)
 
     def _enriched(self, expansion: _Expansion | None, values: Mapping[str, complex], lengths: Real) -> _Expansion:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
+from workbench.physics.term import Admissible, Formula, Integral, Product, Term
 
 #: What can be missing of the couplant in the ring.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -19,16 +19,17 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class MissingCouplant(Term):
-    """A fraction f of the fluid at radii beyond `beyond` (metres) replaced by a gas, in patches.
+    """A share f of the area at radii beyond `beyond` (metres) where a gas is in the place of the fluid.
 
-        f (1 / rho_g - 1 / rho) / w^2 grad(p) . grad(q) - f (1 / (rho_g c_g^2) - 1 / (rho c^2)) p q
+        (1 / rho_f - 1 / rho) / w^2 grad(p) . grad(q) - (1 / K_f - 1 / K) p q,
+        rho_f = (1 - f) rho + f rho_g,  K_f = (1 - f) K + f K_g,  K = rho c^2,
 
-    next to `fluid.Fluid` on the same region: where patches are small, volumes add up in the compressibility (Wood 1930,
-    A Textbook of Sound) and paths along the layer in the mobility 1 / rho. f = 1 is the gas itself, which differs from
-    a couplant that ends at `beyond` by a thousandth of the effect; a tenth of gas differs from that by a hundredth, so
-    f says little but whether there is a ring. How wide it is is no parameter: take several, of which each adds to those
-    it lies in. It is integrated over exactly that ring, also where it begins within an element. A couplant missing
-    elsewhere than at the rim is another geometry. Parameters ``<ring>.missing_fraction`` (see :data:`ADMISSIBLE`),
+    next to `fluid.Fluid` on the same region, for patches that are wide beside the layer's thickness: the walls move
+    each patch alike, so that stiffnesses and masses of unit area add, and p is the mean stress. f = 1 is the gas
+    itself. A couplant whose edge lies within the ring is one with the share of its area beyond that edge. Rings may lie
+    in one another, and what each brings adds: with all of an outer one missing, what is beside it there is nothing.
+    The ring is integrated over exactly, also where it begins within an element. A couplant missing elsewhere than at
+    the rim is another geometry. Parameters ``<ring>.missing_fraction`` f (see :data:`ADMISSIBLE`),
     ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
     """
 
@@ -39,11 +40,31 @@ class MissingCouplant(Term):
     ring: str
 
     def integrals(self) -> tuple[Integral, ...]:
-        flow = (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z"))
-        found = []
-        for fluid, sign in ((self.gas, 1.0), (self.material, -1.0)):
-            shared = ((f"{self.ring}.missing_fraction", 1), (f"{fluid}.density", -1))
-            squeezed = Monomial(-sign, 0, (*shared, (f"{fluid}.sound_speed", -2)))
-            found.append(Integral(Monomial(sign, -2, shared), self.region, flow, beyond=self.beyond))
-            found.append(Integral(squeezed, self.region, (Product("p", "p"),), beyond=self.beyond))
-        return tuple(found)
+        densities = (("f", f"{self.ring}.missing_fraction"), ("rho", f"{self.material}.density"),
+                     ("rho_g", f"{self.gas}.density"))
+        speeds = (("c", f"{self.material}.sound_speed"), ("c_g", f"{self.gas}.sound_speed"))
+        return (
+            Integral(Formula(_lightness, densities, -2), self.region,
+                     (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z")), beyond=self.beyond),
+            Integral(Formula(_squeezed, (*densities, *speeds)), self.region, (Product("p", "p"),), beyond=self.beyond),
+        )
+
+
+def _lightness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
+    """1 / rho_f - 1 / rho and its derivatives."""
+    value, by_f, by_whole, by_gas = _mixed(v["f"], v["rho"], v["rho_g"])
+    return value, {"f": by_f, "rho": by_whole, "rho_g": by_gas}
+
+
+def _squeezed(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
+    """-(1 / K_f - 1 / K) and its derivatives."""
+    stiff, soft = v["rho"] * v["c"] ** 2, v["rho_g"] * v["c_g"] ** 2
+    value, by_f, by_whole, by_gas = _mixed(v["f"], stiff, soft)
+    return -value, {"f": -by_f, "rho": -by_whole * v["c"] ** 2, "c": -by_whole * 2.0 * v["rho"] * v["c"],
+                    "rho_g": -by_gas * v["c_g"] ** 2, "c_g": -by_gas * 2.0 * v["rho_g"] * v["c_g"]}
+
+
+def _mixed(f: complex, whole: complex, gas: complex) -> tuple[complex, complex, complex, complex]:
+    """1 / ((1 - f) whole + f gas) - 1 / whole, and its derivatives by all three."""
+    mixed = (1.0 - f) * whole + f * gas
+    return (1.0 / mixed - 1.0 / whole, (whole - gas) / mixed**2, -(1.0 - f) / mixed**2 + 1.0 / whole**2, -f / mixed**2)
