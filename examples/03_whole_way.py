@@ -48,6 +48,9 @@ NOISE = ("--noise", "0.6")
 #: What lies on the disc, and how thick the gel below it really is; the files say 20 um.
 GEL = {"disc_on_pla.toml": "24 um", "chip.toml": "15 um"}
 
+#: By how much the simulated generator's clock is off, relative.
+CLOCK = 5e-6
+
 COMPENSATION = """
 [compensation]
 open = "open.h5"
@@ -121,11 +124,11 @@ def whole_way(folder: Path) -> None:
 
     bench.measure("disc", "truth/disc.toml", *hidden)
     bench.run("fit", "pzt", "disc.csv", "--chip", "disc.toml", "--material", "pzt4/comsol_nominal",
-              "--save", "pzt_bench/disc", "-o", "fit_disc")
+              "--free", "default,bench.clock", "--save", "pzt_bench/disc", "-o", "fit_disc")
 
     bench.measure("sample", "truth/disc_on_pla.toml", *hidden)
     bench.run("fit", "polymer", "sample.csv", "--chip", "disc_on_pla.toml", "--material", "pla/acevedo_2026",
-              "--free", "default,couplant.thickness", "--save", "pla_bench/print", "-o", "fit_sample")
+              "--free", "default,couplant.thickness,bench.clock", "--save", "pla_bench/print", "-o", "fit_sample")
 
     bench.run("materials", "list")
     bench.run("simulate", "chip.toml", "-o", "chip")
@@ -155,11 +158,12 @@ def outcome(folder: Path) -> None:
         print(f"{name:18}{value:14.7g}{low:15.7g} to{high:14.7g}{truth:14.7g}{100.0 * (value / truth - 1.0):+10.3f}  "
               f"{'inside' if inside else 'OUTSIDE'}")
     print(f"{held} of {len(found)} intervals hold the truth")
-    print("(In none is the generator's clock: frequencies 5e-6 too low make stiffnesses 1e-5 too low.)")
 
 
 def true_value(parameter: str, registry: Registry, material: str) -> float:
     """What the bench was given, in SI: a coefficient of a material, its loss, or the thickness of the gel."""
+    if parameter == "bench.clock":
+        return CLOCK
     if parameter == "couplant.thickness":
         return parse_quantity(GEL["disc_on_pla.toml"], "length", source=__file__, field="GEL")
     coefficient = parameter.rpartition("/")[2].partition(".")[2]

@@ -213,6 +213,22 @@ def test_one_element_of_the_bench_is_what_it_says(name: str, number: float, seen
         assert device == pytest.approx(1.0, rel=1e-14)
 
 
+def test_a_clock_that_is_off_shifts_the_spectrum() -> None:
+    # A resonance of quality 50 on 161 points, beside a capacitance.
+    omega = 2.0 * np.pi * np.linspace(0.9e6, 1.1e6, 161)
+
+    def device(at: Real) -> Complex:
+        resonance = 1.0 / (20.0 + 1j * (at / 6.3e6 - 6.3e6 / at) * 1000.0)
+        return np.asarray(1.0 / (resonance + 1j * at * 1e-9))
+
+    found, by_device, elements = through_bench(device(omega), omega, {"bench.clock": 1e-5, "bench.gain": 0.1})
+    change = np.log(device(omega * (1.0 + 1e-5)) / device(omega))
+    # The slope between points an eighth of the resonance's width apart.
+    assert np.abs(np.log(found / device(omega)) - 0.1 - change).max() < 0.02 * np.abs(change).max()
+    assert by_device == pytest.approx(1.0, rel=1e-14)
+    assert elements["bench.clock"] * 1e-5 == pytest.approx(np.log(found / device(omega)) - 0.1, rel=1e-6, abs=1e-12)
+
+
 def test_an_ideal_bench_changes_nothing() -> None:
     found, device, _ = through_bench(LOAD, OMEGA, {})
     assert found == pytest.approx(LOAD, rel=1e-15)
@@ -302,4 +318,5 @@ def test_the_phase_is_its_principal_value(model: complex, expected: complex) -> 
 def test_every_bench_element_is_a_parameter_and_the_other_way_round() -> None:
     _, _, elements = through_bench(LOAD, OMEGA, {})
     assert list(elements) == [bench_parameter(name).name for name in BENCH]
-    assert tuple(BENCH_ELEMENTS) == BENCH
+    assert tuple(BENCH_ELEMENTS) == (*BENCH, "clock")
+    assert "bench.clock" in through_bench(LOAD, OMEGA, {"bench.clock": 0.0})[2]

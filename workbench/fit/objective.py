@@ -255,12 +255,20 @@ def through_bench(
 ) -> tuple[Complex, Complex, dict[str, Complex]]:
     """What an instrument sees of an impedance (n,), e^{+j w t}, through the elements named in `bench`.
 
+    A clock that is off shifts the spectrum by so little that its slope between the given points tells by how much.
+
     Returns:
-        the impedance seen (n,), d ln seen / d ln impedance (n,), and d ln seen / d element (n,) for every element.
+        the impedance seen (n,), d ln seen / d ln impedance (n,), and d ln seen / d element (n,) for every element; for
+        the clock only where it is named.
     """
     def element(name: str) -> float:
         return bench.get(BENCH + name, 0.0)
 
+    clock = BENCH + "clock" in bench
+    if clock:
+        logarithm = np.log(np.abs(impedance)) + 1j * np.unwrap(np.angle(impedance))
+        drift = np.gradient(logarithm, np.log(omega)) if omega.size > 1 else np.zeros(1)
+        impedance = impedance * np.exp(element("clock") * drift)
     parallel = impedance / (1.0 + 1j * omega * element("parallel_capacitance") * impedance)
     whole = element("series_resistance") + 1j * omega * element("series_inductance") + parallel
     gain = np.exp(element("gain") + 1j * (element("phase") - omega * element("delay")))
@@ -273,7 +281,10 @@ def through_bench(
         "phase": 1j * one,
         "delay": -1j * omega,
     }
-    return gain * whole, parallel**2 / (impedance * whole), {BENCH + name: slope for name, slope in slopes.items()}
+    device = parallel**2 / (impedance * whole)
+    if clock:
+        slopes["clock"] = device * drift
+    return gain * whole, device, {BENCH + name: slope for name, slope in slopes.items()}
 
 
 def lorentzian(frequency: Real, half_width: float) -> Real:
