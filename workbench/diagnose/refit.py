@@ -67,11 +67,11 @@ SHARES = (1.0, 0.1, 0.0)
 AT_END = 1e-4
 
 #: Of the hypotheses that promise most where the data weigh little, so many are followed, if they promise more than the
-#: second number of what the best one does; at most the third number of them to the end.
+#: second number of what the best one does; at most the third number of them, all about as good, to the end.
 FOLLOWED, WORTH, KEPT = 6, 0.3, 2
 
 #: With the lever held, so many times the cost of the best end is no reason to let it go there; an end that costs less
-#: than this share of the first is in the right basin.
+#: than this share of another is in another basin, the right one.
 PROMISING, RIGHT = 2.5, 0.75
 
 
@@ -198,7 +198,7 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
     least = min((end.cost for _, _, end in ends), default=0.0)
     found: list[Refit] = []
     for effect, search, end in sorted(ends, key=lambda each: each[2].cost):
-        if end.cost > PROMISING * least or len(found) == KEPT:
+        if RIGHT * end.cost > least or len(found) == KEPT:
             break
         reach = _moves(model)
         for name in effect.names:
