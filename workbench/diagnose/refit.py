@@ -230,8 +230,8 @@ def _levers(search: Search, known: int, here: Weighted) -> list[int]:
     return found
 
 
-def elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
-    """`fit`, or a better one from another basin about x (p,), the end of the way down.
+def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
+    """`fit` and x (p,), the end of the way down; or a better fit from another basin about x, and the end of that way.
 
     A wrong basin strains the known parameters. Where the data weigh little against these (`joint.EXPLORATION`), it
     costs more than the right one, and few steps lead from one to the other.
@@ -240,7 +240,7 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
     weak = [EXPLORATION] * len(model.campaign.fitted)
     levers = _levers(search, model.known, search.evaluate(x, weak))
     if not levers:
-        return fit
+        return fit, x
     corners = []
     for i, side in itertools.product(levers, CORNERS):
         corner = search.centre.copy()
@@ -264,7 +264,7 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
             break
     found = search.minimise(best.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
     ended = _judged(model, fit.effects, search, found)
-    return ended if ended.chi_square < fit.chi_square - fit.worth else fit
+    return (ended, best.x) if ended.chi_square < fit.chi_square - fit.worth else (fit, x)
 
 
 def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:

@@ -130,7 +130,12 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
     singles: list[Refit] = []
-    if base.reduced > STRAINED:
+    strained = base.reduced > STRAINED
+    if strained:
+        progress("other basins", 0.1)
+        base, end = elsewhere(model, base, end)
+    far = base.reduced > STRAINED
+    if far:
         progress("strong effects", 0.2)
         seen, singles = afar(model, base, end)
     if any(_explains(base, fit) for fit in singles):
@@ -138,13 +143,13 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     else:
         base, scores, more = _near(model, base, progress)
         singles = sorted([*singles, *more], key=lambda f: f.evidence)
-    if not any(_explains(base, fit) for fit in (base, *singles)):
+    if not strained and not any(_explains(base, fit) for fit in (base, *singles)):
         progress("other basins", 0.6)
-        other = elsewhere(model, base, end)
+        other, _ = elsewhere(model, base, end)
         if other is not base:
             base, scores, more = _near(model, other, progress)
             singles = sorted([*singles, *more], key=lambda f: f.evidence)
-    location = _location(seen if base.reduced > STRAINED else scores)
+    location = _location(seen if far else scores)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
