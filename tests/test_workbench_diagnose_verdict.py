@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from workbench.diagnose import verdict
@@ -35,3 +36,15 @@ def test_nothing_else_may_take_much_of_what_an_explanation_leaves(
     base: Any, best: Any, left: float, complete: bool
 ) -> None:
     assert verdict._complete(None, base, best, left) == complete  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("gain", "numbers", "correlation", "hint"), [
+    (13.0, 1, 1.0, True),
+    (12.0, 1, 1.0, False),
+    (20.0, 1, 2.0, False),  # as many points as ten
+    (20.0, 6, 1.0, False),  # six numbers gain six by chance, with a spread of three and a half
+    (30.0, 6, 1.0, True),
+])
+def test_a_hint_is_what_noise_hardly_gives(gain: float, numbers: int, correlation: float, hint: bool) -> None:
+    scored: Any = SimpleNamespace(gain=gain, error=np.array([*[0.1] * numbers, np.inf]))
+    assert verdict._hints(scored, correlation) == hint

@@ -31,7 +31,7 @@ from workbench.instruments.opening import found_ports, who_answers
 from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_oscilloscope import Errors
 from workbench.operators import assemble
-from workbench.problem import build
+from workbench.problem import build, with_boundary_layers
 from workbench.reduce import reduce
 from workbench.report import Table
 from workbench.simulate import frequency_grid, state_name
@@ -193,9 +193,10 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     console.print(f"simulating {chip.name} ...", markup=False)
     state = state_name(chip, options.state)
     frequencies = frequency_grid(asked.band, asked.points)
-    # What is measured is to be finer than what it is fitted with.
-    problem = build(chip, state, asked.registry, order=4, elements_per_wavelength=asked.elements_per_wavelength,
-                    band=asked.band, cache=user_cache())
+    # What is measured is to be finer than what it is fitted with, and a liquid sticks to its walls.
+    problem = with_boundary_layers(
+        build(chip, state, asked.registry, order=4, elements_per_wavelength=asked.elements_per_wavelength,
+              band=asked.band, cache=user_cache()))
     model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.tolerance)
     solved = model.solve(frequencies, problem.values)
     return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from workbench.diagnose.campaign import Campaign
 from workbench.diagnose.catalogue import Effect
@@ -149,7 +150,7 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         if other is not base:
             base, scores, more = _near(model, other, progress)
             singles = sorted([*singles, *more], key=lambda f: f.evidence)
-    location = _location(seen if far else scores)
+    location = _location(seen if far else scores, scores)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
@@ -200,6 +201,15 @@ def _complete(model: Model, base: Refit, fit: Refit, left: float | None = None) 
     """Whether a fit explains, and no further hypothesis takes much (:func:`_left`) of what it leaves."""
     left = _left(model, fit) if left is None else left
     return _explains(base, fit) and left < (LEFT if fit.good else max(LEFT, REMNANT * gain(base, fit)))
+
+
+def _hints(scored: Score, correlation: float) -> bool:
+    """Whether noise alone, of which so many points count as one, hardly gives a hypothesis what it gains.
+
+    As hardly as :data:`HINT` sigmas of one number: a hypothesis of six gains more by chance than one of one.
+    """
+    chance = chi2.sf(scored.gain / correlation, max(np.isfinite(scored.error).sum(), 1))
+    return bool(chance < chi2.sf(HINT**2, 1))
 
 
 def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
@@ -300,7 +310,7 @@ def _judged(
         verdict = "ambiguous" if rivals else "missing_physics"
     elif found or not base.good:
         verdict = "unexplained"
-    elif scores[0].gain > HINT**2 * base.correlation:
+    elif any(_hints(scored, base.correlation) for scored in scores):
         verdict = "below_detection"
     elif any(s.reduced > GOOD_STATE for s in nominal):
         verdict = "parameters_explain"
@@ -326,13 +336,11 @@ def _inside(fit: Refit, name: str) -> bool:
     return True
 
 
-def _location(scores: Sequence[Score]) -> tuple[tuple[str, str, float], ...]:
-    """Regions and kinds, ranked by the most that one hypothesis there explains."""
-    best: dict[tuple[str, str], float] = {}
-    for scored in scores:
-        key = (scored.effect.region, scored.effect.kind)
-        best[key] = max(best.get(key, 0.0), scored.sigmas)
-    return tuple((region, kind, sigmas) for (region, kind), sigmas in sorted(best.items(), key=lambda i: -i[1]))
+def _location(order: Sequence[Score], scores: Sequence[Score]) -> tuple[tuple[str, str, float], ...]:
+    """Regions and kinds, ranked by the most that one hypothesis there explains in `order`; how much, in `scores`."""
+    rank, best = ({(region, kind): max(s.sigmas for s in group if (s.effect.region, s.effect.kind) == (region, kind))
+                   for region, kind in {(s.effect.region, s.effect.kind) for s in group}} for group in (order, scores))
+    return tuple((*key, best[key]) for key in sorted(rank, key=lambda key: -rank[key]))
 
 
 def _closest(
