@@ -203,7 +203,7 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
         reach = _moves(model)
         for name in effect.names:
             i = model.index(name)
-            reach[name] = abs(float(end.x[i] - search.centre[i]))
+            reach[name] = max(reach.get(name, 0.0), abs(float(end.x[i] - search.centre[i])))
         model.fitted.surround(end.x, reach, UNNEEDED)
         try:
             near = search.thinned().minimise(end.x, weak, limit=GLANCE, tolerance=0.01)
