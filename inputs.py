@@ -102,7 +102,7 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
         raise InputError(source, field, text, f'a {dimension} with its unit, for example "1.5 {example}"')
     number, unit = float(match.group(1)), match.group(2) or ("1" if dimension == "dimensionless" else "")
     if unit not in units:
-        expected = f"{dimension} in one of {', '.join(units)}"
+        expected = f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension} in one of {', '.join(units)}"
         raise InputError(source, field, text, expected, nearest_names(unit, units) if unit else ())
     if not math.isfinite(number):
         raise InputError(source, field, text, "a finite number")

@@ -26,8 +26,14 @@ def gas() -> Fluid:
     return material
 
 
+def outer(base: Problem) -> float:
+    """The radius of the couplant."""
+    mesh = base.mesh.mesh
+    return float(mesh.p[0, mesh.t[:, mesh.subdomains["couplant"]]].max())
+
+
 def ringed(base: Problem, beyond: float, fraction: complex) -> Problem:
-    term = MissingCouplant("couplant", "gel", "air", beyond, "couplant")
+    term = MissingCouplant("couplant", "gel", "air", beyond / outer(base), "couplant")
     return base.with_terms((term,), {FRACTION: fraction, "air.density": gas().density,
                                      "air.sound_speed": gas().sound_speed})
 
@@ -60,15 +66,15 @@ def test_a_ring_of_gas_is_a_couplant_that_ends_there(
 
     base = chip(3e-3)
     radii = np.unique(base.mesh.mesh.p[0])
-    inner, outer = radii[np.flatnonzero(radii >= about)[0] + np.array([0, 1])]
-    edge = inner if way == "at the edge of an element" else 0.5 * (inner + outer)
+    inner, next_one = radii[np.flatnonzero(radii >= about)[0] + np.array([0, 1])]
+    edge = inner if way == "at the edge of an element" else 0.5 * (inner + next_one)
     if way == "a share of a ring":
-        share = (outer**2 - edge**2) / (outer**2 - inner**2)
-        parts = {"inner": (inner, share), "outer": (outer, 1.0)}
+        share = (next_one**2 - edge**2) / (next_one**2 - inner**2)
+        parts = {"inner": (inner, share), "outer": (next_one, 1.0)}
     else:
         parts = {"outer": (edge, 1.0)}
     model = base.with_terms(
-        tuple(MissingCouplant("couplant", "gel", "air", float(beyond), ring) for ring, (beyond, _) in parts.items()),
+        tuple(MissingCouplant("couplant", "gel", "air", at / outer(base), ring) for ring, (at, _) in parts.items()),
         {**{f"{ring}.missing_fraction": f for ring, (_, f) in parts.items()}, "air.density": gas().density,
          "air.sound_speed": gas().sound_speed})
     full, expected = impedance(base, frequency), impedance(chip(float(edge)), frequency)

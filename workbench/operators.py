@@ -113,8 +113,8 @@ def _place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | No
     if not integral.on_boundary:
         return _volume_place(mesh, integral.place, integral.beyond, within)
     if integral.beyond is not None:
-        raise ModelError(f"boundary {integral.place!r} is restricted to radii beyond {integral.beyond:g} m; only a "
-                         "region can be")
+        raise ModelError(f"boundary {integral.place!r} is restricted to radii beyond {integral.beyond:g} of its outer "
+                         "one; only a region can be")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
     if not integral.facing:
         facets = facets[_touching(mesh, facets, within)]
@@ -139,6 +139,7 @@ def _volume_place(
     mesh: SectionMesh, region: str, beyond: float | None, within: NDArray[np.bool_] | None
 ) -> Place | None:
     cells = np.asarray(mesh.mesh.subdomains[region])
+    whole = mesh.mesh.p[0, mesh.mesh.t[:, cells]].max()
     if within is not None:
         cells = cells[within[cells]]
         if not cells.size:
@@ -148,11 +149,11 @@ def _volume_place(
     # The share of each cell's width that lies inside the radius from which on the place begins.
     left_out = np.zeros(cells.size)
     if beyond is not None:
-        left_out = np.clip((beyond - inner) / (outer - inner), 0.0, 1.0)
-        if left_out.min() > 1.0 - SAME_SHAPE:
-            if within is not None:
-                return None
-            raise ModelError(f"region {region!r} ends at {outer.max():g} m: nothing of it is beyond {beyond:g} m")
+        if not 0.0 <= beyond < 1.0:
+            raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
+        left_out = np.clip((beyond * whole - inner) / (outer - inner), 0.0, 1.0)
+        if left_out.min() > 1.0 - SAME_SHAPE:  # of the whole region never
+            return None
     # So many Gauss points integrate r times a product of two functions exactly: of order two nine.
     points, weights = get_quadrature(RefQuad, 2 * mesh.order + 1)
     parts = []

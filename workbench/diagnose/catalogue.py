@@ -347,7 +347,7 @@ def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
 def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     """A layer that does not reach its rim everywhere."""
     states = device.holding(region)
-    rings = _rims(device, region)
+    rings = _rims(region)
     limits = {f"{ring}.missing_fraction": missing_couplant.ADMISSIBLE["missing_fraction"] for ring in rings}
     air = device.load_fluid(AIR)
 
@@ -361,10 +361,9 @@ def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
                  tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
 
 
-def _rims(device: Device, region: str) -> dict[str, float]:
-    """Rims of a layer and where they begin (m)."""
-    radius = device.holding(region)[0].chip.layer(region).outer_radius
-    return {f"{region} beyond {100 * share:g} %": share * radius for share in RIMS}
+def _rims(region: str) -> dict[str, float]:
+    """Rims of a layer and where they begin, as shares of its radius."""
+    return {f"{region} beyond {100 * share:g} %": share for share in RIMS}
 
 
 def _fluids(device: Device) -> list[tuple[str, Fluid]]:
@@ -520,7 +519,7 @@ def transducer(device: Device) -> Iterator[Effect]:
                  (Parameter(mass, 0.0, 0.0, limits[mass].highest, None, limits[mass].unit),), admissible=limits,
                  terms=terms, values=values)
 
-    rims = _rims(device, TRANSDUCER)
+    rims = _rims(TRANSDUCER)
     depoled_limits = {f"{rim}.depoled_fraction": depoled.ADMISSIBLE["depoled_fraction"] for rim in rims}
 
     def unpoled(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:

@@ -25,7 +25,7 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class DepoledRim(Term):
-    """Piezoelectric constants (1 - f) e and permittivity (1 + x) eps33 at radii beyond `beyond` (metres).
+    """Piezoelectric constants (1 - f) e and permittivity (1 + x) eps33 at radii beyond a share `beyond` of the disc's.
 
         - f [eps(v) e^T grad(phi) + grad(psi) e eps(u)] - x eps33 d_z(psi) d_z(phi)
 

@@ -19,7 +19,7 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class MissingCouplant(Term):
-    """A share f of the area at radii beyond `beyond` (metres) where a gas is in the place of the fluid.
+    """Gas in the place of the fluid on a share f of the area at radii beyond the share `beyond` of the outer one.
 
         (1 / rho_f - 1 / rho) / w^2 grad(p) . grad(q) - (1 / K_f - 1 / K) p q,
         rho_f = (1 - f) rho + f rho_g,  K_f = (1 - f) K + f K_g,  K = rho c^2,

@@ -268,8 +268,8 @@ class Integral:
 
     ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
     ``facing`` names the boundary across a thin layer and ``facing_solid`` the solid there, for the operators that are
-    taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` (metres) restricts a region to
-    larger radii, also within an element.
+    taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` restricts a region to
+    radii larger than that share of its outer one, also within an element.
     """
 
     coefficient: Coefficient
