@@ -90,19 +90,19 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
     """
     units = UNITS[dimension]
-    example = next(iter(units))
+    example, named = next(iter(units)), f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
     if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
         if not math.isfinite(text):
             raise InputError(source, field, text, "a finite number")
         return float(text)
     if isinstance(text, bool) or not isinstance(text, str):
-        raise InputError(source, field, text, f'a {dimension} with its unit, for example "1.5 {example}"')
+        raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
     match = _NUMBER.match(text)
     if match is None:
-        raise InputError(source, field, text, f'a {dimension} with its unit, for example "1.5 {example}"')
+        raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
     number, unit = float(match.group(1)), match.group(2) or ("1" if dimension == "dimensionless" else "")
     if unit not in units:
-        expected = f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension} in one of {', '.join(units)}"
+        expected = f"{named} in one of {', '.join(units)}"
         raise InputError(source, field, text, expected, nearest_names(unit, units) if unit else ())
     if not math.isfinite(number):
         raise InputError(source, field, text, "a finite number")

@@ -48,7 +48,7 @@ NOISE = ("--noise", "0.6")
 #: What lies on the disc, and how thick the gel below it really is; the files say 20 um.
 GEL = {"disc_on_pla.toml": "24 um", "chip.toml": "15 um"}
 
-#: By how much the simulated generator's clock is off, relative.
+#: By how much the simulated generator's clock is off, relative: what `workbench.instruments.simulated` has by default.
 CLOCK = 5e-6
 
 COMPENSATION = """
@@ -161,7 +161,7 @@ def outcome(folder: Path) -> None:
 
 
 def true_value(parameter: str, registry: Registry, material: str) -> float:
-    """What the bench was given, in SI: a coefficient of a material, its loss, or the thickness of the gel."""
+    """What the bench was given, in SI: a coefficient of a material, its loss, the gel's thickness, or the clock."""
     if parameter == "bench.clock":
         return CLOCK
     if parameter == "couplant.thickness":

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from workbench.diagnose.catalogue import Effect
-from workbench.diagnose.score import Score, Tangents, confusion, ranked, score
+from workbench.diagnose.score import Score, Tangents, confusion, score, scores_at
 from workbench.fit.parameter import Parameter
 
 Real = NDArray[np.float64]
@@ -38,9 +38,11 @@ class Linear:
         return SimpleNamespace(vector=vector, jacobian=np.vstack([self.jacobian, priors]),
                                data=SimpleNamespace(jacobian=self.jacobian))
 
+    def search(self) -> Any:
+        return SimpleNamespace(free=np.arange(KNOWN), scale=np.ones(len(self.parameters)))
+
     def tangents(self) -> Tangents:
-        search: Any = SimpleNamespace(free=np.arange(KNOWN), scale=np.ones(len(self.parameters)))
-        return Tangents.at(search, self.here())
+        return Tangents.at(self.search(), self.here())
 
 
 def linear(seed: int, *, bound: float = 100.0) -> Linear:
@@ -96,9 +98,9 @@ def test_what_known_parameters_imitate_is_not_seen() -> None:
 
 def test_the_concealed_one_is_ranked_first() -> None:
     problem = linear(6)
-    scores = [score(problem, np.zeros(7), problem.here(), problem.tangents(), effect(problem, f"own{k}"))  # type: ignore[arg-type]
-              for k in range(3)]
-    assert ranked(scores)[0].effect.name == "own0"
+    effects = [effect(problem, f"own{k}") for k in range(3)]
+    scores = scores_at(problem, problem.search(), np.zeros(7), problem.here(), effects)  # type: ignore[arg-type]
+    assert scores[0].effect.name == "own0"
 
 
 def test_confusion_is_one_for_the_same_direction_and_none_for_orthogonal_ones() -> None:

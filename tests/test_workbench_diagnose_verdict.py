@@ -35,7 +35,7 @@ def test_what_is_left_decides_whether_a_fit_explains(before: float, after: float
 def test_nothing_else_may_take_much_of_what_an_explanation_leaves(
     base: Any, best: Any, left: float, complete: bool
 ) -> None:
-    assert verdict._complete(None, base, best, left) == complete  # type: ignore[arg-type]
+    assert verdict._complete(base, best, left) == complete  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("gain", "numbers", "correlation", "hint"), [

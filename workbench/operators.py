@@ -112,7 +112,7 @@ def _place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | No
     """The place of an integral, of the cells `within` (number of cells,) only if given; None if that leaves nothing."""
     if not integral.on_boundary:
         return _volume_place(mesh, integral.place, integral.beyond, within)
-    if integral.beyond is not None:
+    if integral.beyond:
         raise ModelError(f"boundary {integral.place!r} is restricted to radii beyond {integral.beyond:g} of its outer "
                          "one; only a region can be")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
@@ -136,7 +136,7 @@ def _touching(mesh: SectionMesh, facets: NDArray[np.int64], cells: NDArray[np.bo
 
 
 def _volume_place(
-    mesh: SectionMesh, region: str, beyond: float | None, within: NDArray[np.bool_] | None
+    mesh: SectionMesh, region: str, beyond: float, within: NDArray[np.bool_] | None
 ) -> Place | None:
     cells = np.asarray(mesh.mesh.subdomains[region])
     whole = mesh.mesh.p[0, mesh.mesh.t[:, cells]].max()
@@ -147,13 +147,11 @@ def _volume_place(
     radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
     inner, outer = radii.min(axis=0), radii.max(axis=0)
     # The share of each cell's width that lies inside the radius from which on the place begins.
-    left_out = np.zeros(cells.size)
-    if beyond is not None:
-        if not 0.0 <= beyond < 1.0:
-            raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
-        left_out = np.clip((beyond * whole - inner) / (outer - inner), 0.0, 1.0)
-        if left_out.min() > 1.0 - SAME_SHAPE:  # of the whole region never
-            return None
+    if not 0.0 <= beyond < 1.0:
+        raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
+    left_out = np.clip((beyond * whole - inner) / (outer - inner), 0.0, 1.0)
+    if left_out.min() > 1.0 - SAME_SHAPE:
+        return None
     # So many Gauss points integrate r times a product of two functions exactly: of order two nine.
     points, weights = get_quadrature(RefQuad, 2 * mesh.order + 1)
     parts = []

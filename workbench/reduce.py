@@ -335,12 +335,10 @@ def estimated_error(residual: Complex, charge: Complex) -> Real:
     return np.asarray(SAFETY * np.mean(np.abs(residual) ** 2, axis=0) / np.abs(charge))
 
 
-def projected(model: ReducedModel, operators: FullOperators, basis: Real | None = None) -> ReducedModel:
-    """`model` on other full operators of the same unknowns (a stretched mesh), or on another `basis`, or both."""
-    basis = model.basis if basis is None else basis
-    matrices, sketch = _extended(operators, basis, model.test, None)
-    return replace(model, full=operators, operators=ReducedOperators(operators.integrals, matrices), basis=basis,
-                   sketch=sketch)
+def projected(model: ReducedModel, operators: FullOperators) -> ReducedModel:
+    """`model` on other full operators of the same unknowns (a stretched mesh)."""
+    matrices, sketch = _extended(operators, model.basis, model.test, None)
+    return replace(model, full=operators, operators=ReducedOperators(operators.integrals, matrices), sketch=sketch)
 
 
 def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[ReducedModel, Real]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
-from workbench.diagnose.score import Score, Tangents, columns, ranked, score
+from workbench.diagnose.score import Score, Tangents, columns, scores_at
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
 from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
@@ -180,19 +180,16 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
     Returns:
         the scores with that weight, best first, and refits with full weight, each on bases of its own.
     """
-    weak = [EXPLORATION] * len(model.campaign.fitted)
+    weak = _weak(base.search)
     model.fitted.surround(x, _moves(model), UNNEEDED)
-    x = base.search.thinned().minimise(x, weak, limit=GLANCE, tolerance=0.01).x
-    here = base.search.evaluate(x, weak)
-    tangents = Tangents.at(base.search, here)
-    scores = ranked([score(model, x, here, tangents, effect) for effect in model.effects])
+    x = _glance(base.search.thinned(), x).x
+    scores = scores_at(model, base.search, x, base.search.evaluate(x, weak))
     ends: list[tuple[Effect, Search, Minimum]] = []
     for scored in scores[:FOLLOWED]:
         if scored.gain > WORTH * scores[0].gain:
             try:
                 search, begin = _begun(model, (scored.effect,), x, [scored], weak)
-                end = search.thinned().minimise(begin, weak, limit=GLANCE, tolerance=0.01)
-                ends.append((scored.effect, search, end))
+                ends.append((scored.effect, search, _glance(search.thinned(), begin)))
             except NO_END:
                 continue
     least = min((end.cost for _, _, end in ends), default=0.0)
@@ -206,8 +203,8 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
             reach[name] = max(reach.get(name, 0.0), abs(float(end.x[i] - search.centre[i])))
         model.fitted.surround(end.x, reach, UNNEEDED)
         try:
-            near = search.thinned().minimise(end.x, weak, limit=GLANCE, tolerance=0.01)
-            full = search.minimise(near.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
+            near = _glance(search.thinned(), end.x).x
+            full = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
         except NO_END:
             continue
         found.append(gather(model, _judged(model, (effect,), search, full)))
@@ -216,6 +213,16 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
 
 def _moves(model: Model) -> dict[str, float]:
     return {p.name: MOVES * p.prior for p in model.parameters[:model.known] if p.prior}
+
+
+def _weak(search: Search) -> list[float]:
+    """Deviations with which the data weigh little against what is known."""
+    return [EXPLORATION] * len(search.objective.recordings)
+
+
+def _glance(search: Search, x: Real, fixed: tuple[int, ...] = ()) -> Minimum:
+    """Few steps from x (p,), with the data weighing little."""
+    return search.minimise(x, _weak(search), limit=GLANCE, tolerance=0.01, fixed=fixed)
 
 
 def _levers(search: Search, known: int, here: Weighted) -> list[int]:
@@ -237,8 +244,7 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
     costs more than the right one, and few steps lead from one to the other.
     """
     search = fit.search
-    weak = [EXPLORATION] * len(model.campaign.fitted)
-    levers = _levers(search, model.known, search.evaluate(x, weak))
+    levers = _levers(search, model.known, search.evaluate(x, _weak(search)))
     if not levers:
         return fit, x
     corners = []
@@ -248,16 +254,15 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
         corners.append(corner)
     model.fitted.surround(search.centre, _moves(model), UNNEEDED, corners)
     thin = search.thinned()
-    best = thin.minimise(x, weak, limit=GLANCE, tolerance=0.01)
+    best = _glance(thin, x)
     before = best.cost
     for i, hop in itertools.product(levers, HOPS):
         there = best.x.copy()
         there[i] = search.centre[i] + hop * search.scale[i]
         try:
-            held = thin.minimise(there, weak, limit=GLANCE, tolerance=0.01, fixed=(i,))
+            held = _glance(thin, there, fixed=(i,))
             if held.cost < PROMISING * best.cost:
-                freed = thin.minimise(held.x, weak, limit=GLANCE, tolerance=0.01)
-                best = min(best, freed, key=lambda end: end.cost)
+                best = min(best, _glance(thin, held.x), key=lambda end: end.cost)
         except NO_END:
             continue
         if best.cost < RIGHT * before:

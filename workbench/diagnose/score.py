@@ -94,6 +94,14 @@ def score(model: Model, x: Real, here: Weighted, tangents: Tangents, effect: Eff
     return Score(effect, gain, amplitude, error, left, blind)
 
 
+def scores_at(model: Model, search: Search, x: Real, here: Weighted, effects: Sequence[Effect] | None = None
+              ) -> list[Score]:
+    """The scores of the hypotheses (all, or those given) at x (p,), best first."""
+    tangents = Tangents.at(search, here)
+    found = [score(model, x, here, tangents, effect) for effect in (model.effects if effects is None else effects)]
+    return sorted(found, key=lambda s: -s.gain)
+
+
 def confusion(first: Score, second: Score) -> float:
     """Largest cosine between what is left of the tangents of two hypotheses: 1 where they cannot be told apart."""
     a, b = (_orthonormal(s.tangent) for s in (first, second))
@@ -110,6 +118,3 @@ def _orthonormal(tangent: Real) -> Real:
     left, values, _ = np.linalg.svd(kept, full_matrices=False)
     return np.asarray(left[:, values > 1e-6])
 
-
-def ranked(scores: Sequence[Score]) -> list[Score]:
-    return sorted(scores, key=lambda s: -s.gain)

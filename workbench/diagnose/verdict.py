@@ -26,7 +26,7 @@ from workbench.diagnose.refit import (
     predicted,
     refit,
 )
-from workbench.diagnose.score import Score, confusion, ranked, score
+from workbench.diagnose.score import Score, confusion, scores_at
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -130,33 +130,34 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     started = time.perf_counter()
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
+    seen: list[Score] = []
     singles: list[Refit] = []
     strained = base.reduced > STRAINED
     if strained:
         progress("other basins", 0.1)
         base, end = elsewhere(model, base, end)
-    far = base.reduced > STRAINED
-    if far:
+    if base.reduced > STRAINED:
         progress("strong effects", 0.2)
         seen, singles = afar(model, base, end)
     if any(_explains(base, fit) for fit in singles):
         scores = _scores(model, base)
     else:
         base, scores, more = _near(model, base, progress)
-        singles = sorted([*singles, *more], key=lambda f: f.evidence)
+        singles += more
     if not strained and not any(_explains(base, fit) for fit in (base, *singles)):
         progress("other basins", 0.6)
         other, _ = elsewhere(model, base, end)
         if other is not base:
             base, scores, more = _near(model, other, progress)
-            singles = sorted([*singles, *more], key=lambda f: f.evidence)
-    location = _location(seen if far else scores, scores)
+            singles += more
+    singles.sort(key=lambda f: f.evidence)
+    location = _location(seen or scores, scores)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
     best = min([base, *singles], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
-        if not _complete(model, base, best):
+        if not _complete(base, best, _left(model, best)):
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
             if both is not best:
@@ -197,9 +198,8 @@ def _explains(base: Refit, fit: Refit) -> bool:
     return fit.good or fit.reduced - 1.0 < REMNANT * (base.reduced - 1.0)
 
 
-def _complete(model: Model, base: Refit, fit: Refit, left: float | None = None) -> bool:
-    """Whether a fit explains, and no further hypothesis takes much (:func:`_left`) of what it leaves."""
-    left = _left(model, fit) if left is None else left
+def _complete(base: Refit, fit: Refit, left: float) -> bool:
+    """Whether a fit explains, and no further hypothesis takes much (`left`, :func:`_left`) of what it leaves."""
     return _explains(base, fit) and left < (LEFT if fit.good else max(LEFT, REMNANT * gain(base, fit)))
 
 
@@ -230,14 +230,13 @@ def _held(model: Model, held: Sequence[StateFit]) -> float:
 
 def _scores(model: Model, fit: Refit, effects: Sequence[Effect] | None = None) -> list[Score]:
     """The scores of the hypotheses (all, or those given) at a fit, best first."""
-    tangents = fit.tangents()
-    return ranked([score(model, fit.x, fit.here, tangents, e) for e in (model.effects if effects is None else effects)])
+    return scores_at(model, fit.search, fit.x, fit.here, effects)
 
 
 def _near(model: Model, base: Refit, progress: Progress) -> tuple[Refit, list[Score], list[Refit]]:
     """The base on bases of its own, the scores there, and refits of the hypotheses that these leave in the race.
 
-    Best first; the best on bases of its own.
+    The best of them on bases of its own too.
     """
     progress("neighbourhood", 0.3)
     base = gather(model, base, _scores(model, base)[:SINGLES])
@@ -254,7 +253,7 @@ def _near(model: Model, base: Refit, progress: Progress) -> tuple[Refit, list[Sc
         progress(f"neighbourhood of {best.name}", 0.6)
         # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
         found = _with(found, best, gather(model, best, _further(model, best)[:PAIRS]))
-    return base, scores, sorted(found, key=lambda f: f.evidence)
+    return base, scores, found
 
 
 def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[Refit]:
@@ -282,7 +281,7 @@ def _judged(
     gained = gain(base, best)
     found = best is not base and gained > ACCEPTED
     left = _left(model, best) if found else 0.0
-    complete = found and _complete(model, base, best, left)
+    complete = _complete(base, best, left)
     worse = _held(model, held_after) - _held(model, held_before)
     accepted = found and complete and worse < RIVAL
     findings = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}."]
@@ -338,9 +337,17 @@ def _inside(fit: Refit, name: str) -> bool:
 
 def _location(order: Sequence[Score], scores: Sequence[Score]) -> tuple[tuple[str, str, float], ...]:
     """Regions and kinds, ranked by the most that one hypothesis there explains in `order`; how much, in `scores`."""
-    rank, best = ({(region, kind): max(s.sigmas for s in group if (s.effect.region, s.effect.kind) == (region, kind))
-                   for region, kind in {(s.effect.region, s.effect.kind) for s in group}} for group in (order, scores))
+    rank, best = _most(order), _most(scores)
     return tuple((*key, best[key]) for key in sorted(rank, key=lambda key: -rank[key]))
+
+
+def _most(scores: Sequence[Score]) -> dict[tuple[str, str], float]:
+    """The most sigmas of any hypothesis of a region and kind."""
+    most: dict[tuple[str, str], float] = {}
+    for s in scores:
+        key = (s.effect.region, s.effect.kind)
+        most[key] = max(most.get(key, 0.0), s.sigmas)
+    return most
 
 
 def _closest(

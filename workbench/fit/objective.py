@@ -13,7 +13,6 @@ the one broad resonance that every parameter set has. The width is then let down
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -41,7 +40,7 @@ class Recording:
     measured: Spectrum
     chip: Chip | None = None
 
-    def thinned(self, points: float) -> Recording:
+    def thinned(self, points: int) -> Recording:
         """The recording with at most about so many of its points, evenly; itself where it has no more."""
         measured = self.measured
         every = max(1, round(measured.frequency.size / points))
@@ -149,26 +148,33 @@ class Objective:
         """The same of some recordings only, sharing what the predictors have learnt."""
         kept = [k for k, recording in enumerate(self.recordings) if recording.name in names]
         other = copy.copy(self)
-        other.recordings, other.predictors = (tuple(self.recordings[k] for k in kept),
-                                              tuple(self.predictors[k] for k in kept))
-        other._acting, other.coefficients = [self._acting[k] for k in kept], [self.coefficients[k] for k in kept]
+        other.recordings = tuple(self.recordings[k] for k in kept)
+        other.predictors = tuple(self.predictors[k] for k in kept)
+        other._acting = [self._acting[k] for k in kept]
+        other.coefficients = [self.coefficients[k] for k in kept]
         return other
 
     def apart(self) -> Objective:
         """The same with predictors of its own, beginning with the bases there are now."""
-        return self.thinned(math.inf)
+        return self._apart(self.recordings)
 
-    def thinned(self, points: float) -> Objective:
+    def thinned(self, points: int) -> Objective:
         """The same :meth:`apart`, of at most about so many points of each recording."""
+        return self._apart([recording.thinned(points) for recording in self.recordings])
+
+    def _apart(self, recordings: Sequence[Recording]) -> Objective:
         other = copy.copy(self)
-        other.recordings = tuple(r.thinned(points) for r in self.recordings)
+        other.recordings = tuple(recordings)
         # What recordings share they go on sharing.
-        thin: dict[tuple[int, bytes], Predictor] = {}
-        for predictor, recording in zip(self.predictors, other.recordings, strict=True):
+        copies: dict[tuple[int, bytes], Predictor] = {}
+        predictors = []
+        for predictor, recording in zip(self.predictors, recordings, strict=True):
             frequency = recording.measured.frequency
-            thin.setdefault((id(predictor), frequency.tobytes()), predictor.at(frequency))
-        other.predictors = tuple(thin[id(predictor), recording.measured.frequency.tobytes()]
-                                 for predictor, recording in zip(self.predictors, other.recordings, strict=True))
+            key = (id(predictor), frequency.tobytes())
+            if key not in copies:
+                copies[key] = predictor.at(frequency)
+            predictors.append(copies[key])
+        other.predictors = tuple(predictors)
         return other
 
     def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:

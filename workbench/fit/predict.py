@@ -32,7 +32,8 @@ Integers = NDArray[np.int64]
 #: Reach, relative, of the quadratic expansion of the reduced matrices in a dimension: what it leaves out is the cube.
 REACH = 5e-3
 
-#: Where that reach is left only now and then, one expansion serves further.
+#: Reach of the same expansion where bases are not enriched on the way: what it leaves out there is small beside what
+#: the basis does.
 FAR = 0.02
 
 #: Step, relative, of a derivative by a dimension where that is all there is: its own error is as small.
@@ -207,19 +208,23 @@ class Predictor:
         """
         values = {**self.problem.values, **values}
         lengths = self._lengths(dimensions or {})
-        bounded = math.isfinite(self.tolerance)
         expansion = self._expansion
         expansion = self._enriched(None, values, lengths) if expansion is None else self._reaching(expansion, lengths)
         prediction = self._predict(expansion, values, lengths)
-        if bounded and prediction.error.max() > self.tolerance and not np.array_equal(lengths, expansion.centre):
+        if self.enriching and prediction.error.max() > self.tolerance and not np.array_equal(lengths, expansion.centre):
             # States of lengths nearby are close; another centre takes many more matrices.
             expansion = self._enriched(expansion, values, expansion.centre)
             prediction = self._predict(expansion, values, lengths)
-        if bounded and prediction.error.max() > self.tolerance:
+        if self.enriching and prediction.error.max() > self.tolerance:
             expansion = self._enriched(expansion, values, lengths)
             prediction = self._predict(expansion, values, lengths)
         self._expansion, self._latest = expansion, prediction
         return prediction
+
+    @property
+    def enriching(self) -> bool:
+        """Whether the basis is added to where it does not reach the tolerance."""
+        return math.isfinite(self.tolerance)
 
     def at(self, frequencies: Real) -> Predictor:
         """The same at other frequencies (n,) Hz, beginning with the basis there is now."""
@@ -294,15 +299,15 @@ class Predictor:
     def _reaching(self, expansion: _Expansion, lengths: Real) -> _Expansion:
         """An expansion, on the same basis, that serves these lengths."""
         farthest = float(np.abs(lengths / expansion.centre - 1.0).max(initial=0.0))
-        if farthest <= REACH or (expansion.second and farthest <= FAR and not math.isfinite(self.tolerance)):
+        serves = FAR if expansion.second and not self.enriching else REACH
+        if farthest <= serves:
             return expansion
-        if math.isfinite(self.tolerance):
-            return self._expanded(projected(expansion.model, self._operators(lengths)), lengths)
-        if farthest <= FAR:
+        if farthest <= FAR and not self.enriching:
             if expansion not in self._parabolas:
                 self._parabolas[expansion] = self._expanded(expansion.model, expansion.centre)
             return self._parabolas[expansion]
-        return self._tangent(projected(expansion.model, self._operators(lengths)), lengths)
+        there = projected(expansion.model, self._operators(lengths))
+        return self._expanded(there, lengths) if self.enriching else self._tangent(there, lengths)
 
     def _enriched(self, expansion: _Expansion | None, values: Mapping[str, complex], lengths: Real) -> _Expansion:
         start = None

@@ -279,7 +279,7 @@ class Integral:
     fluid: str = ""
     facing: str = ""
     facing_solid: str = ""
-    beyond: float | None = None
+    beyond: float = 0.0
 
     @property
     def on_boundary(self) -> bool:
@@ -290,7 +290,7 @@ class Integral:
         """The name of what is integrated over: the place, with what faces or restricts it."""
         if self.facing:
             return f"{self.place} facing {self.facing}"
-        return self.place if self.beyond is None else f"{self.place} beyond {self.beyond!r}"
+        return self.place if not self.beyond else f"{self.place} beyond {self.beyond!r}"
 
 
 @dataclass(frozen=True)
