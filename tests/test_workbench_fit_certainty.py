@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +50,10 @@ class Made(Objective):
     def __init__(self, model: Model, recording: Recording, free: Sequence[Parameter]) -> None:
         self.model, self.recordings, self.parameters, self.predictors = model, (recording,), tuple(free), ()
 
-    def __call__(self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0) -> Residual:
+    def __call__(
+        self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
+        free: Collection[int] | None = None,
+    ) -> Residual:
         logarithm, gradient = self.model(x)
         spread = np.broadcast_to(deviation[0], logarithm.shape)
         off = log_ratio(np.exp(logarithm), self.recordings[0].measured.impedance)

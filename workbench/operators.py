@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -293,6 +293,11 @@ class FullOperators:
                 result[self._index[id(integral)]] = np.einsum("eqn,eq->en", density, place.weights)
         return tuple(result[q] for q in range(len(self.integrals)))
 
+    def of(self, integrals: NDArray[np.int64]) -> FullOperators:
+        """The same unknowns with some of the integrals (k,) only."""
+        kept = tuple(self.integrals[q] for q in integrals)
+        return replace(self, integrals=kept, places={i.domain: self.places[i.domain] for i in kept})
+
     @cached_property
     def _index(self) -> dict[int, int]:
         return {id(integral): q for q, integral in enumerate(self.integrals)}
@@ -503,8 +508,14 @@ class ReducedOperators:
 
 def combined(constants: Complex, matrices: Real) -> Complex:
     """sum_q constants_q matrices_q for real matrices (integrals, ...), which are not made complex for it."""
-    flat = matrices.reshape(len(matrices), -1)
-    return np.asarray(constants.real @ flat + 1j * (constants.imag @ flat)).reshape(matrices.shape[1:])
+    acting = np.flatnonzero(constants)
+    if 2 * acting.size < constants.size:  # of most nothing is wanted
+        constants, matrices = constants[acting], matrices[acting]
+    flat = matrices.reshape(len(matrices), math.prod(matrices.shape[1:]))
+    result = np.asarray(constants.real @ flat, dtype=complex)
+    if constants.imag.any():
+        result += 1j * (constants.imag @ flat)
+    return result.reshape(matrices.shape[1:])
 
 
 def _operators_of(integrals: Iterable[Integral]) -> list[str]:

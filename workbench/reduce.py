@@ -101,6 +101,12 @@ class ReducedModel:
         residual = np.einsum("nq,qkn->kn", solution.coefficients, applied, optimize=True)
         return estimated_error(residual, solution.charge)
 
+    def of(self, integrals: NDArray[np.int64]) -> ReducedModel:
+        """The same with some of the integrals (k,) only."""
+        full = self.full.of(integrals)
+        operators = ReducedOperators(full.integrals, self.operators.matrices[integrals])
+        return replace(self, full=full, operators=operators, sketch=self.sketch[integrals])
+
     def expand(self, solution: Solution) -> Complex:
         """The states (size, n) of the full model that a reduced solution stands for."""
         return self.basis @ solution.states

@@ -70,7 +70,7 @@ class Solution:
         """x^T A_q x (n, integrals): all that follows from a solution without its conjugate."""
         return self.operators.quadratic(self.states, self.states)
 
-    @property
+    @cached_property
     def charge(self) -> Complex:
         """Charge of the live electrode for 1 V (n,), C: -x^T A x."""
         return -np.sum(self.coefficients * self.forms, axis=1)
@@ -100,7 +100,7 @@ class Solution:
             KeyError: a name no coefficient depends on.
         """
         gradient = self.impedance_gradient()
-        depending = _dependence(self.operators.integrals)
+        depending = dependence(self.operators.integrals)
         result = np.zeros((self.frequency.size, len(names)), dtype=complex)
         for column, name in enumerate(names):
             if name not in depending:
@@ -110,6 +110,8 @@ class Solution:
                 coefficient = self.operators.integrals[q].coefficient
                 if isinstance(coefficient, Monomial | Formula):
                     slope = coefficient.constant_derivative(values, name)
+                    if slope == 0.0:
+                        continue
                     powers[coefficient.omega_power] = (
                         powers.get(coefficient.omega_power, 0.0) + slope * gradient[:, q])
                 else:
@@ -132,11 +134,11 @@ class Solution:
         return 0.5 * self.admittance.real
 
 
-#: What :func:`_dependence` found, by the identity of the integrals, which it keeps alive.
+#: What :func:`dependence` found, by the identity of the integrals, which it keeps alive.
 _DEPENDENCE: dict[int, tuple[tuple[Integral, ...], dict[str, list[int]]]] = {}
 
 
-def _dependence(integrals: tuple[Integral, ...]) -> dict[str, list[int]]:
+def dependence(integrals: tuple[Integral, ...]) -> dict[str, list[int]]:
     """The indices of the integrals whose coefficients depend on a parameter, by its name."""
     known = _DEPENDENCE.get(id(integrals))
     if known is not None and known[0] is integrals:
@@ -269,7 +271,7 @@ class System:
         """(dA / dtheta) x (size, len(names)) for complex parameters."""
         omega = np.array([2.0 * np.pi * frequency])
         integrals = self.operators.integrals
-        depending = _dependence(integrals)
+        depending = dependence(integrals)
         slopes = np.zeros((len(integrals), len(names)), dtype=complex)
         for column, name in enumerate(names):
             for q in depending.get(name, ()):

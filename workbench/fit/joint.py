@@ -203,10 +203,10 @@ class Search:
         return replace(inequality, slopes=slopes)
 
     def evaluate(
-        self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0
+        self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0, free: Collection[int] | None = None
     ) -> Weighted:
-        """Data and prior, about the parameters' own starts, at x (p,)."""
-        data = self.objective(x, deviation=deviation, smoothing=smoothing)
+        """Data and prior, about the parameters' own starts, at x (p,); `free` as in `Objective.predict`."""
+        data = self.objective(x, deviation=deviation, smoothing=smoothing, free=free)
         vector = np.concatenate([data.vector, (x - self.centre) * self.precision])
         return Weighted(vector, np.vstack([data.jacobian, np.diag(self.precision)]), data)
 
@@ -216,6 +216,7 @@ class Search:
     ) -> Minimum:
         """The least cost near x; the parameters of the indices `fixed` stay where they are."""
         free = np.setdiff1d(self.free, fixed)
+        moved = frozenset(map(int, free))
 
         def whole(y: Real) -> Real:
             result = x.copy()
@@ -223,7 +224,7 @@ class Search:
             return result
 
         def reduced(y: Real) -> Weighted:
-            full = self.evaluate(whole(y), deviation, smoothing)
+            full = self.evaluate(whole(y), deviation, smoothing, moved)
             return Weighted(full.vector, full.jacobian[:, free], full.data)
 
         held = x.copy()

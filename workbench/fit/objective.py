@@ -194,17 +194,24 @@ class Objective:
         known = {name: complex(problem.values[name]) for name in self.coefficients[index]}
         return placed(known, numbers), lengths, bench
 
-    def predict(self, x: Real, index: int) -> tuple[Complex, Complex, Prediction]:
-        """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them."""
-        problem, predictor, coefficients = (
-            self.recordings[index].problem, self.predictors[index], self.coefficients[index])
+    def predict(
+        self, x: Real, index: int, free: Collection[int] | None = None
+    ) -> tuple[Complex, Complex, Prediction]:
+        """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them.
+
+        Derivatives by other parameters than those of the indices `free`, if these are given, are left zero.
+        """
+        problem, predictor = self.recordings[index].problem, self.predictors[index]
+        acting = [(column, p) for column, p in self._acting[index] if free is None or column in free]
+        moved = {p.coefficient for _, p in acting}
+        coefficients = tuple(name for name in self.coefficients[index] if name in moved)
         values, lengths, bench = self.settings(x, index)
-        prediction = predictor({**problem.values, **values}, lengths)
+        prediction = predictor({**problem.values, **values}, lengths, None if free is None else coefficients)
         omega = prediction.solution.omega
         seen, device, elements = through_bench(prediction.impedance, omega, bench)
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
         slopes = np.conj(prediction.logarithmic_gradient(coefficients)) if coefficients else None
-        for column, parameter in self._acting[index]:
+        for column, parameter in acting:
             if parameter.is_bench:
                 gradient[:, column] = elements[parameter.name]
             elif parameter.coefficient in coefficients:
@@ -217,15 +224,20 @@ class Objective:
                 gradient[:, column] = device * np.conj(prediction.logarithmic_slope(parameter.name))
         return seen, gradient, prediction
 
-    def __call__(self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0) -> Residual:
+    def __call__(
+        self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
+        free: Collection[int] | None = None,
+    ) -> Residual:
         """The residuals at x (p,), SI; `smoothing` is the half width (Hz) of the Lorentzian, 0 for none.
+
+        `free` as in :meth:`predict`.
 
         Raises:
             NotEnriched, MeshError, InputError: nothing can be predicted at x.
         """
         parts, rows, logs, seen, predictions = [], [], [], [], []
         for index, recording in enumerate(self.recordings):
-            impedance, gradient, prediction = self.predict(x, index)
+            impedance, gradient, prediction = self.predict(x, index, free)
             measured = recording.measured.impedance
             predictions.append(prediction)
             logs.append(log_ratio(impedance, measured))

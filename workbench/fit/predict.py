@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,10 @@ from geometry.chip import SAME_LENGTH, Chip
 from geometry.mesh import SectionMesh
 from geometry.stretch import stretch
 from workbench.operators import FullOperators, assemble, coefficients, combined, frequency_groups
+from workbench.physics.term import Integral
 from workbench.problem import Problem
 from workbench.reduce import ReducedModel, narrowed, projected, reduce, reduce_around
-from workbench.solve import Solution, reduced_tangents, solve_full
+from workbench.solve import Solution, dependence, reduced_tangents, solve_full
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -63,16 +63,17 @@ WIDE = 200
 class Prediction:
     """A predicted spectrum and what it would do if parameters moved.
 
-    ``impedance`` (n,) ohm, e^{+j w t}; ``model`` the reduced one it is of; ``values`` complex parameters, e^{-i w t};
-    ``dimensions`` lengths in metres; ``slopes`` by each free dimension the integrals whose matrices it changes (k,) and
-    their derivatives (k, r, r), 1/m.
+    ``impedance`` (n,) ohm, e^{+j w t}; ``model`` the reduced one it is of, perhaps of some integrals only (see
+    `Predictor`); ``values`` complex parameters, e^{-i w t}; ``dimensions`` lengths in metres; ``slopes`` by each free
+    dimension d ln Z / d dimension (n,), 1/m, e^{-i w t}, as soon as it was asked for.
     """
 
     solution: Solution
     model: ReducedModel
     values: Mapping[str, complex]
     dimensions: Mapping[str, float]
-    slopes: Mapping[str, tuple[Integers, Real]]
+    changes: Callable[[str], tuple[Integers, Real]]
+    slopes: dict[str, Complex] = field(default_factory=dict)
 
     @property
     def impedance(self) -> Complex:
@@ -88,85 +89,141 @@ class Prediction:
 
         For ln Z of a spectrum take the conjugate: by the real part of theta conj(d), by its imaginary part conj(i d).
         """
-        return self.solution.parameter_gradient(self.values, names) / self.solution.impedance[:, None]
+        depending = dependence(self.solution.operators.integrals)
+        known = [column for column, name in enumerate(names) if name in depending]
+        result = np.zeros((self.solution.omega.size, len(names)), dtype=complex)
+        gradient = self.solution.parameter_gradient(self.values, tuple(names[column] for column in known))
+        result[:, known] = gradient / self.solution.impedance[:, None]
+        return result
 
     def logarithmic_slope(self, dimension: str) -> Complex:
         """d ln Z / d dimension (n,), 1/m, e^{-i w t}."""
-        states, operators = self.solution.states, self.solution.operators
-        groups = frequency_groups(operators.integrals, self.solution.omega, self.values)
-        integrals, matrices = self.slopes[dimension]
-        change = sum(factors * np.einsum("in,in->n", states, combined(constants[integrals], matrices) @ states)
-                     for factors, constants in groups)
-        # ln Z = -ln Q + const, dQ = -x^T (dA) x
-        return np.asarray(change / self.solution.charge)
+        if dimension not in self.slopes:
+            states, operators = self.solution.states, self.solution.operators
+            groups = frequency_groups(operators.integrals, self.solution.omega, self.values)
+            integrals, matrices = self.changes(dimension)
+            change = sum(factors * np.einsum("in,in->n", states, combined(constants[integrals], matrices) @ states)
+                         for factors, constants in groups)
+            # ln Z = -ln Q + const, dQ = -x^T (dA) x
+            self.slopes[dimension] = np.asarray(change / self.solution.charge)
+        return self.slopes[dimension]
 
 
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """A derivative of a reduced model: ``matrices`` (k, r, r) and ``sketch`` (k, PROJECTIONS, r) of ``integrals`` (k,).
-
-    All others have none.
-    """
-
-    integrals: Integers
-    matrices: Real
-    sketch: Real
-
-    @classmethod
-    def of(cls, whole: Real) -> _Change:
-        """From the change (integrals, r + PROJECTIONS, r) of both, one below the other."""
-        integrals = np.flatnonzero(whole.any(axis=(1, 2)))
-        rank = whole.shape[2]
-        return cls(integrals, whole[integrals, :rank], whole[integrals, rank:])
-
-
-@dataclass(frozen=True, eq=False)
 class _Expansion:
-    """A reduced model and how its matrices and sketch change with dimensions, to second order about `centre`.
+    """A reduced model and how its matrices and sketch change with dimensions about `centre`.
 
-    ``first[i]`` and ``second[i, j]`` are the derivatives by dimensions i and j; those left out of ``second`` do not
-    matter.
+    To first or to `second` order; the derivatives of an integral's are taken when they are first needed.
     """
 
-    model: ReducedModel
-    centre: Real
-    first: tuple[_Change, ...]
-    second: Mapping[tuple[int, int], _Change]
+    def __init__(self, model: ReducedModel, centre: Real, mesh: Callable[[Real], SectionMesh], *, second: bool) -> None:
+        self.model, self.centre, self.second = model, centre, second
+        self._mesh = mesh
+        #: Of an integral, its derivatives (terms, r + PROJECTIONS, r), of the sketch below those of the matrix.
+        self._rows: dict[int, Real] = {}
+        self._latest: tuple[Integers, Integers, _Part] | None = None
 
-    def at(self, lengths: Real) -> ReducedModel:
-        """The model at other lengths (metres)."""
-        step = lengths - self.centre
-        if not step.any():
-            return self.model
-        matrices, sketch = self.model.operators.matrices.copy(), self.model.sketch.copy()
-        terms = [(step[i], change) for i, change in enumerate(self.first)]
-        terms += [(step[i] * step[j] * (0.5 if i == j else 1.0), change) for (i, j), change in self.second.items()]
-        for factor, change in terms:
-            matrices[change.integrals] += factor * change.matrices
-            sketch[change.integrals] += factor * change.sketch
-        return replace(self.model, operators=replace(self.model.operators, matrices=matrices), sketch=sketch)
+    @cached_property
+    def parabola(self) -> _Expansion:
+        """The same to second order."""
+        return self if self.second else _Expansion(self.model, self.centre, self._mesh, second=True)
+
+    def part(self, integrals: Integers, moving: Integers) -> _Part:
+        """The integrals of these indices (k,), of which those of indices `moving` change with dimensions.
+
+        The matrices of the others stay those of the centre.
+        """
+        moving = moving[: moving.size * bool(self.centre.size)]
+        known = self._latest
+        if known is None or not (np.array_equal(known[0], integrals) and np.array_equal(known[1], moving)):
+            missing = np.array([q for q in moving if q not in self._rows], dtype=int)
+            if missing.size:
+                self._rows.update(zip(missing, self._derivatives(missing), strict=True))
+            whole = integrals.size == len(self.model.operators.integrals)
+            model = self.model if whole else self.model.of(integrals)
+            rank = model.operators.size
+            rows = np.stack([self._rows[q] for q in moving], axis=1) if moving.size else np.zeros((0, 0, rank, rank))
+            part = _Part(model, self, np.searchsorted(integrals, moving), np.ascontiguousarray(rows[:, :, :rank]),
+                         np.ascontiguousarray(rows[:, :, rank:]))
+            known = self._latest = integrals, moving, part
+        return known[2]
+
+    def _derivatives(self, integrals: Integers) -> Real:
+        """Derivatives (k, terms, r + PROJECTIONS, r) of the matrices and sketches of some integrals (k,)."""
+        model = self.model.of(integrals)
+        test = np.column_stack([model.basis, model.test])
+
+        def change(*steps: tuple[int, float]) -> Real:
+            lengths = self.centre.copy()
+            for index, step in steps:
+                lengths[index] += step
+            return model.full.project_change(self._mesh(lengths), model.basis, test)
+
+        if not self.second:
+            return np.stack([change((i, step)) / step for i, step in enumerate(SHORT * self.centre)], axis=1)
+        steps = REACH * self.centre
+        plus = [change((i, step)) for i, step in enumerate(steps)]
+        minus = [change((i, -step)) for i, step in enumerate(steps)]
+        found = [(ahead - behind) / (2.0 * step) for ahead, behind, step in zip(plus, minus, steps, strict=True)]
+        for i, j in self.terms[self.centre.size:]:
+            if i == j:
+                found.append((plus[i] + minus[i]) / steps[i] ** 2)
+            else:
+                both = change((i, steps[i]), (j, steps[j]))
+                found.append((both - plus[i] - plus[j]) / (steps[i] * steps[j]))
+        return np.stack(found, axis=1)
+
+    @property
+    def terms(self) -> list[tuple[int, ...]]:
+        """The dimensions that each derivative is by."""
+        count = self.centre.size
+        first: list[tuple[int, ...]] = [(i,) for i in range(count)]
+        return first + [(i, j) for i in range(count) for j in range(i, count)] * self.second
 
     def narrowed(self, states: Complex, tolerance: float) -> _Expansion:
         """The same on the part of the basis that reduced `states` (rank, n) need."""
         model, within = narrowed(self.model, states, tolerance)
+        rank = len(within)
+        result = _Expansion(model, self.centre, self._mesh, second=self.second)
+        result._rows = {q: np.concatenate([within.T @ rows[:, :rank] @ within, rows[:, rank:] @ within], axis=1)
+                        for q, rows in self._rows.items()}
+        return result
 
-        def inside(change: _Change) -> _Change:
-            return replace(change, matrices=within.T @ change.matrices @ within, sketch=change.sketch @ within)
 
-        return _Expansion(model, self.centre, tuple(inside(change) for change in self.first),
-                          {key: inside(change) for key, change in self.second.items()})
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Some integrals of an expansion: of the `moving` ones (k,) the derivatives of ``matrices`` and ``sketch``.
+
+    (terms, k, r, r) and (terms, k, PROJECTIONS, r).
+    """
+
+    model: ReducedModel
+    expansion: _Expansion
+    moving: Integers
+    matrices: Real
+    sketch: Real
+
+    def at(self, lengths: Real) -> ReducedModel:
+        """The model at other lengths (metres)."""
+        step = lengths - self.expansion.centre
+        if not step.any() or not self.moving.size:
+            return self.model
+        factors = np.array([np.prod(step[list(term)]) * (0.5 if len(term) == 2 and term[0] == term[1] else 1.0)
+                            for term in self.expansion.terms])
+        matrices, sketch = self.model.operators.matrices.copy(), self.model.sketch.copy()
+        matrices[self.moving] += np.tensordot(factors, self.matrices, axes=1)
+        sketch[self.moving] += np.tensordot(factors, self.sketch, axes=1)
+        return replace(self.model, operators=replace(self.model.operators, matrices=matrices), sketch=sketch)
 
     def slope(self, index: int, lengths: Real) -> tuple[Integers, Real]:
         """The integrals whose matrices one dimension changes (k,), and d matrices / d length (k, r, r), 1/m."""
-        step = lengths - self.centre
-        changes = [(1.0, self.first[index])]
-        changes += [(step[j if index == i else i], change) for (i, j), change in self.second.items() if index in (i, j)]
-        integrals = np.unique(np.concatenate([change.integrals for _, change in changes]))
-        rank = self.model.operators.size
-        result = np.zeros((integrals.size, rank, rank))
-        for factor, change in changes:
-            result[np.searchsorted(integrals, change.integrals)] += factor * change.matrices
-        return integrals, result
+        step = lengths - self.expansion.centre
+        factors = np.zeros(len(self.matrices))
+        for position, term in enumerate(self.expansion.terms):
+            if term == (index,):
+                factors[position] = 1.0
+            elif index in term:
+                factors[position] = step[term[0] if index == term[1] else term[1]]
+        return self.moving, np.tensordot(factors, self.matrices, axes=1)
 
 
 class Predictor:
@@ -195,12 +252,17 @@ class Predictor:
         self.solves = 0
         self._expansion: _Expansion | None = None
         self._latest: Prediction | None = None
+        self._part: _Part | None = None
         self._assembled: dict[tuple[float, ...], FullOperators] = {}
-        #: Expansions to second order of those to first order; copies of a predictor share them.
-        self._parabolas: WeakKeyDictionary[_Expansion, _Expansion] = WeakKeyDictionary()
 
-    def __call__(self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None = None) -> Prediction:
+    def __call__(
+        self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None = None,
+        wanted: Sequence[str] | None = None,
+    ) -> Prediction:
         """The spectrum at these parameters (those not given keep the problem's own values), enriched if need be.
+
+        Where only the derivatives by the coefficients `wanted` will be asked for, what neither the spectrum nor these
+        depend on is left out.
 
         Raises:
             NotEnriched: the reduced model did not reach the tolerance.
@@ -210,14 +272,14 @@ class Predictor:
         lengths = self._lengths(dimensions or {})
         expansion = self._expansion
         expansion = self._enriched(None, values, lengths) if expansion is None else self._reaching(expansion, lengths)
-        prediction = self._predict(expansion, values, lengths)
+        prediction = self._predict(expansion, values, lengths, wanted)
         if self.enriching and prediction.error.max() > self.tolerance and not np.array_equal(lengths, expansion.centre):
             # States of lengths nearby are close; another centre takes many more matrices.
             expansion = self._enriched(expansion, values, expansion.centre)
-            prediction = self._predict(expansion, values, lengths)
+            prediction = self._predict(expansion, values, lengths, wanted)
         if self.enriching and prediction.error.max() > self.tolerance:
             expansion = self._enriched(expansion, values, lengths)
-            prediction = self._predict(expansion, values, lengths)
+            prediction = self._predict(expansion, values, lengths, wanted)
         self._expansion, self._latest = expansion, prediction
         return prediction
 
@@ -257,7 +319,7 @@ class Predictor:
                               corners=[{**around, **corner} for corner in corners],
                               like=None if self._expansion is None else self._expansion.model)
         self.solves += model.solves
-        self._expansion, self._latest = self._tangent(model, lengths), None
+        self._expansion, self._latest = _Expansion(model, lengths, self._mesh, second=False), None
 
     def settle(self, settings: Sequence[tuple[Mapping[str, complex], Mapping[str, float]]]) -> None:
         """Narrow the basis to what the spectra at these (values, dimensions) need: a neighbourhood to be searched.
@@ -268,7 +330,8 @@ class Predictor:
             return
         states = []
         for values, dimensions in settings:
-            model = self._expansion.at(self._lengths(dimensions))
+            every = np.arange(len(self._expansion.model.operators.integrals))
+            model = self._expansion.part(every, every).at(self._lengths(dimensions))
             states.append(model.solve(self.frequencies, {**self.problem.values, **values}).states)
         first, others = states[0], [other - states[0] for other in states[1:]]
         self._expansion = self._expansion.narrowed(np.concatenate([first, *others], axis=1), NEGLIGIBLE)
@@ -284,17 +347,39 @@ class Predictor:
         self.solves += len(at)
         return np.conj(solve_full(operators, at, {**self.problem.values, **values}).impedance)
 
-    def _predict(self, expansion: _Expansion, values: Mapping[str, complex], lengths: Real) -> Prediction:
-        model = expansion.at(lengths)
+    def _predict(
+        self, expansion: _Expansion, values: Mapping[str, complex], lengths: Real, wanted: Sequence[str] | None
+    ) -> Prediction:
+        integrals, moving = self._needed(expansion.model.operators.integrals, values, wanted)
+        part = expansion.part(integrals, moving)
         known = self._latest
-        if known is not None and expansion is self._expansion and list(known.dimensions.values()) == list(lengths):
+        if known is not None and part is self._part and list(known.dimensions.values()) == list(lengths):
             # Another state of a device, or a step of what does not act here: the same coefficients, the same solution.
-            same = coefficients(model.operators.integrals, known.solution.omega, values)
+            same = coefficients(part.model.operators.integrals, known.solution.omega, values)
             if known.solution.frequency is self.frequencies and np.array_equal(same, known.solution.coefficients):
                 return replace(known, values=values)
+        self._part = part
+        model = part.at(lengths)
         solution = model.solve(self.frequencies, values)
-        slopes = {name: expansion.slope(i, lengths) for i, name in enumerate(self.names)}
-        return Prediction(solution, model, values, dict(zip(self.names, lengths, strict=True)), slopes)
+        return Prediction(solution, model, values, dict(zip(self.names, lengths, strict=True)),
+                          lambda name: part.slope(self.names.index(name), lengths))
+
+    def _needed(
+        self, integrals: tuple[Integral, ...], values: Mapping[str, complex], wanted: Sequence[str] | None
+    ) -> tuple[Integers, Integers]:
+        """Indices of the integrals that the spectrum or its derivatives by `wanted` depend on, and of the former alone.
+
+        Only these follow the dimensions; derivatives by what has no coefficient stay about as they are at the centre.
+        """
+        omega = 2.0 * np.pi * self.frequencies
+        moving = np.flatnonzero(coefficients(integrals, omega, values).any(axis=0))
+        if wanted is None:
+            return np.arange(len(integrals)), moving
+        needed, depending = set(map(int, moving)), dependence(integrals)
+        for name in wanted:
+            needed.update(q for q in depending[name] if q not in needed
+                          and integrals[q].coefficient.derivative(omega, values, name).any())
+        return np.array(sorted(needed)), moving
 
     def _reaching(self, expansion: _Expansion, lengths: Real) -> _Expansion:
         """An expansion, on the same basis, that serves these lengths."""
@@ -303,11 +388,9 @@ class Predictor:
         if farthest <= serves:
             return expansion
         if farthest <= FAR and not self.enriching:
-            if expansion not in self._parabolas:
-                self._parabolas[expansion] = self._expanded(expansion.model, expansion.centre)
-            return self._parabolas[expansion]
+            return expansion.parabola
         there = projected(expansion.model, self._operators(lengths))
-        return self._expanded(there, lengths) if self.enriching else self._tangent(there, lengths)
+        return _Expansion(there, lengths, self._mesh, second=self.enriching)
 
     def _enriched(self, expansion: _Expansion | None, values: Mapping[str, complex], lengths: Real) -> _Expansion:
         start = None
@@ -322,7 +405,7 @@ class Predictor:
         self.solves += model.solves - before
         if model.basis.shape[1] > WIDE:
             model, _ = narrowed(model, self._states_around(model, values), UNNEEDED * self.tolerance)
-        return self._expanded(model, lengths)
+        return _Expansion(model, lengths, self._mesh, second=True)
 
     def _states_around(self, model: ReducedModel, values: Mapping[str, complex]) -> Complex:
         """Reduced states at these parameters, and what each parameter about to be moved changes them by."""
@@ -330,44 +413,6 @@ class Predictor:
         tangents = reduced_tangents(solution, values, self.tangents)
         changes = [MOVED * abs(values[name]) * each for name, each in zip(self.tangents, tangents, strict=True)]
         return np.concatenate([solution.states, *changes], axis=1)
-
-    def _expanded(self, model: ReducedModel, lengths: Real) -> _Expansion:
-        """`model`, whose operators are those of `lengths`, with its expansion about them."""
-        steps = REACH * lengths
-        count = len(self.names)
-
-        def moved(*indices: tuple[int, float]) -> Real:
-            other = lengths.copy()
-            for index, sign in indices:
-                other[index] += sign * steps[index]
-            return self._change(model, other)
-
-        first: list[_Change] = []
-        second: dict[tuple[int, int], _Change] = {}
-        plus: list[Real] = []
-        for i in range(count):
-            ahead, behind = moved((i, 1.0)), moved((i, -1.0))
-            plus.append(ahead)
-            first.append(_Change.of((ahead - behind) / (2.0 * steps[i])))
-            second[i, i] = _Change.of((ahead + behind) / steps[i] ** 2)
-        for i in range(count):
-            for j in range(i):
-                both = moved((i, 1.0), (j, 1.0))
-                second[j, i] = _Change.of((both - plus[i] - plus[j]) / (steps[i] * steps[j]))
-        return _Expansion(model, lengths, tuple(first), second)
-
-    def _tangent(self, model: ReducedModel, lengths: Real) -> _Expansion:
-        """`model`, whose operators are those of `lengths`, with its first derivatives, which serve small moves."""
-        first = []
-        for i in range(len(self.names)):
-            other = lengths.copy()
-            other[i] += SHORT * lengths[i]
-            first.append(_Change.of(self._change(model, other) / (other[i] - lengths[i])))
-        return _Expansion(model, lengths, tuple(first), {})
-
-    def _change(self, model: ReducedModel, lengths: Real) -> Real:
-        """What matrices and, below them, sketch of `model` change by: (integrals, r + PROJECTIONS, r)."""
-        return model.full.project_change(self._mesh(lengths), model.basis, np.column_stack([model.basis, model.test]))
 
     def _lengths(self, dimensions: Mapping[str, float]) -> Real:
         if self.chip is None:
