@@ -21,6 +21,7 @@ from workbench.fit.paper import PaperFit
 from workbench.fit.parameter import POLYMER_FOUR, TRANSDUCER_TEN
 from workbench.fit.prepare import Prepared, check_device, in_band, material_starts, prepare, together
 from workbench.fit.record import Source, fit_record, paper_result, refusals, registry_entry, source
+from workbench.merit import figures
 from workbench.operators import assemble
 from workbench.problem import build, chip_materials
 from workbench.reduce import reduce
@@ -184,6 +185,19 @@ def test_a_device_is_not_refused_for_its_ceramic(chip: Chip, recorded: Spectrum)
     for material in ("pzt5h/erturk_2011", "pic255/plutho"):  # clamped permittivities 663 to 1470
         filling = {"transducer": replace(Registry().load(material), density=7500.0)}
         check_device(recorded, chip, filling, name="recording")
+
+
+def test_a_mode_beside_the_antiresonance_is_no_other_capacitance(
+    chip: Chip, recorded: Spectrum, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between two modes of a thick disc it may belong to a weak one, and show a third of what there is or less."""
+    seen = figures(recorded)
+    assert seen.antiresonance is not None
+    weak = replace(seen.antiresonance, static_capacitance=0.1 * seen.antiresonance.static_capacitance)
+    monkeypatch.setattr("workbench.fit.prepare._resonance", lambda *_arguments: replace(seen, antiresonance=weak))
+    check(recorded, chip)
+    with pytest.raises(InputError, match="capacitance"):
+        check(Spectrum(recorded.frequency, 10.0 * recorded.impedance), chip)
 
 
 def test_a_resonance_where_the_device_has_none_is_refused(chip: Chip, recorded: Spectrum) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,15 +93,17 @@ class StateFit:
 class Refit:
     """The optimum of the known parameters together with those of some hypotheses (none: the base model).
 
-    ``x`` (p,) all parameters; ``chi_square`` of the data and the prior; ``estimate`` and ``error`` of the hypotheses'
-    own parameters by name; ``cost_of_freedom`` what their ranges cost (twice the logarithm of the Occam factor);
-    ``shifts`` known parameters in units of their prior; ``states`` one for each fitted state.
+    ``x`` (p,) all parameters; ``here`` the residuals there, without the predictions behind them; ``doubt`` the largest
+    estimated relative error of these; ``chi_square`` of the data and the prior; ``estimate`` and ``error`` of the
+    hypotheses' own parameters by name; ``cost_of_freedom`` what their ranges cost (twice the logarithm of the Occam
+    factor); ``shifts`` known parameters in units of their prior; ``states`` one for each fitted state.
     """
 
     effects: tuple[Effect, ...]
     search: Search
-    minimum: Minimum
+    x: Real
     here: Weighted
+    doubt: float
     chi_square: float
     points: int
     estimate: dict[str, float]
@@ -109,10 +111,6 @@ class Refit:
     cost_of_freedom: float
     shifts: dict[str, float]
     states: tuple[StateFit, ...]
-
-    @property
-    def x(self) -> Real:
-        return self.minimum.x
 
     @property
     def evidence(self) -> float:
@@ -167,7 +165,7 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     nominal = tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.fitted, stated.log_ratio, stated.impedance, strict=True))
     x = search.thinned().descend(search.centre, lambda: None).x
-    return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH)), x
+    return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH).x), x
 
 
 def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
@@ -207,7 +205,7 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
             full = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
         except NO_END:
             continue
-        found.append(gather(model, _judged(model, (effect,), search, full)))
+        found.append(gather(model, _judged(model, (effect,), search, full.x)))
     return scores, found
 
 
@@ -268,7 +266,7 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
         if best.cost < RIGHT * before:
             break
     found = search.minimise(best.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
-    ended = _judged(model, fit.effects, search, found)
+    ended = _judged(model, fit.effects, search, found.x)
     return (ended, best.x) if ended.chi_square < fit.chi_square - fit.worth else (fit, x)
 
 
@@ -287,8 +285,8 @@ def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
         model.fitted.surround(fit.x, reach, UNNEEDED)
         centre = fit.search.evaluate(fit.x, deviation).vector
         found = fit.search.minimise(fit.x, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3)
-        fit = _judged(model, fit.effects, fit.search, found)
-        if fit.here.data.error < TRUSTED or float(centre @ centre) - fit.chi_square < fit.worth:
+        fit = _judged(model, fit.effects, fit.search, found.x)
+        if fit.doubt < TRUSTED or float(centre @ centre) - fit.chi_square < fit.worth:
             break
     return fit
 
@@ -304,7 +302,7 @@ def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence
         found = search.minimise(begin, deviation, limit=STEPS, tolerance=ENOUGH)
     except NO_END:
         return None
-    return _judged(model, tuple(effects), search, found)
+    return _judged(model, tuple(effects), search, found.x)
 
 
 def _begun(
@@ -334,8 +332,8 @@ def _begun(
     return search, min(begins, key=lambda begin: float(np.sum(search.evaluate(begin, deviation).vector ** 2)))
 
 
-def _judged(model: Model, effects: tuple[Effect, ...], search: Search, minimum: Minimum) -> Refit:
-    full = search.evaluate(minimum.x, model.deviations())
+def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) -> Refit:
+    full = search.evaluate(x, model.deviations())
     estimate: dict[str, float] = {}
     error: dict[str, float] = {}
     cost = 0.0
@@ -355,21 +353,23 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, minimum: 
         for k, name in enumerate(unique):
             i = model.index(name)
             width = model.parameters[i].high - model.parameters[i].low
-            estimate[name] = float(minimum.x[i])
+            estimate[name] = float(x[i])
             error[name] = float(min(np.sqrt(max(covariance[k, k], 0.0)), width))
         own_ranges = [model.parameters[model.index(n)] for n in unique]
         widths = np.array([p.high - p.low for p in own_ranges])
         # The volume of the ranges over that of the posterior, none of whose axes is longer than a range.
         relative = np.clip(np.linalg.eigvalsh(covariance / np.outer(widths, widths)), 1e-30, 1.0 / (2.0 * np.pi))
         cost = float(-np.sum(np.log(2.0 * np.pi * relative)))
-    shifts = {p.name: float((minimum.x[i] - p.start) / p.prior) for i, p in enumerate(model.parameters[:model.known])
+    shifts = {p.name: float((x[i] - p.start) / p.prior) for i, p in enumerate(model.parameters[:model.known])
               if p.prior is not None}
     states = []
     for log, impedance, state in zip(full.data.log_ratio, full.data.impedance, model.campaign.fitted, strict=True):
         states.append(state_fit(state.name, log, impedance, state.noise))
     points = sum(log.size for log in full.data.log_ratio)
-    return Refit(effects, search, minimum, full, float(full.vector @ full.vector), points, estimate, error, cost,
-                 shifts, tuple(states))
+    # Predictions hold the bases they were made on.
+    here = replace(full, data=replace(full.data, predictions=()))
+    return Refit(effects, search, x, here, full.data.error, float(full.vector @ full.vector), points, estimate, error,
+                 cost, shifts, tuple(states))
 
 
 def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> StateFit:

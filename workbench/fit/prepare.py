@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -252,9 +253,11 @@ def check_device(measured: Spectrum, chip: Chip, materials: Mapping[str, Materia
     transducer = materials[TRANSDUCER]
     assert isinstance(transducer, Piezoelectric)
     merit = _resonance(measured, name)
-    capacitance = _static_capacitance(measured, merit)
     clamped, free = _capacitances(chip, transducer)
-    if not clamped / CAPACITANCE_FACTOR <= capacitance <= free * CAPACITANCE_FACTOR:
+    # How many times it is too small or too large; any one may be misled, by a mode beside the antiresonance for one.
+    off = {value: max(clamped / value, value / free) for value in _static_capacitances(measured, merit)}
+    capacitance = min(off, key=lambda value: off[value])
+    if off[capacitance] > CAPACITANCE_FACTOR:
         raise InputError(name, "capacitance", f"{1e12 * capacitance:.0f} pF measured",
                          f"near the {1e12 * clamped:.0f} pF (clamped) to {1e12 * free:.0f} pF (free) that {chip.file} "
                          f"gives: this recording is not of this device, or one of {_sizes(chip)} is wrong")
@@ -294,18 +297,17 @@ def _resonance(measured: Spectrum, name: str) -> Figures | None:
     return None
 
 
-def _static_capacitance(measured: Spectrum, merit: Figures | None) -> float:
-    """The clamped capacitance (F) that the recording shows: of the antiresonance, of the circuit, or a mean."""
-    if merit is not None:
-        anti: Antiresonance | None = merit.antiresonance
-        if anti is not None and math.isfinite(anti.static_capacitance) and anti.static_capacitance > 0.0:
-            return anti.static_capacitance
-        try:
-            return fit_resonance(measured, "bvd").parameters["C0"].value
-        except (ValueError, RuntimeError):
-            pass
+def _static_capacitances(measured: Spectrum, merit: Figures | None) -> list[float]:
+    """The clamped capacitance (F) that a recording shows: as a mean, and of the antiresonance or else the circuit."""
     # |Z| w C lies below one at resonances as far as above it at antiresonances.
-    return float(np.exp(-np.mean(np.log(2.0 * np.pi * measured.frequency * measured.magnitude))))
+    found = [float(np.exp(-np.mean(np.log(2.0 * np.pi * measured.frequency * measured.magnitude))))]
+    anti: Antiresonance | None = None if merit is None else merit.antiresonance
+    if anti is not None and math.isfinite(anti.static_capacitance) and anti.static_capacitance > 0.0:
+        found.append(anti.static_capacitance)
+    elif merit is not None:
+        with suppress(ValueError, RuntimeError):
+            found.append(fit_resonance(measured, "bvd").parameters["C0"].value)
+    return [value for value in found if value > 0.0]
 
 
 def _capacitances(chip: Chip, material: Piezoelectric) -> tuple[float, float]:
