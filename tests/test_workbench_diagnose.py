@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,10 @@ import pytest
 from workbench.cli import main
 from workbench.diagnose.campaign import read_campaign
 from workbench.diagnose.device import Model, model
-from workbench.diagnose.element_map import _changes
+from workbench.diagnose.locate import WIDTHS, changes, evidence, located
 from workbench.diagnose.refit import UNNEEDED
+from workbench.diagnose.score import Tangents
+from workbench.fit.joint import Search
 
 TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
 
@@ -115,12 +118,62 @@ def test_hypotheses_at_nothing_need_not_follow_small_moves_of_lengths(stated: Mo
     assert np.median(list(errors.values())) < 0.02
 
 
+@pytest.mark.parametrize("region", ["transducer", "substrate", "cavity", "superstrate"])
+def test_a_change_of_a_few_cells_is_found_in_their_region(stated: Model, region: str) -> None:
+    """Not a pattern that the regions are asked for, and no hypothesis: a ring of cells, softer, at 15 sigmas."""
+    x = np.array([p.start for p in stated.parameters])
+    deviation = stated.deviations()
+    free, lifted = stated.free(())
+    search = Search(stated.fitted, free=free, lifted=lifted)
+    here = search.evaluate(x, deviation)
+    hidden = np.zeros(here.vector.size)
+    start = 0
+    for k, state in enumerate(stated.campaign.fitted):
+        _, _, prediction = stated.fitted.predict(x, k)
+        operators, states = stated.fitted.predictors[k].expanded(prediction)
+        mesh = operators.mesh.mesh
+        count = state.noise.size
+        if region in mesh.subdomains:
+            cells = np.asarray(mesh.subdomains[region])
+            radius = mesh.p[0, mesh.t[:, cells]].mean(axis=0) / mesh.p[0, mesh.t[:, cells]].max()
+            ring = cells[np.abs(radius - 0.55) < 0.12]
+            seen = np.conj(changes(operators, states, prediction)[0, ring].sum(axis=0)) / state.noise
+            hidden[start : start + 2 * count] = np.concatenate([seen.real, seen.imag])
+        start += 2 * count
+    tangents = Tangents.at(search, here)
+    hidden = tangents.projected(hidden)
+    noise = np.random.default_rng(3).standard_normal(hidden.size)
+    found = located(stated, x, deviation, replace(
+        tangents, left=tangents.projected(noise) + 15.0 * hidden / np.linalg.norm(hidden)), ())
+    print(found[:3])
+    assert found[0][0] == region
+    assert 10.0 < found[0][2] < 16.0
+    nothing = located(stated, x, deviation, replace(tangents, left=tangents.projected(noise)), ())
+    # Noise alone: the widths were chosen by it, which is worth a sigma or two.
+    assert nothing[0][2] < 3.0
+
+
+def test_the_evidence_is_that_of_a_normal_residual() -> None:
+    """Against the density of the residual itself, whose covariance holds the patterns."""
+    rng = np.random.default_rng(2)
+    columns, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
+    residual += columns @ np.array([1.0, -0.5, 0.0, 0.7])
+
+    def twice_density(width: float) -> float:
+        covariance = np.eye(30) + width**2 * columns @ columns.T
+        return -float(residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(covariance)[1])
+
+    exact = max(twice_density(width) for width in WIDTHS) - twice_density(0.0)
+    assert evidence(columns, residual) == pytest.approx(exact, rel=1e-10)
+    assert exact > 10.0
+
+
 def test_the_map_adds_up_to_the_derivative_by_the_moduli(stated: Model) -> None:
     """All cells of the lid a little stiffer together are its glass a little stiffer."""
     x = np.array([p.start for p in stated.parameters])
     _, _, prediction = stated.fitted.predict(x, 1)
     operators, states = stated.fitted.predictors[1].expanded(prediction)
-    stiffness, mass = _changes(operators, states, prediction)
+    stiffness, mass = changes(operators, states, prediction)
     lid = operators.mesh.mesh.subdomains["superstrate"]
     names = ("glass/trial.bulk_modulus", "glass/trial.shear_modulus", "glass/trial.density")
     bulk, shear, density = (prediction.values[name] * slope

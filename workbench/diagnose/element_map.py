@@ -8,18 +8,16 @@ with the residual. Neighbours see much the same, so the map is smooth: it shows 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnose.device import Model
+from workbench.diagnose.locate import changes
 from workbench.diagnose.refit import UNNEEDED, Refit
 from workbench.fields import section_nodes
-from workbench.fit.predict import Prediction
 from workbench.nodal import NodalMesh
-from workbench.operators import FullOperators
-from workbench.physics.term import OPERATORS, Integral
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -47,7 +45,7 @@ def element_map(model: Model, fit: Refit) -> ElementMap:
         if k in shown:
             _, _, prediction = objective.predict(fit.x, k)
             if id(prediction.solution) not in known:
-                known[id(prediction.solution)] = (prediction, _changes(*objective.predictors[k].expanded(prediction),
+                known[id(prediction.solution)] = (prediction, changes(*objective.predictors[k].expanded(prediction),
                                                                        prediction))
             columns.append(known[id(prediction.solution)][1] / state.noise)
             rows.append(np.arange(start, start + 2 * count))
@@ -69,33 +67,6 @@ def element_map(model: Model, fit: Refit) -> ElementMap:
     order = np.concatenate([mesh.mesh.subdomains[name] for name in nodes.regions])
     return ElementMap(nodes, {kind: values[order] for kind, values in sigmas.items()},
                       tuple(states[k].name for k in shown))
-
-
-def _changes(operators: FullOperators, states: Complex, prediction: Prediction) -> Complex:
-    """d ln Z (2, cells, n), e^{-i w t}, by a relative change of stiffness and of mass of every cell."""
-    kinds = [_kind(integral) for integral in operators.integrals]
-    g = prediction.solution.coefficients
-    used = [q for q, kind in enumerate(kinds) if kind is not None and g[:, q].any()]
-    part = replace(operators, integrals=tuple(operators.integrals[q] for q in used))
-    result = np.zeros((2, operators.mesh.mesh.t.shape[1], g.shape[0]), dtype=complex)
-    for q, forms in zip(used, part.element_quadratic(states, states), strict=True):
-        cells = operators.places[operators.integrals[q].domain].elements
-        result[("stiffness", "mass").index(str(kinds[q]))][cells] += g[:, q] * forms
-    return result / prediction.solution.charge
-
-
-def _kind(integral: Integral) -> str | None:
-    """Whether an integral over cells stores what stiffness or what mass stores; None for all others."""
-    if integral.on_boundary:
-        return None
-    taken = {(component[0], kind == "value") for product in integral.products
-             for name in (product.row, product.column) for component, kind, _ in OPERATORS[name]}
-    components = {component for component, _ in taken}
-    if components == {"u"}:
-        return "mass" if all(value for _, value in taken) else "stiffness"
-    if components == {"p"}:
-        return "stiffness" if all(value for _, value in taken) else "mass"
-    return None
 
 
 def largest(found: ElementMap) -> Sequence[tuple[str, str, float]]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
+from workbench.diagnose.locate import Place, located
 from workbench.diagnose.score import Score, Tangents, columns, scores_at
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
@@ -160,7 +161,7 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     free, lifted = model.free(())
     search = Search(model.fitted, free=free, lifted=lifted)
     deviation = model.deviations()
-    model.fitted.surround(search.centre, _moves(model), UNNEEDED)
+    model.fitted.surround(search.centre, _moves(model, (), search.centre), UNNEEDED)
     stated = model.fitted(search.centre, deviation=deviation)
     nominal = tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.fitted, stated.log_ratio, stated.impedance, strict=True))
@@ -168,20 +169,22 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH).x), x
 
 
-def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
-    """Scores and the best single hypotheses where the data weigh little, about x (p,), the end of the way down.
+def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Refit]]:
+    """Location and the best single hypotheses where the data weigh little, about x (p,), the end of the way down.
 
     A strong effect strains the known parameters while it is missing: where the data weigh in full, hypotheses are asked
     what is left of it there, and the way back is long. With little weight (`joint.EXPLORATION`) those stay near what is
     known, and the best hypotheses are followed from there.
 
     Returns:
-        the scores with that weight, best first, and refits with full weight, each on bases of its own.
+        the location with that weight, and refits with full weight, each on bases of its own.
     """
     weak = _weak(base.search)
-    model.fitted.surround(x, _moves(model), UNNEEDED)
+    model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
     x = _glance(base.search.thinned(), x).x
-    scores = scores_at(model, base.search, x, base.search.evaluate(x, weak))
+    here = base.search.evaluate(x, weak)
+    scores = scores_at(model, base.search, x, here)
+    location = located(model, x, weak, Tangents.at(base.search, here), scores)
     ends: list[tuple[Effect, Search, Minimum]] = []
     for scored in scores[:FOLLOWED]:
         if scored.gain > WORTH * scores[0].gain:
@@ -195,22 +198,27 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[list[Score], list[Refit]]:
     for effect, search, end in sorted(ends, key=lambda each: each[2].cost):
         if RIGHT * end.cost > least or len(found) == KEPT:
             break
-        reach = _moves(model)
-        for name in effect.names:
-            i = model.index(name)
-            reach[name] = max(reach.get(name, 0.0), abs(float(end.x[i] - search.centre[i])))
-        model.fitted.surround(end.x, reach, UNNEEDED)
+        model.fitted.surround(end.x, _moves(model, (effect,), end.x), UNNEEDED)
         try:
             near = _glance(search.thinned(), end.x).x
             full = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
         except NO_END:
             continue
-        found.append(gather(model, _judged(model, (effect,), search, full.x)))
-    return scores, found
+        fit = gather(model, _judged(model, (effect,), search, full.x))
+        if not fit.good:
+            other, _ = elsewhere(model, fit, near)
+            fit = fit if other is fit else gather(model, other)
+        found.append(fit)
+    return location, found
 
 
-def _moves(model: Model) -> dict[str, float]:
-    return {p.name: MOVES * p.prior for p in model.parameters[:model.known] if p.prior}
+def _moves(model: Model, effects: Sequence[Effect], x: Real) -> dict[str, float]:
+    """How far known parameters may move, and those of `effects`: as far as they have come at x (p,)."""
+    reach = {p.name: MOVES * p.prior for p in model.parameters[:model.known] if p.prior}
+    for name in (name for effect in effects for name in effect.names):
+        i = model.index(name)
+        reach[name] = max(reach.get(name, 0.0), abs(float(x[i] - model.parameters[i].start)))
+    return reach
 
 
 def _weak(search: Search) -> list[float]:
@@ -245,12 +253,14 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
     levers = _levers(search, model.known, search.evaluate(x, _weak(search)))
     if not levers:
         return fit, x
+    centre = x.copy()
+    centre[: model.known] = search.centre[: model.known]
     corners = []
     for i, side in itertools.product(levers, CORNERS):
-        corner = search.centre.copy()
+        corner = centre.copy()
         corner[i] += side * search.scale[i]
         corners.append(corner)
-    model.fitted.surround(search.centre, _moves(model), UNNEEDED, corners)
+    model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED, corners)
     thin = search.thinned()
     best = _glance(thin, x)
     before = best.cost

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from workbench.diagnose.campaign import Campaign
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
+from workbench.diagnose.locate import Place, located
 from workbench.diagnose.refit import (
     GOOD_STATE,
     UNNEEDED,
@@ -106,7 +107,7 @@ class Diagnosis:
     singles: tuple[Refit, ...]
     pairs: tuple[Refit, ...]
     rivals: tuple[Rival, ...]
-    location: tuple[tuple[str, str, float], ...]
+    location: tuple[Place, ...]
     held_before: tuple[StateFit, ...]
     held_after: tuple[StateFit, ...]
     strayed: tuple[tuple[str, float], ...]
@@ -130,7 +131,6 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     started = time.perf_counter()
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
-    seen: list[Score] = []
     singles: list[Refit] = []
     strained = base.reduced > STRAINED
     if strained:
@@ -138,20 +138,19 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         base, end = elsewhere(model, base, end)
     if base.reduced > STRAINED:
         progress("strong effects", 0.2)
-        seen, singles = afar(model, base, end)
+        location, singles = afar(model, base, end)
     if any(_explains(base, fit) for fit in singles):
         scores = _scores(model, base)
     else:
-        base, scores, more = _near(model, base, progress)
+        base, scores, location, more = _near(model, base, progress)
         singles += more
     if not strained and not any(_explains(base, fit) for fit in (base, *singles)):
         progress("other basins", 0.6)
         other, _ = elsewhere(model, base, end)
         if other is not base:
-            base, scores, more = _near(model, other, progress)
+            base, scores, location, more = _near(model, other, progress)
             singles += more
     singles.sort(key=lambda f: f.evidence)
-    location = _location(seen or scores, scores)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
@@ -233,14 +232,17 @@ def _scores(model: Model, fit: Refit, effects: Sequence[Effect] | None = None) -
     return scores_at(model, fit.search, fit.x, fit.here, effects)
 
 
-def _near(model: Model, base: Refit, progress: Progress) -> tuple[Refit, list[Score], list[Refit]]:
-    """The base on bases of its own, the scores there, and refits of the hypotheses that these leave in the race.
+def _near(
+    model: Model, base: Refit, progress: Progress
+) -> tuple[Refit, list[Score], tuple[Place, ...], list[Refit]]:
+    """The base on bases of its own, scores and location there, and refits of the hypotheses left in the race.
 
     The best of them on bases of its own too.
     """
     progress("neighbourhood", 0.3)
     base = gather(model, base, _scores(model, base)[:SINGLES])
     scores = _scores(model, base)
+    location = located(model, base.x, model.deviations(), base.tangents(), scores)
     found = []
     wanted = [s for s in scores[:SINGLES] if s.gain > max(ACCEPTED, WORTH * scores[0].gain)]
     for number, scored in enumerate(wanted):
@@ -253,7 +255,7 @@ def _near(model: Model, base: Refit, progress: Progress) -> tuple[Refit, list[Sc
         progress(f"neighbourhood of {best.name}", 0.6)
         # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
         found = _with(found, best, gather(model, best, _further(model, best)[:PAIRS]))
-    return base, scores, found
+    return base, scores, location, found
 
 
 def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[Refit]:
@@ -274,7 +276,7 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
 
 def _judged(
     model: Model, nominal: tuple[StateFit, ...], base: Refit, weighed: Sequence[Weighed], scores: Sequence[Score],
-    location: tuple[tuple[str, str, float], ...], singles: Sequence[Refit], pairs: Sequence[Refit],
+    location: tuple[Place, ...], singles: Sequence[Refit], pairs: Sequence[Refit],
     held_before: tuple[StateFit, ...], seconds: float,
 ) -> Diagnosis:
     best, held_after = weighed[0]
@@ -335,21 +337,6 @@ def _inside(fit: Refit, name: str) -> bool:
     return True
 
 
-def _location(order: Sequence[Score], scores: Sequence[Score]) -> tuple[tuple[str, str, float], ...]:
-    """Regions and kinds, ranked by the most that one hypothesis there explains in `order`; how much, in `scores`."""
-    rank, best = _most(order), _most(scores)
-    return tuple((*key, best[key]) for key in sorted(rank, key=lambda key: -rank[key]))
-
-
-def _most(scores: Sequence[Score]) -> dict[tuple[str, str], float]:
-    """The most sigmas of any hypothesis of a region and kind."""
-    most: dict[tuple[str, str], float] = {}
-    for s in scores:
-        key = (s.effect.region, s.effect.kind)
-        most[key] = max(most.get(key, 0.0), s.sigmas)
-    return most
-
-
 def _closest(
     base: Refit, best: Refit, gained: float, held_before: Sequence[StateFit], held_after: Sequence[StateFit]
 ) -> str:
@@ -364,7 +351,7 @@ def _closest(
 
 def _statements(
     verdict: str, best: Refit, rivals: Sequence[Rival], strayed: Sequence[tuple[str, float]],
-    location: Sequence[tuple[str, str, float]],
+    location: Sequence[Place],
 ) -> list[str]:
     """What the verdict means, in sentences with figures."""
     result = []
