@@ -190,8 +190,8 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
             for (kind, values), (_, region, sigmas) in zip(where.sigmas.items(), largest(where), strict=True)]
     sections: Sequence[tuple[str, Sequence[Block]]] = [
         ("What differs, and why", first),
-        ("Where", ["What each region and kind would explain at most, in standard deviations.", _location(found),
-                   *maps]),
+        ("Where", ["What changes of any pattern within each region would explain, in standard deviations, and of which "
+                   "kind most. Regions that come close cannot be told apart.", _location(found), *maps]),
         ("Hypotheses by the score test", [scores]), ("Hypotheses refitted", [refits]),
         ("Known parameters", [moved]),
         ("Effects with known constants", [
