@@ -64,8 +64,9 @@ class Prediction:
     """A predicted spectrum and what it would do if parameters moved.
 
     ``impedance`` (n,) ohm, e^{+j w t}; ``model`` the reduced one it is of, perhaps of some integrals only (see
-    `Predictor`); ``values`` complex parameters, e^{-i w t}; ``dimensions`` lengths in metres; ``slopes`` by each free
-    dimension d ln Z / d dimension (n,), 1/m, e^{-i w t}, as soon as it was asked for.
+    `Predictor`); ``values`` complex parameters, e^{-i w t}; ``dimensions`` lengths in metres; ``changes`` tells of each
+    of these the integrals whose matrices it moves (k,) and their derivatives (k, r, r), 1/m; ``slopes`` holds what
+    :meth:`logarithmic_slope` found.
     """
 
     solution: Solution
@@ -88,6 +89,7 @@ class Prediction:
         """d ln Z / d theta (n, len(names)) by complex parameters, e^{-i w t} on both sides.
 
         For ln Z of a spectrum take the conjugate: by the real part of theta conj(d), by its imaginary part conj(i d).
+        Zero by what nothing here depends on.
         """
         depending = dependence(self.solution.operators.integrals)
         known = [column for column, name in enumerate(names) if name in depending]
@@ -132,7 +134,8 @@ class _Expansion:
 
         The matrices of the others stay those of the centre.
         """
-        moving = moving[: moving.size * bool(self.centre.size)]
+        if not self.centre.size:
+            moving = moving[:0]
         known = self._latest
         if known is None or not (np.array_equal(known[0], integrals) and np.array_equal(known[1], moving)):
             missing = np.array([q for q in moving if q not in self._rows], dtype=int)
