@@ -71,6 +71,10 @@ AT_END = 1e-4
 #: second number of what the best one does; at most the third number of them, all about as good, to the end.
 FOLLOWED, WORTH, KEPT = 6, 0.3, 2
 
+#: One that leaves less than this share of what the known parameters alone leave, and not nothing, may have ended in a
+#: wrong basin.
+ROUGHLY = 0.3
+
 #: With the lever held, so many times the cost of the best end is no reason to let it go there; an end that costs less
 #: than this share of another is in another basin, the right one.
 PROMISING, RIGHT = 2.5, 0.75
@@ -205,7 +209,7 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
         except NO_END:
             continue
         fit = gather(model, _judged(model, (effect,), search, full.x))
-        if not fit.good:
+        if not fit.good and fit.reduced - 1.0 < ROUGHLY * (base.reduced - 1.0):
             other, _ = elsewhere(model, fit, near)
             fit = fit if other is fit else gather(model, other)
         found.append(fit)
