@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from skfem import Basis, FacetBasis
+from skfem import Basis, Dofs, FacetBasis
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefQuad
 
@@ -158,9 +158,22 @@ def _volume_place(
     for share in np.unique(np.round(left_out[left_out <= 1.0 - SAME_SHAPE], 9)):
         kept = np.abs(left_out - share) < SAME_SHAPE
         rule = (np.stack([share + (1.0 - share) * points[0], points[1]]), (1.0 - share) * weights)
-        basis = Basis(mesh.mesh, Lagrange(mesh.order), elements=cells[kept], quadrature=rule)
-        parts.append(_tabulate(basis, cells[kept]))
+        parts.append(_cells(mesh, cells[kept], *rule))
     return _together(parts)
+
+
+def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
+    """Some cells, which are rectangles, at local points (2, nq) of weights (nq,)."""
+    element = Lagrange(mesh.order)
+    corners = mesh.mesh.p[:, mesh.mesh.t[:, cells]]
+    (width, height), low = corners[:, 2] - corners[:, 0], corners[0, 0]
+    values, slopes = zip(*(element.lbasis(points, i) for i in range(len(element.indices))), strict=True)
+    value, (along, across) = np.stack(values, axis=-1), np.stack(slopes, axis=-1)  # (nq, nb) each
+    r = low[:, None] + width[:, None] * points[0]
+    shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along / width[:, None, None],
+              "d_z": across / height[:, None, None], "over_r": value / r[:, :, None]}
+    return Place(Dofs(mesh.mesh, element).element_dofs[:, cells],
+                 2.0 * np.pi * r * (width * height)[:, None] * weights, shapes, cells)
 
 
 def _together(parts: Sequence[Place]) -> Place:
@@ -228,7 +241,7 @@ def _reshaped(mesh: SectionMesh, other: SectionMesh) -> NDArray[np.bool_]:
     return np.asarray((np.abs(corners[1] - corners[0]).max(axis=1) > SAME_SHAPE * size).any(axis=0))
 
 
-def _tabulate(basis: Basis | FacetBasis, elements: NDArray[np.int64]) -> Place:
+def _tabulate(basis: FacetBasis, elements: NDArray[np.int64]) -> Place:
     r = np.asarray(basis.global_coordinates())[0]
     functions = [basis.basis[i][0] for i in range(basis.Nbfun)]
     shape = r.shape
@@ -261,8 +274,11 @@ class FullOperators:
         """Operators of the unknowns `columns` (size, n) at the quadrature points of `place`: (ne, nq, n) by name."""
         names = list(operators)
         parts = {part: None for name in names for part in OPERATORS[name]}
-        padded = np.vstack([columns, np.zeros((1, columns.shape[1]), dtype=columns.dtype)])  # row -1: not an unknown
-        local = {c: padded[self.numbering[c][place.dofs.T]] for c in {part[0] for part in parts}}
+        local = {}
+        for component in {part[0] for part in parts}:
+            rows = self.numbering[component][place.dofs.T]
+            local[component] = columns[rows]
+            local[component][rows < 0] = 0.0  # not an unknown
         taken: dict[Part, NDArray[np.inexact]] = {}
         for component, kind, factor in parts:
             part = place.shapes[kind] @ local[component]
