@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from skfem import Basis, Dofs, FacetBasis
+from skfem import Basis, Dofs
 from skfem.quadrature import get_quadrature
-from skfem.refdom import RefQuad
+from skfem.refdom import RefLine, RefQuad
 
 from geometry.mesh import SectionMesh
 from geometry.names import whole
@@ -163,27 +163,39 @@ def _volume_place(
 
 
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
-    """Some cells, which are rectangles, at local points (2, nq) of weights (nq,)."""
+    """Some cells, at local points (2, nq) of weights (nq,)."""
+    place, r, (width, height) = _tabulated(mesh, cells, points)
+    return replace(place, weights=2.0 * np.pi * r * (width * height)[:, None] * weights)
+
+
+def _tabulated(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Place, Real, Real]:
+    """Some cells, which are rectangles, at local points (2, nq), without weights.
+
+    Returns:
+        the place, the radii of its points (ne, nq), and the width and height of its cells (2, ne).
+    """
     element = Lagrange(mesh.order)
     corners = mesh.mesh.p[:, mesh.mesh.t[:, cells]]
-    (width, height), low = corners[:, 2] - corners[:, 0], corners[0, 0]
+    size, low = corners[:, 2] - corners[:, 0], corners[0, 0]
     values, slopes = zip(*(element.lbasis(points, i) for i in range(len(element.indices))), strict=True)
     value, (along, across) = np.stack(values, axis=-1), np.stack(slopes, axis=-1)  # (nq, nb) each
-    r = low[:, None] + width[:, None] * points[0]
-    shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along / width[:, None, None],
-              "d_z": across / height[:, None, None], "over_r": value / r[:, :, None]}
-    return Place(Dofs(mesh.mesh, element).element_dofs[:, cells],
-                 2.0 * np.pi * r * (width * height)[:, None] * weights, shapes, cells)
+    r = low[:, None] + size[0][:, None] * points[0]
+    shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along / size[0][:, None, None],
+              "d_z": across / size[1][:, None, None], "over_r": value / r[:, :, None]}
+    dofs = Dofs(mesh.mesh, element).element_dofs[:, cells]
+    return Place(dofs, np.zeros(r.shape), shapes, cells), r, size
 
 
 def _together(parts: Sequence[Place]) -> Place:
-    """Several parts of one region as one place."""
+    """Several parts of one region or boundary as one place."""
     if len(parts) == 1:
         return parts[0]
     shapes = {kind: np.concatenate([part.shapes[kind] for part in parts]) for kind in parts[0].shapes}
+    normals = [part.normal for part in parts if part.normal is not None]
     return Place(np.concatenate([part.dofs for part in parts], axis=1),
                  np.concatenate([part.weights for part in parts]), shapes,
-                 np.concatenate([part.elements for part in parts]))
+                 np.concatenate([part.elements for part in parts]),
+                 np.concatenate(normals, axis=1) if normals else None)
 
 
 def _facing_facets(
@@ -214,23 +226,34 @@ def _facing_place(near: Place, far: Place) -> Place:
     return Place(np.concatenate([near.dofs, far.dofs]), near.weights, shapes, near.elements, near.normal, far.normal)
 
 
+#: Of the sides of a cell in the order of the mesh: the local coordinate that is fixed there, where, and the normal.
+SIDES = ((1, 0, (0.0, -1.0)), (0, 1, (1.0, 0.0)), (1, 1, (0.0, 1.0)), (0, 0, (-1.0, 0.0)))
+
+
 def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
-    basis = FacetBasis(mesh.mesh, Lagrange(mesh.order), facets=facets, intorder=2 * mesh.order + 1)
+    """Some facets, their points in order of radius or height, their normals out of `solid`."""
     owners = mesh.mesh.f2t[0, facets]
-    solid_cells = np.zeros(mesh.mesh.t.shape[1], dtype=bool)
-    solid_cells[mesh.mesh.subdomains[solid]] = True
-    sign = np.where(solid_cells[owners], 1.0, -1.0)
-    place = _tabulate(basis, owners)
-    # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
-    trace = np.abs(place.shapes["value"]).max(axis=1) > 1e-12
-    count = int(trace.sum(axis=1).min())
-    if not (trace.sum(axis=1) == count).all():
-        raise ModelError(f"a boundary of {solid!r} mixes facets with different numbers of functions")
-    keep = np.nonzero(trace)[1].reshape(-1, count)
-    shapes = {kind: np.take_along_axis(s, keep[:, None, :], axis=2) for kind, s in place.shapes.items()}
-    dofs = np.take_along_axis(place.dofs.T, keep, axis=1).T
-    normal = np.asarray(basis.normals) * sign[None, :, None]
-    return Place(np.ascontiguousarray(dofs), place.weights, shapes, owners, normal)
+    outwards = np.where(np.isin(owners, mesh.mesh.subdomains[solid]), 1.0, -1.0)
+    (along,), weights = get_quadrature(RefLine, 2 * mesh.order + 1)
+    sides = np.argmax(mesh.mesh.t2f[:, owners] == facets, axis=0)
+    indices = np.array(Lagrange(mesh.order).indices)
+    parts, order = [], []
+    for side, (fixed, end, normal) in enumerate(SIDES):
+        chosen = np.flatnonzero(sides == side)
+        if not chosen.size:
+            continue
+        place, r, size = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
+        # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
+        kept = np.flatnonzero(indices[:, fixed] == end * mesh.order)
+        parts.append(Place(place.dofs[kept], 2.0 * np.pi * r * size[1 - fixed][:, None] * weights,
+                           {kind: s[:, :, kept] for kind, s in place.shapes.items()}, place.elements,
+                           np.array(normal)[:, None, None] * outwards[chosen][:, None] * np.ones(r.shape)))
+        order.append(chosen)
+    whole, back = _together(parts), np.argsort(np.concatenate(order))
+    assert whole.normal is not None
+    return Place(np.ascontiguousarray(whole.dofs[:, back]), whole.weights[back],
+                 {kind: np.ascontiguousarray(s[back]) for kind, s in whole.shapes.items()}, owners,
+                 whole.normal[:, back])
 
 
 def _reshaped(mesh: SectionMesh, other: SectionMesh) -> NDArray[np.bool_]:
@@ -239,17 +262,6 @@ def _reshaped(mesh: SectionMesh, other: SectionMesh) -> NDArray[np.bool_]:
     corners[:, 1] -= corners[:, 1, :1].copy()
     size = np.ptp(corners, axis=2).max(axis=0)
     return np.asarray((np.abs(corners[1] - corners[0]).max(axis=1) > SAME_SHAPE * size).any(axis=0))
-
-
-def _tabulate(basis: FacetBasis, elements: NDArray[np.int64]) -> Place:
-    r = np.asarray(basis.global_coordinates())[0]
-    functions = [basis.basis[i][0] for i in range(basis.Nbfun)]
-    shape = r.shape
-    value = np.stack([np.broadcast_to(np.asarray(f), shape) for f in functions], axis=2)
-    gradient = np.stack([np.broadcast_to(np.asarray(f.grad), (2, *shape)) for f in functions], axis=3)
-    shapes = {"value": value, "d_r": gradient[0], "d_z": gradient[1], "over_r": value / r[:, :, None]}
-    shapes = {kind: np.ascontiguousarray(s) for kind, s in shapes.items()}
-    return Place(np.asarray(basis.element_dofs), 2.0 * np.pi * r * np.asarray(basis.dx), shapes, elements)
 
 
 @dataclass(frozen=True, eq=False)
