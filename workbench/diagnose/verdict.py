@@ -131,6 +131,7 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     started = time.perf_counter()
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
+    location: tuple[Place, ...] = ()
     singles: list[Refit] = []
     strained = base.reduced > STRAINED
     if strained:
@@ -142,7 +143,9 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     if any(_explains(base, fit) for fit in singles):
         scores = _scores(model, base)
     else:
-        base, scores, location, more = _near(model, base, progress)
+        base, scores, near, more = _near(model, base, progress)
+        # Where the known parameters are strained, what is left no longer tells where from.
+        location = location or near
         singles += more
     if not strained and not any(_explains(base, fit) for fit in (base, *singles)):
         progress("other basins", 0.6)
