@@ -164,15 +164,17 @@ def _volume_place(
 
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
     """Some cells, at local points (2, nq) of weights (nq,)."""
-    place, r, (width, height) = _tabulated(mesh, cells, points)
-    return replace(place, weights=2.0 * np.pi * r * (width * height)[:, None] * weights)
+    dofs, shapes, r, (width, height) = _tabulated(mesh, cells, points)
+    return Place(dofs, 2.0 * np.pi * r * (width * height)[:, None] * weights, shapes, cells)
 
 
-def _tabulated(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Place, Real, Real]:
-    """Some cells, which are rectangles, at local points (2, nq), without weights.
+def _tabulated(
+    mesh: SectionMesh, cells: NDArray[np.int64], points: Real
+) -> tuple[NDArray[np.int64], dict[str, Real], Real, Real]:
+    """Some cells, which are rectangles, at local points (2, nq).
 
     Returns:
-        the place, the radii of its points (ne, nq), and the width and height of its cells (2, ne).
+        dofs and shapes as of a `Place`, the radii of the points (ne, nq), and the widths and heights (2, ne).
     """
     element = Lagrange(mesh.order)
     corners = mesh.mesh.p[:, mesh.mesh.t[:, cells]]
@@ -182,8 +184,7 @@ def _tabulated(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tup
     r = low[:, None] + size[0][:, None] * points[0]
     shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along / size[0][:, None, None],
               "d_z": across / size[1][:, None, None], "over_r": value / r[:, :, None]}
-    dofs = Dofs(mesh.mesh, element).element_dofs[:, cells]
-    return Place(dofs, np.zeros(r.shape), shapes, cells), r, size
+    return Dofs(mesh.mesh, element).element_dofs[:, cells], shapes, r, size
 
 
 def _together(parts: Sequence[Place]) -> Place:
@@ -242,11 +243,11 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
         chosen = np.flatnonzero(sides == side)
         if not chosen.size:
             continue
-        place, r, size = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
+        dofs, shapes, r, size = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
         # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
         kept = np.flatnonzero(indices[:, fixed] == end * mesh.order)
-        parts.append(Place(place.dofs[kept], 2.0 * np.pi * r * size[1 - fixed][:, None] * weights,
-                           {kind: s[:, :, kept] for kind, s in place.shapes.items()}, place.elements,
+        parts.append(Place(dofs[kept], 2.0 * np.pi * r * size[1 - fixed][:, None] * weights,
+                           {kind: s[:, :, kept] for kind, s in shapes.items()}, owners[chosen],
                            np.array(normal)[:, None, None] * outwards[chosen][:, None] * np.ones(r.shape)))
         order.append(chosen)
     whole, back = _together(parts), np.argsort(np.concatenate(order))

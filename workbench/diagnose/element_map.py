@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnose.device import Model
-from workbench.diagnose.locate import changes
+from workbench.diagnose.locate import KINDS, cell_changes
 from workbench.diagnose.refit import UNNEEDED, Refit
 from workbench.fields import section_nodes
 from workbench.nodal import NodalMesh
@@ -38,24 +38,19 @@ def element_map(model: Model, fit: Refit) -> ElementMap:
     meshes = [predictor.problem.mesh for predictor in objective.predictors]
     mesh = max(meshes, key=lambda each: each.mesh.t.shape[1])
     shown = [k for k, each in enumerate(meshes) if each is mesh]
-    rows, columns, known = [], [], {}
+    rows, columns = [], []
     start = 0
-    for k, state in enumerate(states):
+    for k, (state, seen) in enumerate(zip(states, cell_changes(model, fit.x), strict=True)):
         count = state.noise.size
         if k in shown:
-            _, _, prediction = objective.predict(fit.x, k)
-            if id(prediction.solution) not in known:
-                known[id(prediction.solution)] = (prediction, changes(*objective.predictors[k].expanded(prediction),
-                                                                       prediction))
-            columns.append(known[id(prediction.solution)][1] / state.noise)
+            columns.append(seen.slopes / state.noise)
             rows.append(np.arange(start, start + 2 * count))
         start += 2 * count
     tangents = fit.tangents()
     within = np.concatenate(rows)
     basis, left = tangents.basis[within], tangents.left[within]
     sigmas = {}
-    # (kinds, cells, n) by state: stiffness and mass along the real axis, a loss along the imaginary one.
-    for kind, index, turn in (("stiffness", 0, 1.0), ("mass", 1, 1.0), ("loss", 0, -1j)):
+    for kind, (index, turn) in KINDS.items():
         slopes = [np.conj(turn * each[index]) for each in columns]
         whole = np.concatenate([part for slope in slopes for part in (slope.real.T, slope.imag.T)])
         # The other rows of a column are zero, of its projection they are not.

@@ -13,7 +13,8 @@ for at any frequency and quality, in every state.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from workbench.diagnose.score import Score, Tangents
 from workbench.fit.predict import Prediction
 from workbench.operators import FullOperators
 from workbench.physics.term import OPERATORS, Integral
+from workbench.solve import Solution
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -32,8 +34,9 @@ Place = tuple[str, str, float]
 #: Patches of a region: along its radius and along its height.
 RADIAL, AXIAL = 8, 2
 
-#: Frequencies and qualities of the modes that are looked for.
+#: Frequencies and qualities of the modes that are looked for, and what their kind is called.
 MODES, QUALITIES = 40, (60.0, 150.0, 400.0)
+MODE = "mode"
 
 #: Widths of the distribution of changes that are tried, relative.
 WIDTHS = np.logspace(-5.0, 1.0, 61)
@@ -53,55 +56,53 @@ def located(
     At x (p,), on bases about it; `scores` are asked of regions without cells (the bench). The square of the standard
     deviations is twice the logarithm of the evidence.
     """
-    patches: dict[tuple[str, str], dict[int, Real]] = {}
-    modes: dict[tuple[int, int, float, complex], Real] = {}
-    known: dict[int, tuple[FullOperators, Complex]] = {}
+    columns: dict[tuple[str, str, Hashable], Real] = {}
     start = 0
-    for k, recording in enumerate(model.fitted.recordings):
+    for seen, recording, spread in zip(cell_changes(model, x), model.fitted.recordings, deviation, strict=True):
         frequency = recording.measured.frequency
-        impedance, _, prediction = model.fitted.predict(x, k)
         rows = slice(start, start + 2 * frequency.size)
         start = rows.stop
-
-        def add(column: Real, slope: Complex, rows: slice = rows, spread: Real | float = deviation[k]) -> None:
+        for key, slope in (*_patterns(seen), *_modes(seen, frequency)):
+            column = columns.setdefault(key, np.zeros(tangents.left.size))
             column[rows] += np.concatenate([(slope / spread).real, (slope / spread).imag])
+    keys, projected = list(columns), tangents.projected(np.stack(list(columns.values()), axis=1))
 
-        solution = id(prediction.solution)
-        if solution not in known:
-            operators, states = model.fitted.predictors[k].expanded(prediction)
-            known[solution] = operators, changes(operators, states, prediction)
-        operators, slopes = known[solution]
-        for region, patch in _patches(operators):
-            for kind, (index, turn) in KINDS.items():
-                columns = patches.setdefault((region, kind), {})
-                for number in np.unique(patch):
-                    column = columns.setdefault(int(number), np.zeros(tangents.left.size))
-                    cells = np.asarray(operators.mesh.mesh.subdomains[region])[patch == number]
-                    add(column, np.conj(turn * slopes[index, cells].sum(axis=0)))
-        same = list(known).index(solution)
-        for number, centre in enumerate(np.linspace(frequency[0], frequency[-1], MODES)):
-            for quality in QUALITIES:
-                width = 1j * frequency * centre / quality
-                # d ln Z = -Z dY, in units of the band's mean admittance.
-                slope = -impedance / np.mean(np.abs(impedance)) * width / (centre**2 - frequency**2 + width)
-                for turn in (1.0, 1j):
-                    add(modes.setdefault((same, number, quality, turn), np.zeros(tangents.left.size)), turn * slope)
+    def sigmas(place: str, *kinds: str) -> float:
+        chosen = [k for k, (region, kind, _) in enumerate(keys) if region == place and kind in kinds]
+        return float(np.sqrt(evidence(projected[:, chosen], tangents.left)))
 
-    def sigmas(columns: Sequence[Real]) -> float:
-        return float(np.sqrt(evidence(tangents.projected(np.stack(columns, axis=1)), tangents.left)))
-
-    found: dict[str, list[tuple[float, str]]] = {}
-    for region in dict.fromkeys(region for region, _ in patches):
-        of_kinds = {kind: list(patches[region, kind].values()) for kind in KINDS}
-        best = max(of_kinds, key=lambda kind: sigmas(of_kinds[kind]))
-        found[region] = [(sigmas([column for each in of_kinds.values() for column in each]), best)]
-    found.setdefault(TRANSDUCER, []).append((sigmas(list(modes.values())), "mode"))
+    found: dict[str, tuple[float, str]] = {}
+    for region in dict.fromkeys(region for region, _, _ in keys):
+        found[region] = (sigmas(region, *KINDS), max(KINDS, key=lambda kind: sigmas(region, kind)))
+    found[TRANSDUCER] = max(found[TRANSDUCER], (sigmas(TRANSDUCER, MODE), MODE))
     for region in dict.fromkeys(s.effect.region for s in scores if s.effect.region not in found):
         own = [s for s in scores if s.effect.region == region]
         unit = [column / max(np.linalg.norm(column), 1e-300) for s in own for column in s.tangent.T]
-        found[region] = [(sigmas(unit), max(own, key=lambda s: s.gain).effect.kind)]
-    ranked = sorted(((region, *max(each)) for region, each in found.items()), key=lambda item: -item[1])
-    return tuple((region, kind, size) for region, size, kind in ranked)
+        found[region] = (float(np.sqrt(evidence(tangents.projected(np.stack(unit, axis=1)), tangents.left))),
+                         max(own, key=lambda s: s.gain).effect.kind)
+    ranked = sorted(found.items(), key=lambda item: -item[1][0])
+    return tuple((region, kind, size) for region, (size, kind) in ranked)
+
+
+def _patterns(seen: Seen) -> Iterator[tuple[tuple[str, str, Hashable], Complex]]:
+    """What every patch of a state may be, and d ln Z (n,) by that."""
+    for region, patch in _patches(seen.operators):
+        cells = np.asarray(seen.operators.mesh.mesh.subdomains[region])
+        for kind, (index, turn) in KINDS.items():
+            for number in np.unique(patch):
+                slopes = seen.slopes[index, cells[patch == number]].sum(axis=0)
+                yield (region, kind, int(number)), np.conj(turn * slopes)
+
+
+def _modes(seen: Seen, frequency: Real) -> Iterator[tuple[tuple[str, str, Hashable], Complex]]:
+    """Modes that a state, and those with the same solution, may have besides, and d ln Z (n,) by them."""
+    for centre in np.linspace(frequency[0], frequency[-1], MODES):
+        for quality in QUALITIES:
+            width = 1j * frequency * centre / quality
+            # d ln Z = -Z dY, in units of the band's mean admittance.
+            slope = -seen.impedance / np.mean(np.abs(seen.impedance)) * width / (centre**2 - frequency**2 + width)
+            for turn in (1.0, 1j):
+                yield (TRANSDUCER, MODE, (id(seen.slopes), centre, quality, turn)), turn * slope
 
 
 def evidence(columns: Real, residual: Real) -> float:
@@ -128,6 +129,33 @@ def _patches(operators: FullOperators) -> list[tuple[str, NDArray[np.int64]]]:
         share = (corners.mean(axis=1) - low[:, None]) / (high - low)[:, None]
         along, up = np.minimum((share.T * [RADIAL, AXIAL]).astype(int).T, [[RADIAL - 1], [AXIAL - 1]])
         found.append((region, along * AXIAL + up))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A state as predicted: its impedance (n,) ohm, and ``slopes`` (2, cells, n) as of :func:`changes`.
+
+    States of one solution share their slopes.
+    """
+
+    impedance: Complex
+    operators: FullOperators
+    slopes: Complex
+
+
+def cell_changes(model: Model, x: Real) -> list[Seen]:
+    """Every fitted state at x (p,), on bases about it."""
+    found: list[Seen] = []
+    known: list[tuple[Solution, FullOperators, Complex]] = []
+    for k, predictor in enumerate(model.fitted.predictors):
+        impedance, _, prediction = model.fitted.predict(x, k)
+        same = next((each for each in known if each[0] is prediction.solution), None)
+        if same is None:
+            operators, states = predictor.expanded(prediction)
+            same = prediction.solution, operators, changes(operators, states, prediction)
+            known.append(same)
+        found.append(Seen(impedance, *same[1:]))
     return found
 
 

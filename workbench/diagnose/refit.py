@@ -209,11 +209,16 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
         except NO_END:
             continue
         fit = gather(model, _judged(model, (effect,), search, full.x))
-        if not fit.good and fit.reduced - 1.0 < ROUGHLY * (base.reduced - 1.0):
+        if not fit.good and leaves_less(fit, base, ROUGHLY):
             other, _ = elsewhere(model, fit, near)
             fit = fit if other is fit else gather(model, other)
         found.append(fit)
     return location, found
+
+
+def leaves_less(fit: Refit, base: Refit, share: float) -> bool:
+    """Whether a fit leaves less than a share of what the base leaves and noise does not explain."""
+    return fit.reduced - 1.0 < share * (base.reduced - 1.0)
 
 
 def _moves(model: Model, effects: Sequence[Effect], x: Real) -> dict[str, float]:

@@ -24,6 +24,7 @@ from workbench.diagnose.refit import (
     base_fit,
     elsewhere,
     gather,
+    leaves_less,
     predicted,
     refit,
 )
@@ -197,7 +198,7 @@ def _left(model: Model, fit: Refit) -> float:
 
 def _explains(base: Refit, fit: Refit) -> bool:
     """Whether a fit leaves nothing but noise, or next to nothing of what the base leaves."""
-    return fit.good or fit.reduced - 1.0 < REMNANT * (base.reduced - 1.0)
+    return fit.good or leaves_less(fit, base, REMNANT)
 
 
 def _complete(base: Refit, fit: Refit, left: float) -> bool:

@@ -64,16 +64,15 @@ class Prediction:
     """A predicted spectrum and what it would do if parameters moved.
 
     ``impedance`` (n,) ohm, e^{+j w t}; ``model`` the reduced one it is of, perhaps of some integrals only (see
-    `Predictor`); ``values`` complex parameters, e^{-i w t}; ``dimensions`` lengths in metres; ``changes`` tells of each
-    of these the integrals whose matrices it moves (k,) and their derivatives (k, r, r), 1/m; ``slopes`` holds what
-    :meth:`logarithmic_slope` found.
+    `Predictor`); ``values`` complex parameters, e^{-i w t}; ``dimensions`` lengths in metres; ``part``
+    of an expansion it was made with; ``slopes`` holds what :meth:`logarithmic_slope` found.
     """
 
     solution: Solution
     model: ReducedModel
     values: Mapping[str, complex]
     dimensions: Mapping[str, float]
-    changes: Callable[[str], tuple[Integers, Real]]
+    part: _Part
     slopes: dict[str, Complex] = field(default_factory=dict)
 
     @property
@@ -103,7 +102,8 @@ class Prediction:
         if dimension not in self.slopes:
             states, operators = self.solution.states, self.solution.operators
             groups = frequency_groups(operators.integrals, self.solution.omega, self.values)
-            integrals, matrices = self.changes(dimension)
+            lengths = np.array(list(self.dimensions.values()))
+            integrals, matrices = self.part.slope(list(self.dimensions).index(dimension), lengths)
             change = sum(factors * np.einsum("in,in->n", states, combined(constants[integrals], matrices) @ states)
                          for factors, constants in groups)
             # ln Z = -ln Q + const, dQ = -x^T (dA) x
@@ -255,7 +255,6 @@ class Predictor:
         self.solves = 0
         self._expansion: _Expansion | None = None
         self._latest: Prediction | None = None
-        self._part: _Part | None = None
         self._assembled: dict[tuple[float, ...], FullOperators] = {}
 
     def __call__(
@@ -331,9 +330,9 @@ class Predictor:
         """
         if self._expansion is None:
             return
+        every = np.arange(len(self._expansion.model.operators.integrals))
         states = []
         for values, dimensions in settings:
-            every = np.arange(len(self._expansion.model.operators.integrals))
             model = self._expansion.part(every, every).at(self._lengths(dimensions))
             states.append(model.solve(self.frequencies, {**self.problem.values, **values}).states)
         first, others = states[0], [other - states[0] for other in states[1:]]
@@ -353,36 +352,35 @@ class Predictor:
     def _predict(
         self, expansion: _Expansion, values: Mapping[str, complex], lengths: Real, wanted: Sequence[str] | None
     ) -> Prediction:
-        integrals, moving = self._needed(expansion.model.operators.integrals, values, wanted)
+        omega = 2.0 * np.pi * self.frequencies
+        g = coefficients(expansion.model.operators.integrals, omega, values)
+        # Only what acts follows the dimensions; derivatives by what does not stay about as they are at the centre.
+        moving = np.flatnonzero(g.any(axis=0))
+        integrals = self._needed(expansion.model.operators.integrals, moving, values, wanted)
         part = expansion.part(integrals, moving)
         known = self._latest
-        if known is not None and part is self._part and list(known.dimensions.values()) == list(lengths):
-            # Another state of a device, or a step of what does not act here: the same coefficients, the same solution.
-            same = coefficients(part.model.operators.integrals, known.solution.omega, values)
-            if known.solution.frequency is self.frequencies and np.array_equal(same, known.solution.coefficients):
-                return replace(known, values=values)
-        self._part = part
+        # Another state of a device, or a step of what does not act here: the same coefficients, the same solution.
+        if (known is not None and part is known.part and list(known.dimensions.values()) == list(lengths)
+                and known.solution.frequency is self.frequencies
+                and np.array_equal(g[:, integrals], known.solution.coefficients)):
+            return replace(known, values=values)
         model = part.at(lengths)
         solution = model.solve(self.frequencies, values)
-        return Prediction(solution, model, values, dict(zip(self.names, lengths, strict=True)),
-                          lambda name: part.slope(self.names.index(name), lengths))
+        return Prediction(solution, model, values, dict(zip(self.names, lengths, strict=True)), part)
 
     def _needed(
-        self, integrals: tuple[Integral, ...], values: Mapping[str, complex], wanted: Sequence[str] | None
-    ) -> tuple[Integers, Integers]:
-        """Indices of the integrals that the spectrum or its derivatives by `wanted` depend on, and of the former alone.
-
-        Only these follow the dimensions; derivatives by what has no coefficient stay about as they are at the centre.
-        """
-        omega = 2.0 * np.pi * self.frequencies
-        moving = np.flatnonzero(coefficients(integrals, omega, values).any(axis=0))
+        self, integrals: tuple[Integral, ...], moving: Integers, values: Mapping[str, complex],
+        wanted: Sequence[str] | None,
+    ) -> Integers:
+        """Indices of the integrals that act (`moving`), or that the derivatives by `wanted` depend on."""
         if wanted is None:
-            return np.arange(len(integrals)), moving
+            return np.arange(len(integrals))
+        omega = 2.0 * np.pi * self.frequencies
         needed, depending = set(map(int, moving)), dependence(integrals)
         for name in wanted:
             needed.update(q for q in depending[name] if q not in needed
                           and integrals[q].coefficient.derivative(omega, values, name).any())
-        return np.array(sorted(needed)), moving
+        return np.array(sorted(needed))
 
     def _reaching(self, expansion: _Expansion, lengths: Real) -> _Expansion:
         """An expansion, on the same basis, that serves these lengths."""
