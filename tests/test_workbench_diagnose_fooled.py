@@ -1,4 +1,5 @@
-"""What fools a diagnosis: imitations, what one state cannot show, a bench that looks like damping, noise with a colour.
+"""What fools a diagnosis: imitations, what one state cannot show, a bench that looks like damping, noise with a colour,
+recordings that do not belong together.
 
 The recordings are the model's own with noise, so that nothing but the inference is on trial (other meshes, elements and
 physics: `tests/benchmarks/trials.py`).
@@ -14,9 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
+from inputs import InputError
 from materials.registry import user_registry
+from workbench.diagnose.belong import each_alone
 from workbench.diagnose.campaign import read_campaign
-from workbench.diagnose.device import ORDER, model
+from workbench.diagnose.device import ORDER, Model, model
+from workbench.diagnose.refit import base_fit
 from workbench.diagnose.verdict import Diagnosis, diagnose
 from workbench.fit.objective import through_bench
 from workbench.operators import assemble
@@ -67,12 +71,15 @@ class Bench:
         write_csv(Spectrum(FREQUENCIES, seen, NOISE * np.abs(seen)), self.folder / f"{name}.csv")
         self.states.append(f'[states.{name}]\nchip = "{chip}.toml"\nrecording = "{name}.csv"\ndrive = "{drive}"\n')
 
-    def diagnosed(self, known: Mapping[str, str]) -> Diagnosis:
-        """What is found in the states recorded so far."""
+    def model(self, known: Mapping[str, str]) -> Model:
+        """The model of the states recorded so far."""
         lines = ["[known]", *(f'"{name}" = "{error}"' for name, error in known.items())]
         path = self.folder / "campaign.toml"
         path.write_text("\n".join([*self.states, *lines]) + "\n")
-        return diagnose(model(read_campaign(path, materials=[MATERIALS]), cache=self.folder / "cache"))
+        return model(read_campaign(path, materials=[MATERIALS]), cache=self.folder / "cache")
+
+    def diagnosed(self, known: Mapping[str, str]) -> Diagnosis:
+        return diagnose(self.model(known))
 
 
 @pytest.fixture
@@ -143,3 +150,32 @@ def test_noise_with_a_colour_is_no_physics(bench: Bench, seed: int) -> None:
     found = bench.diagnosed(known)
     assert not named(found)
     assert any("no white noise" in text for text in found.findings)
+
+
+KNOWN = {**{f"{PZT}.{name}": "2 %" for name in ("c11", "c13", "c33", "e33", "eps33")}, f"{PZT}.c33.loss": "30 %",
+         **{f"{PLA}.{name}": "3 %" for name in ("shear_modulus", "bulk_modulus")}}
+
+
+def test_recordings_exchanged_between_states_are_refused(bench: Bench) -> None:
+    long = SAMPLE.replace('thickness = "1 mm"', 'thickness = "1.5 mm"').replace('"substrate"', '"sample"')
+    (bench.folder / "long.toml").write_text(long)
+    bench.record("short", "sample")
+    bench.record("long", "long")
+    short, other = bench.folder / "short.csv", bench.folder / "long.csv"
+    spare = short.rename(bench.folder / "spare.csv")
+    other.rename(short)
+    spare.rename(other)
+    with pytest.raises(InputError, match=r"campaign.toml: states\.short\.recording: received 'the one that "
+                                         r"states\.long should have, it seems'; .*as stated, but of 0\.00"):
+        bench.diagnosed(KNOWN)
+
+
+def test_recordings_of_two_devices_are_told_from_missing_physics(bench: Bench) -> None:
+    """A disc, and a sample on another disc: each alone is explained by what is known of it, both together are not."""
+    bench.record("disc", "disc")
+    bench.record("sample", "sample", factors={f"{PZT}.c33": 1.02, f"{PZT}.c13": 0.98, f"{PZT}.eps33": 1.03,
+                                              f"{PZT}.e33": 0.98})
+    device = bench.model(KNOWN)
+    _, base, _ = base_fit(device)
+    assert "explain disc (0." in (said := each_alone(device, base))
+    assert "each alone, but not together" in said

@@ -12,18 +12,20 @@ from numpy.typing import NDArray
 from workbench.diagnose import verdict
 
 
-def fit(reduced: float, good: bool = False, chi_square: float = 0.0) -> Any:
-    return SimpleNamespace(reduced=reduced, good=good, chi_square=chi_square, correlation=1.0, cost_of_freedom=0.0)
+def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: float = 1.0) -> Any:
+    return SimpleNamespace(reduced=reduced, good=good, chi_square=chi_square, strain=strain, correlation=1.0,
+                           cost_of_freedom=0.0)
 
 
-@pytest.mark.parametrize(("before", "after", "good", "explained"), [
-    (1.5, 1.05, True, True),   # nothing but noise is left
-    (14.0, 1.5, False, True),  # a strong effect, described to 4 %
-    (14.0, 3.0, False, False),
-    (1.8, 1.2, False, False),  # a quarter is left of what is no noise
+@pytest.mark.parametrize(("before", "after", "explained"), [
+    (1.5, fit(1.05, True), True),   # nothing but noise is left
+    (14.0, fit(1.5), True),         # a strong effect, described to 4 %
+    (14.0, fit(1.5, strain=5.0), False),  # by known parameters that are elsewhere
+    (14.0, fit(3.0), False),
+    (1.8, fit(1.2), False),  # a quarter is left of what is no noise
 ])
-def test_what_is_left_decides_whether_a_fit_explains(before: float, after: float, good: bool, explained: bool) -> None:
-    assert verdict._explains(fit(before), fit(after, good)) == explained
+def test_what_is_left_decides_whether_a_fit_explains(before: float, after: Any, explained: bool) -> None:
+    assert verdict._explains(fit(before), after) == explained
 
 
 @pytest.mark.parametrize(("base", "best", "left", "complete"), [
@@ -51,6 +53,15 @@ def test_a_hint_is_what_noise_hardly_gives(gain: float, numbers: int, correlatio
     assert verdict._hints(scored, correlation) == hint
 
 
+def test_what_leaves_little_and_hints_at_something_is_not_quiet() -> None:
+    """A wrong basin of a thin layer's thickness: chi-square 1.00, and a hypothesis that gains 42."""
+    weak: Any = SimpleNamespace(gain=8.0, error=np.array([0.1]))
+    strong: Any = SimpleNamespace(gain=42.0, error=np.array([0.1]))
+    assert verdict._quiet(fit(1.0, True), [weak])
+    assert not verdict._quiet(fit(1.0, True), [weak, strong])
+    assert not verdict._quiet(fit(1.3), [weak])
+
+
 def predicting(*states: NDArray[np.complex128]) -> Any:
     """An objective whose states are scaled by 1 + x."""
     return SimpleNamespace(predict=lambda x, index: ((1.0 + x[0]) * states[index],))
@@ -67,9 +78,25 @@ def test_the_next_measurement_is_where_the_rivals_differ_most() -> None:
                    for effect, shift in zip(effects, (0.0, 4e-4), strict=True))
     tangent = np.eye(4)[:, :1]
     scores: Any = [SimpleNamespace(effect=effect, tangent=tangent) for effect in effects]
-    rival: Any = verdict.Rival(other, 2.0)  # type: ignore[arg-type]
+    rival: Any = verdict.Rival(other, 2.0, False)  # type: ignore[arg-type]
     said = verdict._next(model, best, [rival], scores)  # type: ignore[arg-type]
     # 50 points of 4e-4 over 0.002: a chi-square of 2, a twelfth of what tells two apart twice over.
     assert said.startswith("Record filled again: bubbles and a gap differ most there, by a chi-square of 2.0; 6 times")
     assert "cosine of 1.000" in said
     assert verdict._next(model, best, [], scores) == ""  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("chi_square", "parameters", "effects", "held", "better"), [
+    (90.0, 1, 1, 0.0, True),
+    (90.0, 1, 1, 11.0, False),   # it predicts the states held out worse by more
+    (97.0, 2, 1, 0.0, True),
+    (99.0, 2, 1, 0.0, False),    # no better than chance for a further parameter
+    (50.0, 2, 2, 0.0, False),    # two effects always fit better than one
+])
+def test_a_better_fit_is_a_rival_whatever_its_ranges_cost(
+    chi_square: float, parameters: int, effects: int, held: float, better: bool
+) -> None:
+    best: Any = SimpleNamespace(chi_square=100.0, estimate={"a": 1.0}, effects=("one",))
+    other: Any = SimpleNamespace(chi_square=chi_square, estimate=dict.fromkeys("abc"[:parameters], 1.0),
+                                 effects=("one", "two")[:effects])
+    assert verdict._fits_better(other, best, held) == better

@@ -1,24 +1,31 @@
 """Trials of the diagnosis on devices in which an effect is concealed: how often it is right, how often it is fooled.
 
-    .venv/bin/python tests/benchmarks/trials.py make FOLDER [--trials 300] [--seed 1]
+    .venv/bin/python tests/benchmarks/trials.py make FOLDER [--trials 300] [--first 0] [--seed 1]
     .venv/bin/python tests/benchmarks/trials.py run FOLDER
-    .venv/bin/python tests/benchmarks/trials.py score FOLDER
+    .venv/bin/python tests/benchmarks/trials.py score FOLDER [--into OUTCOMES.csv]
+    .venv/bin/python tests/benchmarks/trials.py table OUTCOMES.csv
 
 `make` writes FOLDER/trials/NNNN (a campaign) and FOLDER/truth/NNNN.json; `run` diagnoses every campaign into
 FOLDER/found/NNNN.json and never opens the truth; `score` alone compares the two and prints the tables. The first two
-can be stopped at any time and go on where they were; several of them may work on one folder.
+can be stopped at any time and go on where they were; several of them may work on one folder. Hundreds of trials take
+many hours: `--into` adds what was scored to a file of outcomes, a line a trial with the commit that was tried, and
+`table` prints the tables of such a file; tests/data/trials/outcomes.csv holds those of the README.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
 import os
 import shutil
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +64,9 @@ def schedule(seed: int) -> Iterator[tuple[str, ...]]:
         number += 1
 
 
-def make(folder: Path, trials: int, seed: int) -> None:
-    """Write the trials that are not there yet."""
-    for number, mechanism in zip(range(trials), schedule(seed), strict=False):
+def make(folder: Path, first: int, trials: int, seed: int) -> None:
+    """Write those of the trials from number `first` on that are not there yet."""
+    for number, mechanism in islice(enumerate(schedule(seed)), first, first + trials):
         trial, truth = folder / "trials" / f"{number:04d}", folder / "truth" / f"{number:04d}.json"
         if trial.exists() or not _claimed(folder / "making", number):
             continue
@@ -77,6 +84,8 @@ def make(folder: Path, trials: int, seed: int) -> None:
 
 def run(folder: Path) -> None:
     """Diagnose the trials that are not diagnosed yet."""
+    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True,
+                            check=True).stdout.strip()
     for trial in sorted((folder / "trials").iterdir()):
         result = folder / "found" / f"{trial.name}.json"
         if result.exists() or not _claimed(folder / "running", int(trial.name)):
@@ -85,7 +94,7 @@ def run(folder: Path) -> None:
         with threadpool_limits(limits=1):
             campaign = read_campaign(trial / "campaign.toml")
             found = diagnose(model(campaign))
-        said = {**record(found), "cpu_seconds": time.process_time() - started}
+        said = {**record(found), "cpu_seconds": time.process_time() - started, "commit": commit}
         write_atomic(result, json.dumps(said, indent=1) + "\n")
         print(f"{trial.name} {found.verdict} {' and '.join(e.name for e in found.effects)} "
               f"{time.process_time() - started:.0f} s", flush=True)
@@ -186,14 +195,19 @@ class Outcome:
     detectability: float
     verdict: str
     said: str
+    place: str
     first: bool
     among: bool
     region: bool
     claimed: bool
-    covered: tuple[bool, ...]
+    wrong: int
+    rivals: int
+    intervals: int
+    covered: int
     held_out: float
     best_score: bool
     seconds: float
+    commit: str
 
 
 def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> Outcome:
@@ -212,26 +226,50 @@ def outcome(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> 
                     for n, value in true_values(truth, effect).items() if n in intervals)
     return Outcome(
         number, " and ".join(truth["mechanism"]), group, truth["detectability"], found["verdict"],
-        " and ".join(sorted(said)), bool(names) and names <= said,
+        " and ".join(sorted(said)), " and ".join(dict.fromkeys(where)), bool(names) and names <= said,
         bool(names) and (names <= said or any(names <= r for r in rivals)),
         any(TOUCHING.get(r, r) in regions for r in where),
-        found["verdict"] in CLAIMS, covered, max(s["after"]["reduced_chi_square"] for s in found["held_out"].values()),
-        found["scores"][0]["effect"] in said, found["cpu_seconds"])
+        found["verdict"] in CLAIMS, len(said - names), len(rivals), len(covered), sum(covered),
+        max(s["after"]["reduced_chi_square"] for s in found["held_out"].values()),
+        found["scores"][0]["effect"] in said, found["cpu_seconds"], found["commit"])
 
 
 #: Verdicts that name an effect.
 CLAIMS = ("missing_physics", "ambiguous")
 
 
-def score(folder: Path) -> None:
-    """Print what was concealed and what was said, and the rates the diagnosis is judged by."""
+def score(folder: Path, into: Path | None) -> None:
+    """Compare what was concealed and what was said, print that, and add it to a file of outcomes."""
     outcomes = []
     for path in sorted((folder / "found").glob("*.json")):
         truth = json.loads((folder / "truth" / path.name).read_text())
         outcomes.append(outcome(path.stem, truth, json.loads(path.read_text())))
+    if into is not None:
+        outcomes = sorted({o.number: o for o in (*read_outcomes(into), *outcomes)}.values(), key=lambda o: o.number)
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(field.name for field in fields(Outcome))
+        writer.writerows(map(astuple, outcomes))
+        write_atomic(into, text.getvalue())
+    table(outcomes)
+
+
+def read_outcomes(path: Path) -> list[Outcome]:
+    """The outcomes that were kept in a file; none if there is no such file."""
+    if not path.exists():
+        return []
+    kinds: Mapping[str, Callable[[str], Any]] = {"int": int, "float": float, "bool": "True".__eq__, "str": str}
+    with path.open(newline="") as file:
+        return [Outcome(**{field.name: kinds[str(field.type)](row[field.name]) for field in fields(Outcome)})
+                for row in csv.DictReader(file)]
+
+
+def table(outcomes: Sequence[Outcome]) -> None:
+    """Print outcome after outcome, and the rates the diagnosis is judged by."""
     for o in outcomes:
         print(f"{o.number} {o.group:8} {o.detectability:7.1f} {'first' if o.first else 'among' if o.among else '-':5} "
-              f"{'region' if o.region else '-':6} {o.held_out:5.2f} {o.mechanism:32} {o.verdict:18} {o.said}")
+              f"{'region' if o.region else '-':6} {o.held_out:5.2f} {o.rivals} {o.mechanism:32} {o.verdict:18} "
+              f"{o.said or o.place}")
 
     def rate(label: str, group: Sequence[Outcome], right: Callable[[Outcome], bool]) -> None:
         count = sum(right(o) for o in group)
@@ -243,11 +281,14 @@ def score(folder: Path) -> None:
     rate("detectable: right effect first", seen, lambda o: o.first and o.claimed)
     rate("detectable: right effect in the rival set", seen, lambda o: o.among and o.claimed)
     rate("detectable: right effect first, whatever the verdict", seen, lambda o: o.first)
+    rate("detectable: an effect named that is not there", seen, lambda o: o.wrong > 0)
     rate("detectable: right region", seen, lambda o: o.region)
-    covered = [c for o in seen if o.first for c in o.covered]
-    print(f"{'intervals of its parameters that hold the truth':62} {sum(covered):3} of {len(covered):3}")
+    first = [o for o in seen if o.first]
+    print(f"{'intervals of its parameters that hold the truth':62} {sum(o.covered for o in first):3} of "
+          f"{sum(o.intervals for o in first):3}")
     rate("detectable: held-out chi-square at most 1.3", seen, lambda o: o.held_out <= HELD)
     rate("score test names what the refits end with", [o for o in seen if o.claimed], lambda o: o.best_score)
+    rate("an explanation accepted: with rivals", [o for o in outcomes if o.claimed], lambda o: o.rivals > 0)
     rate("two at once: both found", by["pair"], lambda o: o.first)
     rate("nothing concealed: false alarm", by["nothing"], lambda o: o.claimed)
     rate("not detectable: claimed", by["below"], lambda o: o.claimed)
@@ -282,18 +323,22 @@ def _claimed(folder: Path, number: int) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("job", choices=("make", "run", "score"))
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("job", choices=("make", "run", "score", "table"))
+    parser.add_argument("folder", type=Path, help="of the trials; for `table`, a file of outcomes")
     parser.add_argument("--trials", type=int, default=300)
+    parser.add_argument("--first", type=int, default=0, help="number of the first trial")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--into", type=Path, help="file of outcomes that `score` adds to")
     options = parser.parse_args()
     match options.job:
         case "make":
-            make(options.folder, options.trials, options.seed)
+            make(options.folder, options.first, options.trials, options.seed)
         case "run":
             run(options.folder)
         case "score":
-            score(options.folder)
+            score(options.folder, options.into)
+        case "table":
+            table(read_outcomes(options.folder))
 
 
 if __name__ == "__main__":

@@ -324,17 +324,21 @@ def couplant(device: Device) -> Iterator[Effect]:
 
 
 def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
-    """Shear across a fluid layer between two solids."""
-    states = device.holding(region)
-    order = [layer.region for layer in states[0].chip.layers]
-    at = order.index(region)
-    if not 0 < at < len(order) - 1:
+    """Shear across a fluid layer between two solids, which may be others in another state."""
+
+    def around(state: DeviceState) -> tuple[str, ...]:
+        order = [layer.region for layer in state.chip.layers]
+        at = order.index(region)
+        return tuple(order[max(at - 1, 0):at] + order[at + 1:at + 2])
+
+    states = [state for state in device.holding(region) if len(around(state)) == 2]
+    if not states:
         return
-    below, above = order[at - 1], order[at + 1]
     root, modulus = f"{fluid.name}.gel_viscosity_root", f"{fluid.name}.gel_shear_modulus"
     limits = {root: couplant_shear.ADMISSIBLE["gel_viscosity_root"]}
 
     def viscous(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        below, above = around(state)
         term = couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
                                             below, above)
         return (term,), {root: 0.0, modulus: 0.0, f"{region}.thickness": state.chip.layer(region).thickness.value}

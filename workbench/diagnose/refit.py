@@ -71,8 +71,11 @@ AT_END = 1e-4
 #: second number of what the best one does; at most the third number of them, all about as good, to the end.
 FOLLOWED, WORTH, KEPT = 6, 0.3, 2
 
-#: One that leaves less than this share of what the known parameters alone leave, and not nothing, may have ended in a
-#: wrong basin.
+#: Such a way is followed on new bases while that takes the cost below this share, at most so many times.
+ONWARD, ROUNDS = 0.9, 12
+
+#: One that leaves less than this share of what the known parameters alone leave is worth bases of its own, and may, if
+#: it leaves more than noise, have ended in a wrong basin.
 ROUGHLY = 0.3
 
 #: With the lever held, so many times the cost of the best end is no reason to let it go there; an end that costs less
@@ -142,6 +145,11 @@ class Refit:
         return self.reduced < GOOD and all(s.reduced < GOOD_STATE for s in self.states)
 
     @property
+    def strain(self) -> float:
+        """How far the known parameters are from what is known of them, in its units (rms)."""
+        return float(np.sqrt(np.mean(np.square(list(self.shifts.values()))))) if self.shifts else 0.0
+
+    @property
     def worth(self) -> float:
         """A fall of chi-square that is worth a further step."""
         return SAME + SHARE * max(self.chi_square - 2.0 * self.points, 0.0)
@@ -181,7 +189,7 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
     known, and the best hypotheses are followed from there.
 
     Returns:
-        the location with that weight, and refits with full weight, each on bases of its own.
+        the location with that weight, and refits with full weight, those that leave little on bases of their own.
     """
     weak = _weak(base.search)
     model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
@@ -202,18 +210,27 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
     for effect, search, end in sorted(ends, key=lambda each: each[2].cost):
         if RIGHT * end.cost > least or len(found) == KEPT:
             break
-        model.fitted.surround(end.x, _moves(model, (effect,), end.x), UNNEEDED)
         try:
-            near = _glance(search.thinned(), end.x).x
+            near = _followed(model, effect, search, end).x
             full = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
         except NO_END:
             continue
-        fit = gather(model, _judged(model, (effect,), search, full.x))
-        if not fit.good and leaves_less(fit, base, ROUGHLY):
-            other, _ = elsewhere(model, fit, near)
-            fit = fit if other is fit else gather(model, other)
+        fit = _judged(model, (effect,), search, full.x)
+        if leaves_less(fit, base, ROUGHLY):
+            fit = gather(model, fit)
+            fit = fit if fit.good else gathered_elsewhere(model, fit, near)
         found.append(fit)
     return location, found
+
+
+def _followed(model: Model, effect: Effect, search: Search, end: Minimum) -> Minimum:
+    """The end of the way of a hypothesis where the data weigh little, on bases made anew as long as it leads on."""
+    for _ in range(ROUNDS):
+        model.fitted.surround(end.x, _moves(model, (effect,), end.x), UNNEEDED)
+        before, end = end.cost, _glance(search.thinned(), end.x)
+        if end.cost > ONWARD * before:
+            break
+    return end
 
 
 def leaves_less(fit: Refit, base: Refit, share: float) -> bool:
@@ -287,6 +304,12 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
     found = search.minimise(best.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
     ended = _judged(model, fit.effects, search, found.x)
     return (ended, best.x) if ended.chi_square < fit.chi_square - fit.worth else (fit, x)
+
+
+def gathered_elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
+    """`fit`, or a better one from another basin about x (p,) on bases of its own (:func:`elsewhere`)."""
+    other, _ = elsewhere(model, fit, x)
+    return fit if other is fit else gather(model, other)
 
 
 def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:

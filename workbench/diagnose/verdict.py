@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from workbench.diagnose.belong import check_assignment, each_alone
 from workbench.diagnose.campaign import Campaign
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
@@ -24,6 +25,7 @@ from workbench.diagnose.refit import (
     base_fit,
     elsewhere,
     gather,
+    gathered_elsewhere,
     leaves_less,
     predicted,
     refit,
@@ -61,8 +63,9 @@ CORRELATED = 2.0
 
 #: A strong effect is explained where no more than this share of what the known parameters leave is left: a ring whose
 #: edge lies between two of the catalogue's is described to a few per cent of what it does. Neither must any further
-#: hypothesis take more than this share of what it explains.
-REMNANT = 0.1
+#: hypothesis take more than this share of what it explains, nor may the known parameters have left what is known of
+#: them by more than the second number of uncertainties (rms): in the right place they need not.
+REMNANT, STRAY = 0.1, 2.0
 
 #: A known parameter that left what was known of it by more than this many uncertainties is a finding of its own.
 STRAYED = 3.5
@@ -82,10 +85,14 @@ DETECTED = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """An explanation that the data cannot rule out: its evidence beside the best one's, in the same units."""
+    """An explanation that the data cannot rule out: how far its evidence is behind the best one's, in the same units.
+
+    ``fits_better``: what it loses, it loses by the ranges of its parameters alone.
+    """
 
     refit: Refit
     behind: float
+    fits_better: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +134,13 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     """Locate the mismatch of a campaign, name what explains it, or say that nothing does.
 
     Raises:
+        InputError: recordings seem to be exchanged between states.
         NotEnriched, MeshError: the device as it is stated cannot be predicted.
     """
     started = time.perf_counter()
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
+    check_assignment(model.campaign, nominal)
     location: tuple[Place, ...] = ()
     singles: list[Refit] = []
     strained = base.reduced > STRAINED
@@ -148,7 +157,9 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         # Where the known parameters are strained, what is left no longer tells where from.
         location = location or near
         singles += more
-    if not strained and not any(_explains(base, fit) for fit in (base, *singles)):
+    explained = any(_explains(base, fit) for fit in singles)
+    # What leaves next to nothing may be a wrong basin; what leaves much, and a hypothesis explains, is none.
+    if not strained and not (_quiet(base, scores) if base.good else explained):
         progress("other basins", 0.6)
         other, _ = elsewhere(model, base, end)
         if other is not base:
@@ -160,20 +171,26 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     weighed = [(base, held_before)]
     best = min([base, *singles], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
-        if not _complete(base, best, _left(model, best)):
+        further = _further(model, best)
+        if _explains(base, best) and not _quiet(best, further):
+            progress("other basins", 0.7)
+            other = gathered_elsewhere(model, best, best.x)
+            if other is not best:
+                singles, best, further = _with(singles, best, other), other, _further(model, other)
+        if not _complete(base, best, _left(best, further)):
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
             if both is not best:
                 best = gather(model, both)
                 pairs = _with(pairs, both, best)
         progress("verdict", 0.9)
-        close = [f for f in (*singles, *pairs) if f.evidence - best.evidence < CLOSE and _simplest(f, best)]
+        close = [f for f in (*singles, *pairs) if _simplest(f, best)
+                 and (f.evidence - best.evidence < CLOSE or _fits_better(f, best))]
         weighed = _weighed(model, close)
         if weighed[0][0] is not best:
             best = gather(model, weighed[0][0])
             weighed[0] = (best, predicted(model, best))
-    return _judged(model, nominal, base, weighed, scores, location, singles, pairs, held_before,
-                   time.perf_counter() - started)
+    return _judged(model, nominal, base, weighed, scores, location, singles, pairs, held_before, started)
 
 
 def gain(base: Refit, fit: Refit) -> float:
@@ -191,14 +208,14 @@ def _further(model: Model, fit: Refit) -> list[Score]:
     return _scores(model, fit, [e for e in model.effects if not own & set(e.names)])
 
 
-def _left(model: Model, fit: Refit) -> float:
-    """The most that any further hypothesis promises to explain of what a fit leaves."""
-    return _further(model, fit)[0].gain / fit.correlation
+def _left(fit: Refit, further: Sequence[Score]) -> float:
+    """The most that any further hypothesis (:func:`_further`) promises to explain of what a fit leaves."""
+    return further[0].gain / fit.correlation
 
 
 def _explains(base: Refit, fit: Refit) -> bool:
-    """Whether a fit leaves nothing but noise, or next to nothing of what the base leaves."""
-    return fit.good or leaves_less(fit, base, REMNANT)
+    """Whether a fit leaves nothing but noise, or next to nothing of what the base leaves, with the known as known."""
+    return fit.good or (leaves_less(fit, base, REMNANT) and fit.strain < STRAY)
 
 
 def _complete(base: Refit, fit: Refit, left: float) -> bool:
@@ -213,6 +230,14 @@ def _hints(scored: Score, correlation: float) -> bool:
     """
     chance = chi2.sf(scored.gain / correlation, max(np.isfinite(scored.error).sum(), 1))
     return bool(chance < chi2.sf(HINT**2, 1))
+
+
+def _quiet(fit: Refit, scores: Sequence[Score]) -> bool:
+    """Whether a fit leaves nothing but noise, to its chi-square and to every one of the hypotheses scored there.
+
+    A wrong basin may leave next to nothing of chi-square, and is still a cause that none of the hypotheses is.
+    """
+    return fit.good and not any(_hints(scored, fit.correlation) for scored in scores)
 
 
 def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
@@ -281,14 +306,15 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
 def _judged(
     model: Model, nominal: tuple[StateFit, ...], base: Refit, weighed: Sequence[Weighed], scores: Sequence[Score],
     location: tuple[Place, ...], singles: Sequence[Refit], pairs: Sequence[Refit],
-    held_before: tuple[StateFit, ...], seconds: float,
+    held_before: tuple[StateFit, ...], started: float,
 ) -> Diagnosis:
     best, held_after = weighed[0]
     gained = gain(base, best)
     found = best is not base and gained > ACCEPTED
-    left = _left(model, best) if found else 0.0
+    left = _left(best, _further(model, best)) if found else 0.0
     complete = _complete(base, best, left)
-    worse = _held(model, held_after) - _held(model, held_before)
+    held = _held(model, held_after)
+    worse = held - _held(model, held_before)
     accepted = found and complete and worse < RIVAL
     findings = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}."]
     if found:
@@ -306,31 +332,45 @@ def _judged(
     chosen = best if accepted else base
     strayed = tuple((name, shift) for name, shift in sorted(chosen.shifts.items(), key=lambda item: -abs(item[1]))
                     if abs(shift) > STRAYED)
-    first = best.evidence + _held(model, held_after)
     rivals: tuple[Rival, ...] = ()
     if accepted:
-        behind = [Rival(fit, fit.evidence + _held(model, held) - first) for fit, held in weighed[1:]]
-        rivals = tuple(rival for rival in behind if rival.behind < RIVAL)
+        others = [(fit, _held(model, states) - held) for fit, states in weighed[1:]]
+        behind = [Rival(fit, fit.evidence - best.evidence + more, _fits_better(fit, best, more))
+                  for fit, more in others]
+        rivals = tuple(rival for rival in behind if rival.behind < RIVAL or rival.fits_better)
     if accepted:
         verdict = "ambiguous" if rivals else "missing_physics"
     elif found or not base.good:
         verdict = "unexplained"
-    elif any(_hints(scored, base.correlation) for scored in scores):
+    elif not _quiet(base, scores):
         verdict = "below_detection"
     elif any(s.reduced > GOOD_STATE for s in nominal):
         verdict = "parameters_explain"
     else:
         verdict = "no_mismatch"
     findings += _statements(verdict, chosen, rivals, strayed, location)
+    if verdict == "unexplained" and (said := each_alone(model, base)):
+        findings.append(said)
     return Diagnosis(model.campaign, model, verdict, nominal, base, chosen, tuple(scores), tuple(singles), tuple(pairs),
                      rivals, location, held_before, held_after if accepted else held_before, strayed,
                      all(_inside(chosen, name) for name in chosen.estimate), _next(model, chosen, rivals, scores),
-                     tuple(findings), seconds, model.fitted.solves)
+                     tuple(findings), time.perf_counter() - started, model.fitted.solves)
 
 
 def _simplest(other: Refit, best: Refit) -> bool:
     """A pair that holds the best explanation and more is no rival of it."""
     return not {e.name for e in best.effects} < {e.name for e in other.effects}
+
+
+def _fits_better(other: Refit, best: Refit, held: float = 0.0) -> bool:
+    """Whether an explanation of no more effects fits better, beyond what its further parameters are worth by chance.
+
+    `held` is by how much its chi-square of the states held out is larger. Evidence depends on how wide the ranges of
+    the parameters are, which is a choice: what loses by that alone is not ruled out. Two of chi-square for a parameter
+    (Akaike 1974, IEEE Trans. Automatic Control 19, 716).
+    """
+    further = len(other.estimate) - len(best.estimate)
+    return len(other.effects) <= len(best.effects) and other.chi_square + held + 2.0 * further < best.chi_square
 
 
 def _inside(fit: Refit, name: str) -> bool:
@@ -362,7 +402,8 @@ def _statements(
     if not all(_inside(best, name) for name in best.estimate):
         result.append("Its parameter lies outside what is admissible: the sign of another cause.")
     for rival in rivals:
-        result.append(f"The data cannot rule out {rival.refit.name} ({rival.behind:.1f} behind).")
+        result.append(f"The data cannot rule out {rival.refit.name} ({rival.behind:.1f} behind"
+                      + (", though it fits better)." if rival.fits_better else ")."))
     for name, shift in strayed:
         result.append(f"{name} would have to lie {shift:+.1f} standard uncertainties from what is known of it.")
     if verdict == "unexplained" and location:

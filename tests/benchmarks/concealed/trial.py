@@ -191,9 +191,10 @@ def _measured(
 
     def imitated(effect: Effect) -> float:
         # Tangents do not reach far. What only moves a known parameter is that parameter, at the price of its prior.
-        shifts = [abs(value - device.design.nominal[name]) / device.design.prior[name]
-                  for name, value in effect.values.items() if name in device.design.prior]
-        return math.sqrt(sum(shift**2 for shift in shifts)) if len(shifts) == len(effect.values) > 0 else math.inf
+        design, changed = device.design, [*effect.values, *(f"{PZT}.{name}" for name in effect.defects)]
+        shifts = [abs(effect.parameters[name] - design.nominal[name]) / design.prior[name]
+                  for name in changed if name in design.prior]
+        return math.sqrt(sum(shift**2 for shift in shifts)) if len(shifts) == len(changed) else math.inf
 
     total = against(())
     if len(effects) == 1:
