@@ -28,8 +28,14 @@ STRICT, EASED = 1e-9, 1e-7
 NOTHING = 1e-6
 
 #: Barrier weights of one trust-region step, relative to the cost; the last one times the number of inequalities bounds
-#: what the step loses to the barrier.
-BARRIER = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+#: what the step loses to the barrier. At each of them so many steps of Newton's method are enough from the end of the
+#: last one.
+BARRIER = (1.0, 1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+NEWTON = 100
+
+#: The search for a step starts this share of the trust region, or of the way, towards the centre of what is admissible.
+#: From a point at the boundary itself Newton's method follows a curved one in vain.
+INWARD = 0.5
 
 
 class LeastSquares(Protocol):
@@ -97,12 +103,14 @@ def minimise(
         ValueError: `start` is not admissible and there is no admissible point near it.
     """
     x = interior(start, low, high, inequalities)
+    centre = _Region(x, low, high, scale, inequalities).centre()
     at = function(x)
     cost = 0.5 * float(at.vector @ at.vector)
     reason = f"the limit of {limit} steps was reached"
     refusing = False
     for iteration in range(1, limit + 1):
-        step, promised = _step(at, x, cost, low, high, scale, inequalities, radius)
+        step, promised = _step(at, cost, _Region(x, np.maximum(low, x - radius * scale),
+                                                 np.minimum(high, x + radius * scale), scale, inequalities), centre)
         held = refusing and float(np.abs(step / scale).max()) > 0.9 * radius
         if promised <= tolerance * max(cost, NOTHING) and not held:
             return Minimum(x, at, cost, True, iteration, "no step promises a decrease")
@@ -149,75 +157,102 @@ def interior(start: Real, low: Real, high: Real, inequalities: Sequence[Inequali
     raise ValueError(f"no admissible point near the start: {worst.name} cannot be met within the bounds")
 
 
-def _step(
-    at: LeastSquares, x: Real, cost: float, low: Real, high: Real, scale: Real, inequalities: Sequence[Inequality],
-    radius: float,
-) -> tuple[Real, float]:
-    """The best admissible step of the linearised problem within the trust region, and the decrease it promises."""
-    jacobian = at.jacobian * scale
-    hessian, slope = jacobian.T @ jacobian, jacobian.T @ at.vector
-    lower = np.maximum(-radius, (low - x) / scale)
-    upper = np.minimum(radius, (high - x) / scale)
-    step = np.zeros(x.size)
-    # All inequalities as one of block diagonal matrices; (k k, p), so that a combination is one small product.
-    constant = block_diag(*(inequality(x) for inequality in inequalities)) if inequalities else np.zeros((0, 0))
-    slopes = np.array([block_diag(*(inequality.slopes[i] * scale[i] for inequality in inequalities))
-                       if inequalities else constant for i in range(x.size)])
-    flat = slopes.reshape(x.size, -1).T
-    ridge = 1e-12 * np.trace(hessian) / x.size + 1e-300
+class _Region:
+    """What is admissible around x, in steps d measured in `scale`: lower < d < upper and matrix(d) positive."""
 
-    def matrix(d: Real) -> Real:
-        return np.asarray(constant + (flat @ d).reshape(constant.shape))
+    def __init__(self, x: Real, low: Real, high: Real, scale: Real, inequalities: Sequence[Inequality]) -> None:
+        self.x, self.scale = x, scale
+        self.lower, self.upper = (low - x) / scale, (high - x) / scale
+        # All inequalities as one of block diagonal matrices; (k k, p), so that a combination is one small product.
+        none = np.zeros((0, 0))
+        self.constant = block_diag(none, *(inequality(x) for inequality in inequalities))
+        self.slopes = np.array([block_diag(none, *(inequality.slopes[i] * scale[i] for inequality in inequalities))
+                                for i in range(x.size)])
+        self.flat = self.slopes.reshape(x.size, -1).T
 
-    def barrier(d: Real) -> float:
+    def matrix(self, d: Real) -> Real:
+        return np.asarray(self.constant + (self.flat @ d).reshape(self.constant.shape))
+
+    def barrier(self, d: Real) -> float:
         """Minus the logarithm of all margins; infinite outside."""
-        below, above = d - lower, upper - d
+        below, above = d - self.lower, self.upper - d
         if below.min() <= 0.0 or above.min() <= 0.0:
             return np.inf
         value = -float(np.log(below).sum() + np.log(above).sum())
         try:
-            triangle = np.linalg.cholesky(matrix(d))
+            triangle = np.linalg.cholesky(self.matrix(d))
         except np.linalg.LinAlgError:
             return np.inf
         return value - 2.0 * float(np.log(triangle.diagonal()).sum())
 
-    def model(d: Real) -> float:
-        return float(0.5 * d @ hessian @ d + slope @ d)
+    def descend(self, d: Real, hessian: Real, slope: Real, mu: float, enough: float) -> Real:
+        """The minimum of d.hessian.d / 2 + slope.d + mu barrier(d) from an admissible d, by Newton's method.
 
-    free = _free_step(hessian, slope, ridge)
-    if free is not None and np.isfinite(barrier(free / INTERIOR)):
-        return free * scale, -model(free)
-    for weight in BARRIER:
-        mu = weight * max(cost, 1e-12)
-        value = model(step) + mu * barrier(step)
-        for _ in range(30):
-            gradient = hessian @ step + slope + mu * (1.0 / (upper - step) - 1.0 / (step - lower))
-            curvature = hessian + np.diag(mu * ((upper - step) ** -2.0 + (step - lower) ** -2.0) + ridge)
+        It ends where a step promises less than `enough`, or where rounding leaves no step that is better.
+        """
+        ridge = 1e-12 * np.trace(hessian) / d.size + 1e-300
+
+        def value(d: Real) -> float:
+            return float(0.5 * d @ hessian @ d + slope @ d) + mu * self.barrier(d)
+
+        best = value(d)
+        for _ in range(NEWTON):
+            above, below = 1.0 / (self.upper - d), 1.0 / (d - self.lower)
+            gradient = hessian @ d + slope + mu * (above - below)
+            curvature = hessian + np.diag(mu * (above**2 + below**2) + ridge)
             try:
-                images = np.linalg.inv(matrix(step)) @ slopes
+                images = np.linalg.inv(self.matrix(d)) @ self.slopes
                 gradient -= mu * np.trace(images, axis1=1, axis2=2)
-                curvature += mu * (images.reshape(x.size, -1) @ images.transpose(0, 2, 1).reshape(x.size, -1).T)
+                curvature += mu * (images.reshape(d.size, -1) @ images.transpose(0, 2, 1).reshape(d.size, -1).T)
                 direction = -np.linalg.solve(curvature, gradient)
             except np.linalg.LinAlgError:
                 break  # nothing to gain along a direction that the rounding cannot tell from none
-            decrement = -float(gradient @ direction)
-            if decrement < 1e-9 * mu or decrement < 1e-16 * max(cost, 1e-12):
+            promised = -float(gradient @ direction)
+            if promised < enough:
                 break
             size = 1.0
             for _ in range(40):
-                trial = step + size * direction
-                now = model(trial) + mu * barrier(trial)
-                if now < value - 1e-4 * size * decrement:
+                trial = d + size * direction
+                now = value(trial)
+                if now < best - 1e-4 * size * promised:
                     break
                 size *= 0.5
             else:
                 break
-            step, value = trial, now
+            d, best = trial, now
+        return d
+
+    def centre(self) -> Real:
+        """The point x + d (p,) that is farthest from all boundaries: the minimum of the barrier alone."""
+        nothing = np.zeros(self.x.size)
+        d = self.descend(nothing, np.diag(nothing), nothing, 1.0, 1e-6)
+        return np.asarray(self.x + d * self.scale)
+
+
+def _step(at: LeastSquares, cost: float, region: _Region, centre: Real) -> tuple[Real, float]:
+    """The best admissible step of the linearised problem within the trust region, and the decrease it promises."""
+    scale, cost = region.scale, max(cost, 1e-12)
+    jacobian = at.jacobian * scale
+    hessian, slope = jacobian.T @ jacobian, jacobian.T @ at.vector
+
+    def model(d: Real) -> float:
+        return float(0.5 * d @ hessian @ d + slope @ d)
+
+    free = _free_step(hessian, slope)
+    if free is not None and np.isfinite(region.barrier(free / INTERIOR)):
+        return free * scale, -model(free)
+    inward = (centre - region.x) / scale
+    length = max(np.max(inward / region.upper), np.max(inward / region.lower), 1.0)
+    step = INWARD * inward / length
+    for weight in BARRIER:
+        mu = weight * cost
+        step = region.descend(step, hessian, slope, mu, max(1e-9 * mu, 1e-16 * cost))
     return step * scale, -model(step)
 
 
-def _free_step(hessian: Real, slope: Real, ridge: float) -> Real | None:
+def _free_step(hessian: Real, slope: Real) -> Real | None:
     """The best step of the linearised problem without any condition; None if rounding cannot tell one."""
+    ridge = 1e-12 * np.trace(hessian) / slope.size + 1e-300
     try:
         return np.asarray(-np.linalg.solve(hessian + ridge * np.eye(slope.size), slope))
     except np.linalg.LinAlgError:
