@@ -80,7 +80,11 @@ ROUGHLY = 0.3
 
 #: With the lever held, so many times the cost of the best end is no reason to let it go there; an end that costs less
 #: than this share of another is in another basin, the right one.
-PROMISING, RIGHT = 2.5, 0.75
+PROMISING, RIGHT = 4.0, 0.75
+
+#: Ends that cost no more than so many times the best one, and lie so many uncertainties of a lever apart, are compared
+#: where the data weigh more, with this relative deviation; at most so many of them.
+LIKELY, APART, CLOSER, COMPARED = 1.5, 0.25, 0.01, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +157,12 @@ class Refit:
     def worth(self) -> float:
         """A fall of chi-square that is worth a further step."""
         return SAME + SHARE * max(self.chi_square - 2.0 * self.points, 0.0)
+
+    @property
+    def at_bounds(self) -> list[str]:
+        """Parameters that ended at a bound of what they may be."""
+        allowed = [(self.search.parameters[i], float(self.x[i])) for i in self.search.free]
+        return [p.name for p, value in allowed if min(value - p.low, p.high - value) < AT_END * (p.high - p.low)]
 
     def tangents(self) -> Tangents:
         return Tangents.at(self.search, self.here)
@@ -288,22 +298,45 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
         corners.append(corner)
     model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED, corners)
     thin = search.thinned()
-    best = _glance(thin, x)
-    before = best.cost
+    own = best = _glance(thin, x)
+    ends = [own]
     for i, hop in itertools.product(levers, HOPS):
         there = best.x.copy()
         there[i] = search.centre[i] + hop * search.scale[i]
         try:
             held = _glance(thin, there, fixed=(i,))
             if held.cost < PROMISING * best.cost:
-                best = min(best, _glance(thin, held.x), key=lambda end: end.cost)
+                ends.append(_glance(thin, held.x))
         except NO_END:
             continue
-        if best.cost < RIGHT * before:
+        best = min(ends, key=lambda end: end.cost)
+        if best.cost < RIGHT * own.cost:
             break
-    found = search.minimise(best.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
+    best, near = _compared(thin, ends, levers)
+    if best is own:
+        return fit, x
+    found = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
     ended = _judged(model, fit.effects, search, found.x)
     return (ended, best.x) if ended.chi_square < fit.chi_square - fit.worth else (fit, x)
+
+
+def _compared(search: Search, ends: Sequence[Minimum], levers: Sequence[int]) -> tuple[Minimum, Real]:
+    """The best of several ends where the data weigh little, and where it leads (p,) as they weigh more.
+
+    Basins that cost about the same are told apart by that: with little weight, what is known says more than the data.
+    """
+    least = min(end.cost for end in ends)
+    likely: list[Minimum] = []
+    for end in sorted(ends, key=lambda end: end.cost):
+        apart = all(np.abs((end.x - other.x) / search.scale)[levers].max() > APART for other in likely)
+        if end.cost < LIKELY * least and apart and len(likely) < COMPARED:
+            likely.append(end)
+    if len(likely) == 1:
+        return likely[0], likely[0].x
+    weights = [CLOSER] * len(search.objective.recordings)
+    closer = [(end, search.minimise(end.x, weights, limit=GLANCE, tolerance=0.01)) for end in likely]
+    end, there = min(closer, key=lambda each: each[1].cost)
+    return end, there.x
 
 
 def gathered_elsewhere(model: Model, fit: Refit, x: Real) -> Refit:

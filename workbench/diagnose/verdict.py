@@ -406,6 +406,8 @@ def _statements(
                       + (", though it fits better)." if rival.fits_better else ")."))
     for name, shift in strayed:
         result.append(f"{name} would have to lie {shift:+.1f} standard uncertainties from what is known of it.")
+    if ended := best.at_bounds:
+        result.append(f"At a bound of what it may be, with a value and an error of little worth: {', '.join(ended)}.")
     if verdict == "unexplained" and location:
         region, kind, sigmas = location[0]
         result.append(f"Nothing of the catalogue explains all that is left; most of it looks like {kind} in {region} "
