@@ -348,6 +348,7 @@ def gathered_elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
 def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
     """A fit once more, with bases made for its own neighbourhood and that of the hypotheses in `scores`."""
     deviation = model.deviations()
+    before = np.inf
     for _ in range(CENTRED):
         free = fit.search.free
         jacobian = fit.here.jacobian[:, free] * fit.search.scale[free]
@@ -361,8 +362,10 @@ def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
         centre = fit.search.evaluate(fit.x, deviation).vector
         found = fit.search.minimise(fit.x, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3)
         fit = _judged(model, fit.effects, fit.search, found.x)
-        if fit.doubt < TRUSTED or float(centre @ centre) - fit.chi_square < fit.worth:
+        # The first bases were made for another place, and so was the chi-square they gave here.
+        if fit.doubt < TRUSTED or min(float(centre @ centre), before) - fit.chi_square < fit.worth:
             break
+        before = fit.chi_square
     return fit
 
 

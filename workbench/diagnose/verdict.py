@@ -143,8 +143,8 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     check_assignment(model.campaign, nominal)
     location: tuple[Place, ...] = ()
     singles: list[Refit] = []
-    strained = base.reduced > STRAINED
-    if strained:
+    if not _quiet(base, _scores(model, base)):
+        # Also what leaves next to nothing may be a wrong basin, in which something hints at what is not there.
         progress("other basins", 0.1)
         base, end = elsewhere(model, base, end)
     if base.reduced > STRAINED:
@@ -157,14 +157,6 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         # Where the known parameters are strained, what is left no longer tells where from.
         location = location or near
         singles += more
-    explained = any(_explains(base, fit) for fit in singles)
-    # What leaves next to nothing may be a wrong basin; what leaves much, and a hypothesis explains, is none.
-    if not strained and not (_quiet(base, scores) if base.good else explained):
-        progress("other basins", 0.6)
-        other, _ = elsewhere(model, base, end)
-        if other is not base:
-            base, scores, location, more = _near(model, other, progress)
-            singles += more
     singles.sort(key=lambda f: f.evidence)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
