@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.optimize import newton
 from scipy.special import jn_zeros, jv
 
@@ -23,6 +24,8 @@ from concealed.media import VACUUM_PERMITTIVITY, Bubbles, Liquid, Medium, Piezo,
 from concealed.solver import Body, Box, Model, assemble, grid, spectrum, system
 
 from workbench.spectrum import Spectrum
+
+Real = NDArray[np.float64]
 
 DENSITY, SPEED, VISCOSITY = 998.0, 1482.0, 1e-2
 
@@ -154,11 +157,29 @@ def test_small_bubbles_are_the_limit_of_resonant_ones_and_take_energy() -> None:
 def test_detectability_is_what_no_parameter_imitates() -> None:
     rng = np.random.default_rng(2)
     tangents, noise = rng.standard_normal((50, 3)), 0.1
+
+    def found(change: Real) -> float:
+        return trial.detectability(lambda moves: change - tangents @ moves, tangents, noise)
+
     # A parameter moved by its prior costs at most one standard deviation, however far the spectrum moves.
-    assert trial.detectability(tangents[:, 0], tangents, noise) < 1.0
+    assert found(tangents[:, 0]) < 1.0
     normal = np.linalg.svd(tangents, full_matrices=True)[0][:, 3]
-    assert trial.detectability(normal, tangents, noise) == pytest.approx(1.0 / noise, rel=1e-12)
-    assert trial.detectability(normal + 5.0 * tangents[:, 1], tangents, noise) < 1.0 / noise + 5.0
+    assert found(normal) == pytest.approx(1.0 / noise, rel=1e-12)
+    assert found(normal + 5.0 * tangents[:, 1]) < 1.0 / noise + 5.0
+
+
+def test_an_imitation_is_found_where_tangents_do_not_reach() -> None:
+    rng = np.random.default_rng(2)
+    tangents, noise = rng.standard_normal((50, 3)), 0.1
+    normal = np.linalg.svd(tangents, full_matrices=True)[0][:, 3]
+
+    def spectrum(moves: Real) -> Real:
+        return np.asarray(tangents @ moves + 0.5 * moves[0] ** 2 * normal)
+
+    concealed = spectrum(np.array([1.0, 0.0, 0.0]))
+    # The tangents leave half of the normal, five standard deviations; the parameter itself costs one.
+    assert trial.detectability(lambda moves: concealed - tangents @ moves, tangents, noise) > 5.0
+    assert trial.detectability(lambda moves: concealed - spectrum(moves), tangents, noise) < 1.1
 
 
 def test_there_are_enough_mechanisms() -> None:

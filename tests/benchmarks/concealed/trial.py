@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,10 @@ Complex = NDArray[np.complex128]
 
 #: Order of the elements, and how far the reduced model may be off, relative to Z (noise is ten times that or more).
 ORDER, TOLERANCE = 5, 3e-4
+
+#: An imitation takes at most so many steps, until one promises less than this square of a standard deviation, and goes
+#: no further than so many uncertainties of any parameter.
+IMITATED, SETTLED, REACH = 5, 1.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -127,14 +131,26 @@ def _moved(old: Block, new: Block, projected: Mapping[str, Real], basis: Real) -
     return {name: matrix + change[name] for name, matrix in projected.items()}
 
 
-def detectability(change: Real, tangents: Real, noise: float) -> float:
-    """Length (standard deviations) of what is left of a change (m,) of ln Z when parameters with unit priors, whose
-    effects are the columns of `tangents` (m, p), imitate it as well as they can."""
-    whitened, columns = change / noise, tangents / noise
+def detectability(change: Callable[[Real], Real], tangents: Real, noise: float) -> float:
+    """Length (standard deviations) of what is left of a change of ln Z when parameters with unit priors imitate it as
+    well as they can: `change` (m,) is what is left of it where these have moved by their argument (p,), and `tangents`
+    (m, p) their effects. It is found by steps along the tangents, of which the first one tells what a linear device
+    would leave."""
+    columns = tangents / noise
     gram = columns.T @ columns + np.eye(columns.shape[1])
-    part = columns.T @ whitened
-    left = float(whitened @ whitened - part @ np.linalg.solve(gram, part))
-    return math.sqrt(max(left, 0.0))
+    moves = np.zeros(columns.shape[1])
+    lengths = []
+    for number in range(IMITATED):
+        left = change(moves) / noise
+        lengths.append(float(left @ left + moves @ moves))
+        part = columns.T @ left - moves
+        step = np.linalg.solve(gram, part)
+        if number == 0:
+            lengths.append(lengths[0] - float(part @ step))
+        if float(part @ step) < SETTLED or np.abs(moves + step).max() > REACH:
+            break
+        moves = moves + step
+    return math.sqrt(max(min(lengths), 0.0))
 
 
 def make_trial(seed: int, mechanism: str | tuple[str, ...], folder: Path, *, points: int = 161) -> Truth:
@@ -186,8 +202,15 @@ def _measured(
 
     def against(others: tuple[Effect, ...]) -> float:
         values, defects = _hidden(plain, others)
-        change = [np.log(spectra[s.name] / device.spectrum(values, defects, s)) for s in fitted]
-        return detectability(np.concatenate([part for c in change for part in (c.real, c.imag)]), tangents, noise)
+        priors = device.design.prior
+
+        def change(moves: Real) -> Real:
+            moved = {**values, **{name: values[name] + float(move) * prior
+                                  for move, (name, prior) in zip(moves, priors.items(), strict=True)}}
+            logs = [np.log(spectra[s.name] / device.spectrum(moved, defects, s)) for s in fitted]
+            return np.concatenate([part for log in logs for part in (log.real, log.imag)])
+
+        return detectability(change, tangents, noise)
 
     def imitated(effect: Effect) -> float:
         # Tangents do not reach far. What only moves a known parameter is that parameter, at the price of its prior.
