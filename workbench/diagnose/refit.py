@@ -71,6 +71,9 @@ AT_END = 1e-4
 #: second number of what the best one does; at most the third number of them, all about as good, to the end.
 FOLLOWED, WORTH, KEPT = 6, 0.3, 2
 
+#: They are asked for once more with the known parameters, that have gone so many uncertainties even there, held back.
+PULLED = 3.0
+
 #: Such a way is followed on new bases while that takes the cost below this share, at most so many times.
 ONWARD, ROUNDS = 0.9, 12
 
@@ -202,19 +205,31 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
         the location with that weight, and refits with full weight, those that leave little on bases of their own.
     """
     weak = _weak(base.search)
-    model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
-    x = _glance(base.search.thinned(), x).x
-    here = base.search.evaluate(x, weak)
-    scores = scores_at(model, base.search, x, here)
-    location = located(model, x, weak, Tangents.at(base.search, here), scores)
+    location: tuple[Place, ...] = ()
     ends: list[tuple[Effect, Search, Minimum]] = []
-    for scored in scores[:FOLLOWED]:
-        if scored.gain > WORTH * scores[0].gain:
-            try:
-                search, begin = _begun(model, (scored.effect,), x, [scored], weak)
-                ends.append((scored.effect, search, _glance(search.thinned(), begin)))
-            except NO_END:
-                continue
+    held: tuple[int, ...] = ()
+    while True:
+        model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
+        x = _glance(base.search.thinned(), x, held).x
+        here = base.search.evaluate(x, weak)
+        scores = scores_at(model, base.search, x, here)
+        location = location or located(model, x, weak, Tangents.at(base.search, here), scores)
+        for scored in scores[:FOLLOWED]:
+            if scored.gain > WORTH * scores[0].gain:
+                try:
+                    search, begin = _begun(model, (scored.effect,), x, [scored], weak)
+                    ends.append((scored.effect, search, _glance(search.thinned(), begin)))
+                except NO_END:
+                    continue
+        if held:
+            break
+        shift = np.abs((x - base.search.centre) * base.search.precision)
+        held = tuple(map(int, np.flatnonzero(shift > PULLED)))
+        if not held:
+            break
+        # What is missing may be imitated by a known parameter far from what is known of it: asked without that too.
+        x = x.copy()
+        x[list(held)] = base.search.centre[list(held)]
     least = min((end.cost for _, _, end in ends), default=0.0)
     found: list[Refit] = []
     for effect, search, end in sorted(ends, key=lambda each: each[2].cost):
