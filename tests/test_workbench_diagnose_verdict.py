@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.diagnose import verdict
+from workbench.diagnose import refit, verdict
 
 
 def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: float = 1.0) -> Any:
@@ -60,6 +60,33 @@ def test_what_leaves_little_and_hints_at_something_is_not_quiet() -> None:
     assert verdict._quiet(fit(1.0, True), [weak])
     assert not verdict._quiet(fit(1.0, True), [weak, strong])
     assert not verdict._quiet(fit(1.3), [weak])
+
+
+def test_basins_that_cost_about_the_same_are_compared_where_the_data_weigh_more() -> None:
+    asked: list[float] = []
+
+    def minimise(x: NDArray[np.float64], *_: Any, **__: Any) -> Any:
+        asked.append(float(x[0]))
+        return SimpleNamespace(x=x + 0.01, cost={0.0: 5.0, 2.0: 3.0}[float(x[0])])
+
+    search: Any = SimpleNamespace(scale=np.array([2.0]), objective=SimpleNamespace(recordings=[None]),
+                                  minimise=minimise)
+    # The third is the first one's basin, the last costs too much.
+    ends: Any = [SimpleNamespace(x=np.array([place]), cost=cost)
+                 for place, cost in ((0.0, 1.0), (2.0, 1.2), (0.4, 1.1), (4.0, 2.0))]
+    end, there = refit._compared(search, ends, [0])
+    assert end is ends[1]
+    assert there == pytest.approx([2.01])
+    assert asked == [0.0, 2.0]
+    assert refit._compared(search, ends[:1], [0]) == (ends[0], ends[0].x)
+    assert asked == [0.0, 2.0]  # nothing to compare
+
+
+def test_parameters_that_end_at_a_bound_are_told() -> None:
+    parameters = [SimpleNamespace(name=name, low=-5.0, high=5.0) for name in ("inside", "held", "low", "high")]
+    ended: Any = SimpleNamespace(search=SimpleNamespace(parameters=parameters, free=[0, 2, 3]),
+                                 x=np.array([4.9, 5.0, -4.9999, 5.0]))
+    assert refit.Refit.at_bounds.fget(ended) == ["low", "high"]  # type: ignore[attr-defined]
 
 
 def predicting(*states: NDArray[np.complex128]) -> Any:

@@ -21,6 +21,7 @@ from workbench.diagnose.score import Score, Tangents, columns, scores_at
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
 from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
+from workbench.fit.objective import Objective
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -204,37 +205,24 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
     Returns:
         the location with that weight, and refits with full weight, those that leave little on bases of their own.
     """
-    weak = _weak(base.search)
-    location: tuple[Place, ...] = ()
-    ends: list[tuple[Effect, Search, Minimum]] = []
-    held: tuple[int, ...] = ()
-    while True:
-        model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
-        x = _glance(base.search.thinned(), x, held).x
-        here = base.search.evaluate(x, weak)
-        scores = scores_at(model, base.search, x, here)
-        location = location or located(model, x, weak, Tangents.at(base.search, here), scores)
-        for scored in scores[:FOLLOWED]:
-            if scored.gain > WORTH * scores[0].gain:
-                try:
-                    search, begin = _begun(model, (scored.effect,), x, [scored], weak)
-                    ends.append((scored.effect, search, _glance(search.thinned(), begin)))
-                except NO_END:
-                    continue
-        if held:
-            break
-        shift = np.abs((x - base.search.centre) * base.search.precision)
-        held = tuple(map(int, np.flatnonzero(shift > PULLED)))
-        if not held:
-            break
+    search = base.search
+    x, here, scores = _weakly(model, search, x)
+    location = located(model, x, _weak(search.objective), Tangents.at(search, here), scores)
+    ends = _glances(model, x, scores)
+    pulled = np.flatnonzero(np.abs((x - search.centre) * search.precision) > PULLED)
+    if pulled.size:
         # What is missing may be imitated by a known parameter far from what is known of it: asked without that too.
-        x = x.copy()
-        x[list(held)] = base.search.centre[list(held)]
+        back = x.copy()
+        back[pulled] = search.centre[pulled]
+        back, _, scores = _weakly(model, search, back, tuple(map(int, pulled)))
+        ends += _glances(model, back, scores)
     least = min((end.cost for _, _, end in ends), default=0.0)
     found: list[Refit] = []
     for effect, search, end in sorted(ends, key=lambda each: each[2].cost):
         if RIGHT * end.cost > least or len(found) == KEPT:
             break
+        if any(effect in fit.effects for fit in found):
+            continue
         try:
             near = _followed(model, effect, search, end).x
             full = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
@@ -246,6 +234,30 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
             fit = fit if fit.good else gathered_elsewhere(model, fit, near)
         found.append(fit)
     return location, found
+
+
+def _weakly(model: Model, search: Search, x: Real, fixed: tuple[int, ...] = ()) -> tuple[Real, Weighted, list[Score]]:
+    """The least cost near x (p,) with the data weighing little, on bases made there, and the scores at that.
+
+    The parameters of the indices `fixed` stay where they are.
+    """
+    model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
+    x = _glance(search.thinned(), x, fixed).x
+    here = search.evaluate(x, _weak(search.objective))
+    return x, here, scores_at(model, search, x, here)
+
+
+def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:
+    """Where the hypotheses that promise most lead from x (p,) with the data weighing little."""
+    ends = []
+    for scored in scores[:FOLLOWED]:
+        if scored.gain > WORTH * scores[0].gain:
+            try:
+                search, begin = _begun(model, (scored.effect,), x, [scored], _weak(model.fitted))
+                ends.append((scored.effect, search, _glance(search.thinned(), begin)))
+            except NO_END:
+                continue
+    return ends
 
 
 def _followed(model: Model, effect: Effect, search: Search, end: Minimum) -> Minimum:
@@ -272,14 +284,14 @@ def _moves(model: Model, effects: Sequence[Effect], x: Real) -> dict[str, float]
     return reach
 
 
-def _weak(search: Search) -> list[float]:
+def _weak(objective: Objective) -> list[float]:
     """Deviations with which the data weigh little against what is known."""
-    return [EXPLORATION] * len(search.objective.recordings)
+    return [EXPLORATION] * len(objective.recordings)
 
 
 def _glance(search: Search, x: Real, fixed: tuple[int, ...] = ()) -> Minimum:
     """Few steps from x (p,), with the data weighing little."""
-    return search.minimise(x, _weak(search), limit=GLANCE, tolerance=0.01, fixed=fixed)
+    return search.minimise(x, _weak(search.objective), limit=GLANCE, tolerance=0.01, fixed=fixed)
 
 
 def _levers(search: Search, known: int, here: Weighted) -> list[int]:
@@ -301,7 +313,7 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
     costs more than the right one, and few steps lead from one to the other.
     """
     search = fit.search
-    levers = _levers(search, model.known, search.evaluate(x, _weak(search)))
+    levers = _levers(search, model.known, search.evaluate(x, _weak(search.objective)))
     if not levers:
         return fit, x
     centre = x.copy()
