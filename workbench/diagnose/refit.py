@@ -284,14 +284,14 @@ def _moves(model: Model, effects: Sequence[Effect], x: Real) -> dict[str, float]
     return reach
 
 
-def _weak(objective: Objective) -> list[float]:
+def _weak(objective: Objective, deviation: float = EXPLORATION) -> list[float]:
     """Deviations with which the data weigh little against what is known."""
-    return [EXPLORATION] * len(objective.recordings)
+    return [deviation] * len(objective.recordings)
 
 
-def _glance(search: Search, x: Real, fixed: tuple[int, ...] = ()) -> Minimum:
+def _glance(search: Search, x: Real, fixed: tuple[int, ...] = (), deviation: float = EXPLORATION) -> Minimum:
     """Few steps from x (p,), with the data weighing little."""
-    return search.minimise(x, _weak(search.objective), limit=GLANCE, tolerance=0.01, fixed=fixed)
+    return search.minimise(x, _weak(search.objective, deviation), limit=GLANCE, tolerance=0.01, fixed=fixed)
 
 
 def _levers(search: Search, known: int, here: Weighted) -> list[int]:
@@ -360,8 +360,7 @@ def _compared(search: Search, ends: Sequence[Minimum], levers: Sequence[int]) ->
             likely.append(end)
     if len(likely) == 1:
         return likely[0], likely[0].x
-    weights = [CLOSER] * len(search.objective.recordings)
-    closer = [(end, search.minimise(end.x, weights, limit=GLANCE, tolerance=0.01)) for end in likely]
+    closer = [(end, _glance(search, end.x, deviation=CLOSER)) for end in likely]
     end, there = min(closer, key=lambda each: each[1].cost)
     return end, there.x
 

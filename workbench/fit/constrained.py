@@ -103,14 +103,15 @@ def minimise(
         ValueError: `start` is not admissible and there is no admissible point near it.
     """
     x = interior(start, low, high, inequalities)
-    centre = _Region(x, low, high, scale, inequalities).centre()
+    together = _together(inequalities, x.size)
+    centre = _Region(x, low, high, scale, together).centre()
     at = function(x)
     cost = 0.5 * float(at.vector @ at.vector)
     reason = f"the limit of {limit} steps was reached"
     refusing = False
     for iteration in range(1, limit + 1):
         step, promised = _step(at, cost, _Region(x, np.maximum(low, x - radius * scale),
-                                                 np.minimum(high, x + radius * scale), scale, inequalities), centre)
+                                                 np.minimum(high, x + radius * scale), scale, together), centre)
         held = refusing and float(np.abs(step / scale).max()) > 0.9 * radius
         if promised <= tolerance * max(cost, NOTHING) and not held:
             return Minimum(x, at, cost, True, iteration, "no step promises a decrease")
@@ -157,17 +158,21 @@ def interior(start: Real, low: Real, high: Real, inequalities: Sequence[Inequali
     raise ValueError(f"no admissible point near the start: {worst.name} cannot be met within the bounds")
 
 
+def _together(inequalities: Sequence[Inequality], size: int) -> Inequality:
+    """All inequalities of `size` parameters as one of block diagonal matrices."""
+    none = np.zeros((0, 0))
+    return Inequality("all", block_diag(none, *(inequality.constant for inequality in inequalities)), np.array(
+        [block_diag(none, *(inequality.slopes[i] for inequality in inequalities)) for i in range(size)]))
+
+
 class _Region:
     """What is admissible around x, in steps d measured in `scale`: lower < d < upper and matrix(d) positive."""
 
-    def __init__(self, x: Real, low: Real, high: Real, scale: Real, inequalities: Sequence[Inequality]) -> None:
+    def __init__(self, x: Real, low: Real, high: Real, scale: Real, inequality: Inequality) -> None:
         self.x, self.scale = x, scale
         self.lower, self.upper = (low - x) / scale, (high - x) / scale
-        # All inequalities as one of block diagonal matrices; (k k, p), so that a combination is one small product.
-        none = np.zeros((0, 0))
-        self.constant = block_diag(none, *(inequality(x) for inequality in inequalities))
-        self.slopes = np.array([block_diag(none, *(inequality.slopes[i] * scale[i] for inequality in inequalities))
-                                for i in range(x.size)])
+        self.constant, self.slopes = inequality(x), inequality.slopes * scale[:, None, None]
+        # (k k, p), so that a combination is one small product.
         self.flat = self.slopes.reshape(x.size, -1).T
 
     def matrix(self, d: Real) -> Real:
@@ -190,16 +195,14 @@ class _Region:
 
         It ends where a step promises less than `enough`, or where rounding leaves no step that is better.
         """
-        ridge = 1e-12 * np.trace(hessian) / d.size + 1e-300
-
         def value(d: Real) -> float:
-            return float(0.5 * d @ hessian @ d + slope @ d) + mu * self.barrier(d)
+            return _quadratic(hessian, slope, d) + mu * self.barrier(d)
 
         best = value(d)
         for _ in range(NEWTON):
             above, below = 1.0 / (self.upper - d), 1.0 / (d - self.lower)
             gradient = hessian @ d + slope + mu * (above - below)
-            curvature = hessian + np.diag(mu * (above**2 + below**2) + ridge)
+            curvature = hessian + np.diag(mu * (above**2 + below**2) + _ridge(hessian))
             try:
                 images = np.linalg.inv(self.matrix(d)) @ self.slopes
                 gradient -= mu * np.trace(images, axis1=1, axis2=2)
@@ -234,26 +237,31 @@ def _step(at: LeastSquares, cost: float, region: _Region, centre: Real) -> tuple
     scale, cost = region.scale, max(cost, 1e-12)
     jacobian = at.jacobian * scale
     hessian, slope = jacobian.T @ jacobian, jacobian.T @ at.vector
-
-    def model(d: Real) -> float:
-        return float(0.5 * d @ hessian @ d + slope @ d)
-
     free = _free_step(hessian, slope)
     if free is not None and np.isfinite(region.barrier(free / INTERIOR)):
-        return free * scale, -model(free)
+        return free * scale, -_quadratic(hessian, slope, free)
     inward = (centre - region.x) / scale
     length = max(np.max(inward / region.upper), np.max(inward / region.lower), 1.0)
     step = INWARD * inward / length
     for weight in BARRIER:
         mu = weight * cost
         step = region.descend(step, hessian, slope, mu, max(1e-9 * mu, 1e-16 * cost))
-    return step * scale, -model(step)
+    return step * scale, -_quadratic(hessian, slope, step)
 
 
 def _free_step(hessian: Real, slope: Real) -> Real | None:
     """The best step of the linearised problem without any condition; None if rounding cannot tell one."""
-    ridge = 1e-12 * np.trace(hessian) / slope.size + 1e-300
     try:
-        return np.asarray(-np.linalg.solve(hessian + ridge * np.eye(slope.size), slope))
+        return np.asarray(-np.linalg.solve(hessian + _ridge(hessian) * np.eye(slope.size), slope))
     except np.linalg.LinAlgError:
         return None
+
+
+def _quadratic(hessian: Real, slope: Real, d: Real) -> float:
+    """The linearised cost of a step, less that of none."""
+    return float(0.5 * d @ hessian @ d + slope @ d)
+
+
+def _ridge(hessian: Real) -> float:
+    """What makes a flat direction solvable, and is nothing beside any other."""
+    return float(1e-12 * np.trace(hessian) / len(hessian) + 1e-300)
