@@ -82,6 +82,16 @@ def test_basins_that_cost_about_the_same_are_compared_where_the_data_weigh_more(
     assert asked == [0.0, 2.0]  # nothing to compare
 
 
+def test_basins_far_off_are_looked_for_in_all_that_a_layer_may_be() -> None:
+    search: Any = SimpleNamespace(low=np.array([2e-6]), high=np.array([1e-4]), centre=np.array([2e-5]),
+                                  scale=np.array([3e-6]))
+    near, far = (np.array(refit._places(search, 0, far)) for far in (False, True))
+    assert np.abs(near - 2e-5).max() == pytest.approx(6e-6)
+    # A basin is about as wide as its layer is thick.
+    steps = np.diff(np.log([2e-6, *far, 1e-4]))
+    assert 0.0 < steps.min() <= steps.max() < np.log(2.0)
+
+
 def test_parameters_that_end_at_a_bound_are_told() -> None:
     parameters = [SimpleNamespace(name=name, low=-5.0, high=5.0) for name in ("inside", "held", "low", "high")]
     ended: Any = SimpleNamespace(search=SimpleNamespace(parameters=parameters, free=[0, 2, 3]),

@@ -7,11 +7,13 @@ import pytest
 
 from geometry.chip import Chip, read_chip
 from geometry.mesh import MeshError
+from geometry.names import LEVEL, outside, part
 from geometry.stretch import stretch
 from materials.registry import Registry
 from workbench.layers import layered
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
+from workbench.physics.surface_load import SurfaceLoad
 from workbench.problem import Problem, build
 from workbench.solve import solve_full
 
@@ -109,3 +111,18 @@ def test_the_gradient_by_a_thickness_is_that_of_differences(chip: Chip, problem:
 def test_a_mesh_of_another_chip_is_refused(chip: Chip, problem: Problem) -> None:
     with pytest.raises(MeshError, match="not of chip"):
         layered(problem, chip.with_dimensions({"bond.thickness": 70e-6}))
+
+
+def test_a_term_on_a_part_of_a_boundary_stays_there(chip: Chip, problem: Problem) -> None:
+    # The lid's outside is its top and its side: a load on what lies level is on the top alone.
+    load = SurfaceLoad(part(outside("superstrate"), LEVEL), "superstrate", "load")
+    values = {"load.normal_impedance": 1e5, "load.tangential_impedance": 0.0}
+    flexible = layered(problem.with_terms((load,), values), chip)
+    operators = assemble(flexible.mesh, flexible.terms)
+    raised = np.zeros((operators.size, 1), dtype=complex)
+    for component in ("u_r", "u_z"):
+        numbers = operators.numbering[component]
+        raised[numbers[numbers >= 0], 0] = 1.0
+    on_load = [i.coefficient.parameters == ("load.normal_impedance",) for i in operators.integrals]
+    # Normal to the side is u_r, and it is 1 as well: nothing of that is in it.
+    assert operators.quadratic(raised, raised)[0][on_load] == pytest.approx(np.pi * (3.5e-3) ** 2, rel=1e-12)

@@ -20,7 +20,7 @@ def layered(problem: Problem, chip: Chip) -> Problem:
     """`problem` with ``<layer>.thickness`` (m) of every layer of `chip` among its parameters.
 
     Spectra are those of a mesh stretched to the new thicknesses, to rounding; the mesh itself stays. Terms added
-    afterwards do not follow a thickness: add them first.
+    afterwards do not follow a thickness: add them first. They may name parts of places (`geometry.names.part`).
 
     Raises:
         MeshError: the mesh is not of this chip.
@@ -33,8 +33,9 @@ def layered(problem: Problem, chip: Chip) -> Problem:
             place, part, layer = name.partition(PART)
             if part:
                 found.setdefault(place, []).append((name, "" if layer == LEVEL else layer))
-    # A place in one layer only is its own part.
+    # A place in one layer only is its own part, and so is a part.
     parts = {place: [(place, pieces[0][1])] if len(pieces) == 1 else pieces for place, pieces in found.items()}
+    parts |= {piece[0]: [piece] for pieces in found.values() for piece in pieces}
     terms = []
     for term in problem.terms:
         places = tuple(dict.fromkeys(integral.place for integral in term.integrals()))

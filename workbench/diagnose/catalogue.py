@@ -13,7 +13,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside, role_of
+from geometry.names import (
+    CAVITY,
+    ELECTRODE_GROUND,
+    ELECTRODE_LIVE,
+    LEVEL,
+    TRANSDUCER,
+    interface,
+    outside,
+    part,
+    role_of,
+)
 from geometry.section import cut_section
 from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
@@ -41,9 +51,9 @@ from workbench.physics.term import Admissible, Term
 CERAMIC = "from none to a soft ceramic driven hard: data sheets state 0.1 to 2 %"
 POLYMER = "from none to a rubber"
 
-#: A length that the chip's file states wrongly: by as much as somebody may have mistaken it.
-MISTAKEN: Mapping[str, float] = {"couplant": 0.9, "bond": 0.8}
-MISTAKEN_LENGTH, MISTAKEN_RADIUS = 0.2, 0.05
+#: Shares of a stated length between which somebody may have mistaken it: layers spread by hand are hardly known.
+SPREAD: Mapping[str, tuple[float, float]] = {"couplant": (0.1, 5.0), "bond": (0.2, 3.0)}
+MISTAKEN_THICKNESS, MISTAKEN_RADIUS = (0.8, 1.2), (0.95, 1.05)
 
 #: Roles of the parts that are printed, layer on layer.
 PRINTED = {"substrate", "sidewall"}
@@ -295,7 +305,7 @@ def top(device: Device) -> Iterator[Effect]:
         def loaded(
             _state: DeviceState, region: str = region, name: str = name
         ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-            return ((surface_load.SurfaceLoad(outside(region), region, name),),
+            return ((surface_load.SurfaceLoad(part(outside(region), LEVEL), region, name),),
                     {f"{name}.normal_impedance": 0.0, f"{name}.tangential_impedance": 0.0})
 
         terms, values = _added(states, loaded)
@@ -467,17 +477,19 @@ def lengths(device: Device) -> Iterator[Effect]:
     known = {name: dimension for state in device.states for name, dimension in state.chip.dimensions().items()}
     for name, dimension in known.items():
         region, _, what = name.rpartition(".")
-        if region.startswith(("ports", "electrode")):
-            continue
-        if what == "thickness":
-            share = MISTAKEN.get(role_of(region), MISTAKEN_LENGTH)
-        elif name in device.known:
-            share = MISTAKEN_RADIUS
-        else:
+        if region.startswith(("ports", "electrode")) or (what != "thickness" and name not in device.known):
             continue
         text = "a wrong thickness" if what == "thickness" else "a wrong radius"
         yield from _mistaken(device, f"{what} of the {region}", region, "geometry", name,
-                             _about(dimension.value, share, "m"), text, start=dimension.value)
+                             mistaken_length(name, dimension.value), text, start=dimension.value)
+
+
+def mistaken_length(name: str, value: float) -> Admissible:
+    """What the dimension ``<region>.<what>`` may be, where a chip's file states `value` (m)."""
+    region, _, what = name.rpartition(".")
+    low, high = SPREAD.get(role_of(region), MISTAKEN_THICKNESS) if what == "thickness" else MISTAKEN_RADIUS
+    return Admissible(low * value, high * value, "m", f"{low:g} to {high:g} times what is stated: a mistake that goes "
+                      "unnoticed")
 
 
 # --------------------------------------------------------------------------------------------------------------------

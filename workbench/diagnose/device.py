@@ -11,18 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import SectionMesh
-from geometry.names import role_of
 from geometry.section import Section
 from materials.kinds import Fluid
 from workbench.diagnose.campaign import Campaign, unit_of, value_of
-from workbench.diagnose.catalogue import (
-    MISTAKEN,
-    MISTAKEN_LENGTH,
-    MISTAKEN_RADIUS,
-    Device,
-    Effect,
-    effects,
-)
+from workbench.diagnose.catalogue import Device, Effect, effects, mistaken_length
 from workbench.fit.objective import Objective, Recording
 from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter
 from workbench.layers import layered
@@ -112,11 +104,10 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
     if name.startswith(BENCH):
         found = bench_parameter(name)
         return Parameter(found.name, 0.0, found.low, found.high, error, unit)
-    region, _, last = name.rpartition(".")
-    if last in LENGTHS:
-        share = MISTAKEN_RADIUS if last != "thickness" else MISTAKEN.get(role_of(region), MISTAKEN_LENGTH)
-        reach = min(max(share * value, 5.0 * error), 0.95 * value)
-        return Parameter(name, value, value - reach, value + reach, error, unit)
+    if name.rpartition(".")[2] in LENGTHS:
+        limit = mistaken_length(name, value)
+        low, high = min(limit.lowest, value - 5.0 * error), max(limit.highest, value + 5.0 * error)
+        return Parameter(name, value, max(low, 0.05 * value), high, error, unit)
     material = name.removesuffix(LOSS).rpartition(".")[0]
     problem = next(p for p in problems if f"{material}.{_coefficient(name)}" in p.values)
     if any(isinstance(m, Fluid) and m.name == material for m in problem.materials.values()):

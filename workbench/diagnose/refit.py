@@ -7,7 +7,6 @@ parameter at one of a thousand admissible places is worth less than one that wou
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -56,8 +55,9 @@ GOOD, GOOD_STATE = 1.15, 1.3
 #: many of its uncertainties.
 LEVER, SHIFTING, HOPS = 0.05, 0.05, (-0.5, 0.5, -1.0, 1.0, -1.5, 1.5, -2.0, 2.0)
 
-#: Bases for that hold the states with a lever at so many of its uncertainties.
-CORNERS = (-1.7, 1.7)
+#: Bases for that hold the states with a lever at so many of its uncertainties; or, where nothing within those helps, at
+#: so many places of all that it may be, and the fit is begun again at each.
+CORNERS, FAR = (-1.7, 1.7), 7
 
 #: A refit searches so many times what the score test asks for, or the standard errors it gives.
 WIDEST = 30.0
@@ -306,11 +306,12 @@ def _levers(search: Search, known: int, here: Weighted) -> list[int]:
     return found
 
 
-def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
+def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[Refit, Real]:
     """`fit` and x (p,), the end of the way down; or a better fit from another basin about x, and the end of that way.
 
     A wrong basin strains the known parameters. Where the data weigh little against these (`joint.EXPLORATION`), it
-    costs more than the right one, and few steps lead from one to the other.
+    costs more than the right one, and few steps lead from one to the other. With `far` the basins are looked for in all
+    that the parameters may be, else within what is known of them.
     """
     search = fit.search
     levers = _levers(search, model.known, search.evaluate(x, _weak(search.objective)))
@@ -318,26 +319,22 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
         return fit, x
     centre = x.copy()
     centre[: model.known] = search.centre[: model.known]
-    corners = []
-    for i, side in itertools.product(levers, CORNERS):
-        corner = centre.copy()
-        corner[i] += side * search.scale[i]
-        corners.append(corner)
-    model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED, corners)
+    places = [(i, value) for i in levers for value in _places(search, i, far)]
+    held_at = [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
+    model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED,
+                          [_with_one(centre, i, value) for i, value in (places if far else held_at)])
     thin = search.thinned()
     own = best = _glance(thin, x)
     ends = [own]
-    for i, hop in itertools.product(levers, HOPS):
-        there = best.x.copy()
-        there[i] = search.centre[i] + hop * search.scale[i]
+    for i, value in places:
         try:
-            held = _glance(thin, there, fixed=(i,))
+            held = _glance(thin, _with_one(centre if far else best.x, i, value), fixed=(i,))
             if held.cost < PROMISING * best.cost:
                 ends.append(_glance(thin, held.x))
         except NO_END:
             continue
         best = min(ends, key=lambda end: end.cost)
-        if best.cost < RIGHT * own.cost:
+        if best.cost < RIGHT * own.cost and not far:
             break
     best, near = _compared(thin, ends, levers)
     if best is own:
@@ -345,6 +342,20 @@ def elsewhere(model: Model, fit: Refit, x: Real) -> tuple[Refit, Real]:
     found = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
     ended = _judged(model, fit.effects, search, found.x)
     return (ended, best.x) if ended.chi_square < fit.chi_square - fit.worth else (fit, x)
+
+
+def _places(search: Search, i: int, far: bool) -> Sequence[float]:
+    """Where to hold parameter i, a lever, in all that it may be (far), or within what is known of it."""
+    if far:
+        return np.geomspace(search.low[i], search.high[i], FAR + 2)[1:-1].tolist()
+    return [search.centre[i] + hop * search.scale[i] for hop in HOPS]
+
+
+def _with_one(x: Real, i: int, value: float) -> Real:
+    """x (p,) with one parameter replaced."""
+    there = x.copy()
+    there[i] = value
+    return there
 
 
 def _compared(search: Search, ends: Sequence[Minimum], levers: Sequence[int]) -> tuple[Minimum, Real]:

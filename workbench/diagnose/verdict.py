@@ -147,6 +147,9 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         # Also what leaves next to nothing may be a wrong basin, in which something hints at what is not there.
         progress("other basins", 0.1)
         base, end = elsewhere(model, base, end)
+    if base.reduced > STRAINED:
+        progress("basins far off", 0.15)
+        base, end = elsewhere(model, base, end, far=True)
     if base.reduced > STRAINED or base.strain > STRAY:
         progress("strong effects", 0.2)
         location, singles = afar(model, base, end)
