@@ -19,9 +19,10 @@ import math
 import os
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -56,7 +57,8 @@ class MeshSize:
     vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
     ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: size of the elements at
     the rims of cavity and couplant relative to the others; 1 leaves them alike. ``growth``: largest ratio between
-    neighbouring elements from there on, in a panel long enough to choose it.
+    neighbouring elements from there on, in a panel long enough to choose it. ``skins``: regions that have a row of
+    elements of its own at either face, and the share of the thickness that it takes.
     """
 
     slowest_wave: Mapping[str, float]
@@ -66,6 +68,7 @@ class MeshSize:
     minimum_through_thickness: int = 2
     corner_refinement: float = 0.5
     growth: float = 1.2
+    skins: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         def refuse(name: str, value: object, expected: str) -> None:
@@ -86,6 +89,9 @@ class MeshSize:
             refuse("corner_refinement", self.corner_refinement, "a ratio above 0 and up to 1")
         if not self.growth > 1.0:
             refuse("growth", self.growth, "a ratio above 1")
+        for region, share in self.skins.items():
+            if not 0.0 < share < 0.5:
+                refuse(f"skins.{region}", share, "a share of the thickness above 0 and below a half")
 
     def largest_element(self, region: str) -> float:
         """Largest edge of an element in the region, metres.
@@ -229,18 +235,23 @@ class _Panel:
 
 
 def _panels(
-    breaks: tuple[float, ...], largest: NDArray[np.float64], refined_breaks: set[float], *, size: MeshSize, minimum: int
+    breaks: tuple[float, ...], largest: NDArray[np.float64], refined_breaks: set[float], *, size: MeshSize,
+    minimum: int, cuts: Sequence[float] = (),
 ) -> list[_Panel]:
-    """Panels of the intervals between `breaks`, with elements no longer than `largest` (one value an interval)."""
+    """Panels of the intervals between `breaks`, with elements no longer than `largest` (one value an interval).
+
+    There is a line of nodes at each of the `cuts` too.
+    """
     panels: list[_Panel] = []
     for i, (start, end, limit) in enumerate(zip(breaks, breaks[1:], largest, strict=False)):
-        ends = (start in refined_breaks, end in refined_breaks)
-        lengths, counts, ratios = _divide(end - start, limit, ends, size, minimum)
-        knots = start + np.concatenate([[0.0], np.cumsum(lengths)])
-        knots[-1] = end
-        panels += [
-            _Panel(i, float(a), float(b), n, q) for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False)
-        ]
+        inner = [cut for cut in sorted(cuts) if start < cut < end]
+        for low, high in pairwise([start, *inner, end]):
+            ends = (low in refined_breaks, high in refined_breaks)
+            lengths, counts, ratios = _divide(high - low, limit, ends, size, 1 if inner else minimum)
+            knots = low + np.concatenate([[0.0], np.cumsum(lengths)])
+            knots[-1] = high
+            panels += [_Panel(i, float(a), float(b), n, q)
+                       for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False)]
     return panels
 
 
@@ -312,9 +323,13 @@ def _divided(section: Section, size: MeshSize) -> tuple[list[_Panel], list[_Pane
     if math.isinf(max(columns.max(), rows.max())):
         raise InputError("mesh size", "slowest_wave", math.inf, "a finite speed in some region of every row and column")
     radii, heights = _rims(section)
+    cuts = []
+    for rectangle in section.rectangles:
+        skin = size.skins.get(rectangle.region, 0.0) * (rectangle.z_top - rectangle.z_bottom)
+        cuts += [rectangle.z_bottom + skin, rectangle.z_top - skin] if skin else []
     return (
         _panels(section.r_breaks, columns, radii, size=size, minimum=1),
-        _panels(section.z_breaks, rows, heights, size=size, minimum=size.minimum_through_thickness),
+        _panels(section.z_breaks, rows, heights, size=size, minimum=size.minimum_through_thickness, cuts=cuts),
     )
 
 
@@ -490,7 +505,7 @@ def _content_key(section: Section, size: MeshSize) -> str:
         "rectangles": [asdict(rectangle) for rectangle in section.rectangles],
         "electrodes": [asdict(electrode) for electrode in section.electrodes],
         # A mapping proxy cannot be deep-copied, as asdict would.
-        "size": asdict(replace(size, slowest_wave=dict(size.slowest_wave))),
+        "size": asdict(replace(size, slowest_wave=dict(size.slowest_wave), skins=dict(size.skins))),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

@@ -119,14 +119,14 @@ def _reference_spectrum(name: str) -> Spectrum:
     return Spectrum(frequency, real + 1j * imaginary)
 
 
-def _uniform_mesh(chip: Chip, edge: float) -> SectionMesh:
+def _uniform_mesh(chip: Chip, edge: float, skins: Mapping[str, float] | None = None) -> SectionMesh:
     """The chip in elements of equal size, no longer than `edge` (metres), for orders of convergence."""
     from geometry.mesh import MeshSize, mesh_section
     from geometry.section import cut_section
 
     section = cut_section(chip)
     size = MeshSize(dict.fromkeys(section.regions, edge), 1.0, elements_per_wavelength=1.0, minimum_through_thickness=1,
-                    corner_refinement=1.0)
+                    corner_refinement=1.0, skins=dict(skins or {}))
     return mesh_section(section, size)
 
 
@@ -174,7 +174,7 @@ def _modes(operators: FullOperators, values: Mapping[str, complex], rows: NDArra
 
 
 def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavelength: float, thickness: int = 2,
-            corner_refinement: float = 1.0) -> Problem:
+            corner_refinement: float = 1.0, skins: Mapping[str, float] | None = None) -> Problem:
     """The base model of a chip, meshed by the workbench's own rule for the top of its band."""
     from geometry.mesh import MeshSize, mesh_section
     from geometry.section import cut_section
@@ -183,7 +183,7 @@ def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavel
     section = cut_section(chip)
     size = MeshSize(mesh_speeds(section.regions, materials), chip.band[1],
                     elements_per_wavelength=elements_per_wavelength, minimum_through_thickness=thickness,
-                    corner_refinement=corner_refinement)
+                    corner_refinement=corner_refinement, skins=dict(skins or {}))
     return problem(mesh_section(section, size), materials, chip.band)
 
 
@@ -200,7 +200,7 @@ def meshed() -> Callable[..., Problem]:
 
 
 @pytest.fixture(scope="session")
-def uniform_mesh() -> Callable[[Chip, float], SectionMesh]:
+def uniform_mesh() -> Callable[..., SectionMesh]:
     """See :func:`_uniform_mesh`."""
     return _uniform_mesh
 

@@ -202,6 +202,19 @@ def test_elements_shrink_smoothly_towards_the_rims(mesh: SectionMesh, section: S
     assert plain.mesh.t.shape[1] < mesh.mesh.t.shape[1]
 
 
+def test_a_layer_with_skins_has_a_row_of_elements_at_either_face(mesh: SectionMesh, section: Section) -> None:
+    skinned = mesh_section(section, replace(SIZE, skins={"bond": 0.05}))
+    (bond,) = (r for r in section.rectangles if r.region == "bond")
+    skin = 0.05 * (bond.z_top - bond.z_bottom)
+    lines = np.unique(skinned.mesh.p[1])
+    inside = lines[(lines > bond.z_bottom - 1e-12) & (lines < bond.z_top + 1e-12)]
+    assert np.diff(inside)[[0, -1]] == pytest.approx(skin, rel=1e-6)
+    # Elsewhere the mesh is the same.
+    others = np.unique(mesh.mesh.p[1])
+    beside = [values[(values <= bond.z_bottom) | (values >= bond.z_top)] for values in (lines, others)]
+    assert beside[0] == pytest.approx(beside[1], rel=1e-12)
+
+
 def test_a_cavity_wall_that_goes_straight_on_is_no_rim() -> None:
     layers = [layer("transducer", "2 mm", "9 mm"), layer("sidewall", "2 mm", "9 mm", "4 mm")]
     layers += [layer("bond", "2 mm", "9 mm", "4 mm"), layer("superstrate", "2 mm", "9 mm")]
@@ -283,6 +296,7 @@ def test_refining_doubles_the_elements_per_wavelength(mesh: SectionMesh, section
         ({"order": 0}, "order: received 0"),
         ({"minimum_through_thickness": 0}, "minimum_through_thickness: received 0"),
         ({"corner_refinement": 1.5}, "corner_refinement: received 1.5"),
+        ({"skins": {"bond": 0.5}}, "skins.bond: received 0.5"),
         ({"slowest_wave": {"cavity": -1.0}}, r"slowest_wave\.cavity: received -1.0"),
     ],
 )

@@ -123,6 +123,7 @@ def test_a_term_on_a_part_of_a_boundary_stays_there(chip: Chip, problem: Problem
     for component in ("u_r", "u_z"):
         numbers = operators.numbering[component]
         raised[numbers[numbers >= 0], 0] = 1.0
-    on_load = [i.coefficient.parameters == ("load.normal_impedance",) for i in operators.integrals]
+    on_load = ["load.normal_impedance" in i.coefficient.parameters for i in operators.integrals]
     # Normal to the side is u_r, and it is 1 as well: nothing of that is in it.
-    assert operators.quadratic(raised, raised)[0][on_load] == pytest.approx(np.pi * (3.5e-3) ** 2, rel=1e-12)
+    area = operators.quadratic(raised, raised)[0][on_load].sum()
+    assert area == pytest.approx(np.pi * (3.5e-3) ** 2, rel=1e-12)

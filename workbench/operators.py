@@ -111,10 +111,9 @@ class Place:
 def _place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | None = None) -> Place | None:
     """The place of an integral, of the cells `within` (number of cells,) only if given; None if that leaves nothing."""
     if not integral.on_boundary:
-        return _volume_place(mesh, integral.place, integral.beyond, within)
-    if integral.beyond:
-        raise ModelError(f"boundary {integral.place!r} is restricted to radii beyond {integral.beyond:g} of its outer "
-                         "one; only a region can be")
+        return _volume_place(mesh, integral, within)
+    if integral.beyond or integral.skin:
+        raise ModelError(f"{integral.domain!r} is only a part of a boundary; only a region can be restricted")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
     if not integral.facing:
         facets = facets[_touching(mesh, facets, within)]
@@ -135,11 +134,12 @@ def _touching(mesh: SectionMesh, facets: NDArray[np.int64], cells: NDArray[np.bo
     return np.asarray((cells[sides] & (sides >= 0)).any(axis=0))
 
 
-def _volume_place(
-    mesh: SectionMesh, region: str, beyond: float, within: NDArray[np.bool_] | None
-) -> Place | None:
+def _volume_place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | None) -> Place | None:
+    region, beyond = integral.place, integral.beyond
     cells = np.asarray(mesh.mesh.subdomains[region])
     whole = mesh.mesh.p[0, mesh.mesh.t[:, cells]].max()
+    if integral.skin:
+        cells = _skin(mesh, cells, integral)
     if within is not None:
         cells = cells[within[cells]]
         if not cells.size:
@@ -160,6 +160,20 @@ def _volume_place(
         rule = (np.stack([share + (1.0 - share) * points[0], points[1]]), (1.0 - share) * weights)
         parts.append(_cells(mesh, cells[kept], *rule))
     return _together(parts)
+
+
+def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> NDArray[np.int64]:
+    """The cells of a region, given by its own, that are a skin of it."""
+    heights = mesh.mesh.p[1, mesh.mesh.t[:, cells]]
+    low, high = heights.min(), heights.max()
+    edge = (high if integral.skin > 0.0 else low) - integral.skin * (high - low)
+    rounding = SAME_SHAPE * (high - low)
+    beside = heights.min(axis=0) > edge - rounding if integral.skin > 0.0 else heights.max(axis=0) < edge + rounding
+    kept = cells[beside]
+    tall = np.ptp(heights[:, beside], axis=0)
+    if not kept.size or np.abs(tall - abs(integral.skin) * (high - low)).max() > rounding:
+        raise ModelError(f"the mesh has no row of elements for {integral.domain!r}; mesh the region with such a skin")
+    return np.asarray(kept)
 
 
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:

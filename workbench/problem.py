@@ -197,11 +197,13 @@ def build(
     band: tuple[float, float] | None = None,
     order: int = 2,
     elements_per_wavelength: float | None = None,
+    skins: Mapping[str, float] | None = None,
     cache: Path | None = None,
 ) -> Problem:
     """The problem of a chip in one of its states, meshed for `band` (Hz; the chip's own by default).
 
-    Fields are of that `order`, one of :data:`FINENESS`, which has the usual `elements_per_wavelength` too.
+    Fields are of that `order`, one of :data:`FINENESS`, which has the usual `elements_per_wavelength` too; `skins` as
+    in `geometry.mesh.MeshSize`.
 
     Raises:
         InputError: see :func:`chip_materials`.
@@ -211,7 +213,8 @@ def build(
     low, high = chip.band if band is None else band
     check_use(materials.values(), band=(low, high))
     section = cut_section(chip)
-    size = mesh_size(section.regions, materials, high, order=order, elements_per_wavelength=elements_per_wavelength)
+    size = replace(mesh_size(section.regions, materials, high, order=order,
+                             elements_per_wavelength=elements_per_wavelength), skins=dict(skins or {}))
     return problem(mesh_section(section, size, cache=cache), materials, (low, high), name=f"{chip.name}, {state}")
 
 

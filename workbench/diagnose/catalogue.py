@@ -335,20 +335,14 @@ def couplant(device: Device) -> Iterator[Effect]:
 
 def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     """Shear across a fluid layer between two solids, which may be others in another state."""
-
-    def around(state: DeviceState) -> tuple[str, ...]:
-        order = [layer.region for layer in state.chip.layers]
-        at = order.index(region)
-        return tuple(order[max(at - 1, 0):at] + order[at + 1:at + 2])
-
-    states = [state for state in device.holding(region) if len(around(state)) == 2]
+    states = [state for state in device.holding(region) if all(_neighbours(state, region))]
     if not states:
         return
     root, modulus = f"{fluid.name}.gel_viscosity_root", f"{fluid.name}.gel_shear_modulus"
     limits = {root: couplant_shear.ADMISSIBLE["gel_viscosity_root"]}
 
     def viscous(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        below, above = around(state)
+        below, above = _neighbours(state, region)
         term = couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
                                             below, above)
         return (term,), {root: 0.0, modulus: 0.0, f"{region}.thickness": state.chip.layer(region).thickness.value}
@@ -390,6 +384,13 @@ def _fluids(device: Device) -> list[tuple[str, Fluid]]:
     return list(found.items())
 
 
+def _neighbours(state: DeviceState, region: str) -> tuple[str, str]:
+    """The layers below and above one, "" where there is none."""
+    order = ["", *(layer.region for layer in state.chip.layers), ""]
+    at = order.index(region)
+    return order[at - 1], order[at + 1]
+
+
 def bonds(device: Device) -> Iterator[Effect]:
     """Thin solid layers that hold less than their material does."""
     for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "bond"):
@@ -397,20 +398,23 @@ def bonds(device: Device) -> Iterator[Effect]:
         material = states[0].materials[region]
         if not isinstance(material, IsotropicSolid):
             continue
-        names = (f"{region}.normal_compliance", f"{region}.tangential_compliance")
-        limits = {names[0]: thin_layer.ADMISSIBLE["normal_compliance"],
-                  names[1]: thin_layer.ADMISSIBLE["tangential_compliance"]}
+        for other, upper in zip(_neighbours(states[0], region), (False, True), strict=True):
+            if not other:
+                continue
+            name = f"{region} at the {other}"
+            limits = {f"{name}.{key}": limit for key, limit in thin_layer.ADMISSIBLE.items()}
 
-        def springs(
-            state: DeviceState, region: str = region, material: str = material.name, names: Sequence[str] = names
-        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-            return ((thin_layer.ImperfectBond(region, material),),
-                    {names[0]: 0.0, names[1]: 0.0,
-                     f"{region}.thickness": state.chip.layer(region).thickness.value})
+            def springs(
+                state: DeviceState, region: str = region, material: str = material.name, name: str = name,
+                upper: bool = upper, limits: Mapping[str, Admissible] = limits
+            ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+                return ((thin_layer.ImperfectBond(region, material, name, upper),),
+                        {**dict.fromkeys(limits, 0j), f"{region}.thickness": state.chip.layer(region).thickness.value})
 
-        terms, values = _added(states, springs)
-        yield Effect(f"imperfect {region}", region, "stiffness", "the layer gives way more than its material does",
-                     tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+            terms, values = _added(states, springs)
+            yield Effect(f"imperfect {name}", region, "stiffness", "the layer gives way there more than its material "
+                         "does", tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms,
+                         values=values)
 
 
 def solids(device: Device) -> Iterator[Effect]:

@@ -71,8 +71,10 @@ def model(
     meshes: dict[Section, SectionMesh] = {}
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
+        terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
+        skins = {integral.place: abs(integral.skin) for term in terms for integral in term.integrals() if integral.skin}
         problem = build(state.chip, state.state, campaign.registry, order=ORDER,
-                        elements_per_wavelength=elements_per_wavelength, cache=cache,
+                        elements_per_wavelength=elements_per_wavelength, skins=skins, cache=cache,
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)
         for effect in hypotheses:

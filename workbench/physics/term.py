@@ -269,7 +269,9 @@ class Integral:
     ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
     ``facing`` names the boundary across a thin layer and ``facing_solid`` the solid there, for the operators that are
     taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` restricts a region to
-    radii larger than that share of its outer one, also within an element.
+    radii larger than that share of its outer one, also within an element. ``skin`` restricts it to the row of elements
+    that takes so much of its thickness at its upper face, or, where it is negative, at its lower one; the mesh must
+    have that row (`geometry.mesh.MeshSize.skins`).
     """
 
     coefficient: Coefficient
@@ -280,6 +282,7 @@ class Integral:
     facing: str = ""
     facing_solid: str = ""
     beyond: float = 0.0
+    skin: float = 0.0
 
     @property
     def on_boundary(self) -> bool:
@@ -290,7 +293,8 @@ class Integral:
         """The name of what is integrated over: the place, with what faces or restricts it."""
         if self.facing:
             return f"{self.place} facing {self.facing}"
-        return self.place if not self.beyond else f"{self.place} beyond {self.beyond!r}"
+        name = self.place if not self.beyond else f"{self.place} beyond {self.beyond!r}"
+        return name if not self.skin else f"{name} skin {self.skin!r}"
 
 
 @dataclass(frozen=True)
