@@ -7,6 +7,7 @@ parameter at one of a thousand admissible places is worth less than one that wou
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -55,9 +56,9 @@ GOOD, GOOD_STATE = 1.15, 1.3
 #: many of its uncertainties.
 LEVER, SHIFTING, HOPS = 0.05, 0.05, (-0.5, 0.5, -1.0, 1.0, -1.5, 1.5, -2.0, 2.0)
 
-#: Bases for that hold the states with a lever at so many of its uncertainties; or, where nothing within those helps, at
-#: so many places of all that it may be, and the fit is begun again at each.
-CORNERS, FAR = (-1.7, 1.7), 7
+#: Bases for that hold the states with a lever at so many of its uncertainties. Where nothing within those helps, the
+#: fit is begun again at places all over what it may be, apart by no more than the second number, a factor.
+CORNERS, FAR = (-1.7, 1.7), 2.0
 
 #: A refit searches so many times what the score test asks for, or the standard errors it gives.
 WIDEST = 30.0
@@ -311,18 +312,25 @@ def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[
 
     A wrong basin strains the known parameters. Where the data weigh little against these (`joint.EXPLORATION`), it
     costs more than the right one, and few steps lead from one to the other. With `far` the basins are looked for in all
-    that the parameters may be, else within what is known of them.
+    that the parameters may be, one parameter after the other, else within what is known of them.
     """
+    levers = _levers(fit.search, model.known, fit.search.evaluate(x, _weak(fit.search.objective)))
+    if not far:
+        return _elsewhere(model, fit, x, levers, far) if levers else (fit, x)
+    for i in levers:
+        fit, x = _elsewhere(model, fit, x, [i], far)
+    return fit, x
+
+
+def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bool) -> tuple[Refit, Real]:
+    """:func:`elsewhere`, in basins that some `levers` lead to, on bases for all of these at once."""
     search = fit.search
-    levers = _levers(search, model.known, search.evaluate(x, _weak(search.objective)))
-    if not levers:
-        return fit, x
     centre = x.copy()
     centre[: model.known] = search.centre[: model.known]
     places = [(i, value) for i in levers for value in _places(search, i, far)]
-    held_at = [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
+    corners = places if far else [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
     model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED,
-                          [_with_one(centre, i, value) for i, value in (places if far else held_at)])
+                          [_with_one(centre, i, value) for i, value in corners])
     thin = search.thinned()
     own = best = _glance(thin, x)
     ends = [own]
@@ -347,7 +355,8 @@ def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[
 def _places(search: Search, i: int, far: bool) -> Sequence[float]:
     """Where to hold parameter i, a lever, in all that it may be (far), or within what is known of it."""
     if far:
-        return np.geomspace(search.low[i], search.high[i], FAR + 2)[1:-1].tolist()
+        parts = math.ceil(math.log(search.high[i] / search.low[i]) / math.log(FAR))
+        return np.geomspace(search.low[i], search.high[i], parts + 1)[1:-1].tolist()
     return [search.centre[i] + hop * search.scale[i] for hop in HOPS]
 
 

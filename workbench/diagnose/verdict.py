@@ -141,25 +141,20 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     progress("known parameters", 0.0)
     nominal, base, end = base_fit(model)
     check_assignment(model.campaign, nominal)
-    location: tuple[Place, ...] = ()
-    singles: list[Refit] = []
     if not _quiet(base, _scores(model, base)):
         # Also what leaves next to nothing may be a wrong basin, in which something hints at what is not there.
         progress("other basins", 0.1)
         base, end = elsewhere(model, base, end)
-    if base.reduced > STRAINED:
-        progress("basins far off", 0.15)
-        base, end = elsewhere(model, base, end, far=True)
-    if base.reduced > STRAINED or base.strain > STRAY:
-        progress("strong effects", 0.2)
-        location, singles = afar(model, base, end)
-    if any(_explains(base, fit) for fit in singles):
-        scores = _scores(model, base)
-    else:
-        base, scores, near, more = _near(model, base, progress)
-        # Where the known parameters are strained, what is left no longer tells where from.
-        location = location or near
-        singles += more
+    base, scores, location, singles = _asked(model, base, end, progress)
+    if _strained(base) and not any(_explains(base, fit) for fit in singles):
+        progress("basins far off", 0.6)
+        other, end = elsewhere(model, base, end, far=True)
+        if other is not base:
+            base, scores, location, singles = _asked(model, other, end, progress)
+        elif singles:
+            # The bases are those of the places that were looked at: those of the best fit again.
+            closest = min(singles, key=lambda f: f.evidence)
+            singles = _with(singles, closest, gather(model, closest, _further(model, closest)[:PAIRS]))
     singles.sort(key=lambda f: f.evidence)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
@@ -186,6 +181,30 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
             best = gather(model, weighed[0][0])
             weighed[0] = (best, predicted(model, best))
     return _judged(model, nominal, base, weighed, scores, location, singles, pairs, held_before, started)
+
+
+def _asked(
+    model: Model, base: Refit, end: Real, progress: Progress
+) -> tuple[Refit, list[Score], tuple[Place, ...], list[Refit]]:
+    """The base, scores and location there, and refits of the hypotheses left in the race.
+
+    `end` (p,) is the end of the way down to the base, where the data weigh little (:func:`afar`).
+    """
+    location: tuple[Place, ...] = ()
+    singles: list[Refit] = []
+    if _strained(base):
+        progress("strong effects", 0.2)
+        location, singles = afar(model, base, end)
+    if any(_explains(base, fit) for fit in singles):
+        return base, _scores(model, base), location, singles
+    base, scores, near, more = _near(model, base, progress)
+    # Where the known parameters are strained, what is left no longer tells where from.
+    return base, scores, location or near, [*singles, *more]
+
+
+def _strained(base: Refit) -> bool:
+    """Whether the known parameters make up for a strong effect, as far as they can."""
+    return base.reduced > STRAINED or base.strain > STRAY
 
 
 def gain(base: Refit, fit: Refit) -> float:
