@@ -295,13 +295,16 @@ def _glance(search: Search, x: Real, fixed: tuple[int, ...] = (), deviation: flo
     return search.minimise(x, _weak(search.objective, deviation), limit=GLANCE, tolerance=0.01, fixed=fixed)
 
 
-def _levers(search: Search, known: int, here: Weighted) -> list[int]:
-    """Indices of the known parameters that may have several optima."""
+def _levers(search: Search, known: int, x: Real) -> list[int]:
+    """Indices of the known parameters that may have several optima, with what they do at x (p,)."""
+    here = search.evaluate(x, _weak(search.objective))
     points = sum(log.size for log in here.data.log_ratio)
     found = []
     for i, p in enumerate(search.parameters[:known]):
         if p.prior is not None and not p.is_loss and p.prior > LEVER * abs(p.start) > 0.0:
-            change = EXPLORATION * p.prior * float(np.linalg.norm(here.data.jacobian[:, i])) / np.sqrt(points)
+            # Of a layer that is twice as thick, twice as much does the same.
+            step = p.prior * abs(float(x[i]) / p.start)
+            change = EXPLORATION * step * float(np.linalg.norm(here.data.jacobian[:, i])) / np.sqrt(points)
             if change > SHIFTING:
                 found.append(i)
     return found
@@ -314,7 +317,7 @@ def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[
     costs more than the right one, and few steps lead from one to the other. With `far` the basins are looked for in all
     that the parameters may be, one parameter after the other, else within what is known of them.
     """
-    levers = _levers(fit.search, model.known, fit.search.evaluate(x, _weak(fit.search.objective)))
+    levers = _levers(fit.search, model.known, x)
     if not far:
         return _elsewhere(model, fit, x, levers, far) if levers else (fit, x)
     for i in levers:
