@@ -54,7 +54,7 @@ GOOD, GOOD_STATE = 1.15, 1.3
 #: A parameter known no better than the first number, relative, whose uncertainty changes Z by more than the second, may
 #: have several optima: a thin layer may be too thick or too thin. A fit that is not good is begun again with it at so
 #: many of its uncertainties.
-LEVER, SHIFTING, HOPS = 0.05, 0.05, (-0.5, 0.5, -1.0, 1.0, -1.5, 1.5, -2.0, 2.0)
+LEVER, SHIFTING, HOPS = 0.05, 0.03, (-0.5, 0.5, -1.0, 1.0, -1.5, 1.5, -2.0, 2.0)
 
 #: Bases for that hold the states with a lever at so many of its uncertainties. Where nothing within those helps, the
 #: fit is begun again at places all over what it may be, apart by no more than the second number, a factor.
