@@ -90,6 +90,8 @@ def test_basins_far_off_are_looked_for_in_all_that_a_layer_may_be() -> None:
     # A basin is about as wide as its layer is thick.
     steps = np.diff(np.log([2e-6, *far, 1e-4]))
     assert 0.0 < steps.min() <= steps.max() <= np.log(2.0)
+    negative: Any = SimpleNamespace(low=-search.high, high=-search.low)
+    assert refit._places(negative, 0, True) == pytest.approx(-far[::-1])
 
 
 def test_parameters_that_end_at_a_bound_are_told() -> None:

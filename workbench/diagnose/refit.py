@@ -318,10 +318,8 @@ def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[
     that the parameters may be, one parameter after the other, else within what is known of them.
     """
     levers = _levers(fit.search, model.known, x)
-    if not far:
-        return _elsewhere(model, fit, x, levers, far) if levers else (fit, x)
-    for i in levers:
-        fit, x = _elsewhere(model, fit, x, [i], far)
+    for together in [[i] for i in levers] if far else [levers]:
+        fit, x = _elsewhere(model, fit, x, together, far)
     return fit, x
 
 
@@ -331,6 +329,8 @@ def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bo
     centre = x.copy()
     centre[: model.known] = search.centre[: model.known]
     places = [(i, value) for i in levers for value in _places(search, i, far)]
+    if not places:
+        return fit, x
     corners = places if far else [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
     model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED,
                           [_with_one(centre, i, value) for i, value in corners])
@@ -357,9 +357,10 @@ def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bo
 
 def _places(search: Search, i: int, far: bool) -> Sequence[float]:
     """Where to hold parameter i, a lever, in all that it may be (far), or within what is known of it."""
-    if far:
-        parts = math.ceil(math.log(search.high[i] / search.low[i]) / math.log(FAR))
-        return np.geomspace(search.low[i], search.high[i], parts + 1)[1:-1].tolist()
+    low, high = float(search.low[i]), float(search.high[i])
+    if far and low * high > 0.0:
+        parts = math.ceil(abs(math.log(high / low)) / math.log(FAR))
+        return np.geomspace(low, high, parts + 1)[1:-1].tolist()
     return [search.centre[i] + hop * search.scale[i] for hop in HOPS]
 
 
