@@ -126,7 +126,7 @@ def _uniform_mesh(chip: Chip, edge: float, skins: Mapping[str, float] | None = N
 
     section = cut_section(chip)
     size = MeshSize(dict.fromkeys(section.regions, edge), 1.0, elements_per_wavelength=1.0, minimum_through_thickness=1,
-                    corner_refinement=1.0, skins=dict(skins or {}))
+                    corner_refinement=1.0, skins=skins or {})
     return mesh_section(section, size)
 
 
@@ -183,7 +183,7 @@ def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavel
     section = cut_section(chip)
     size = MeshSize(mesh_speeds(section.regions, materials), chip.band[1],
                     elements_per_wavelength=elements_per_wavelength, minimum_through_thickness=thickness,
-                    corner_refinement=corner_refinement, skins=dict(skins or {}))
+                    corner_refinement=corner_refinement, skins=skins or {})
     return problem(mesh_section(section, size), materials, chip.band)
 
 

@@ -164,14 +164,13 @@ def _volume_place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool
 
 def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> NDArray[np.int64]:
     """The cells of a region, given by its own, that are a skin of it."""
-    heights = mesh.mesh.p[1, mesh.mesh.t[:, cells]]
-    low, high = heights.min(), heights.max()
-    edge = (high if integral.skin > 0.0 else low) - integral.skin * (high - low)
-    rounding = SAME_SHAPE * (high - low)
-    beside = heights.min(axis=0) > edge - rounding if integral.skin > 0.0 else heights.max(axis=0) < edge + rounding
+    # Upside down where the skin is the lower one.
+    heights = np.sign(integral.skin) * mesh.mesh.p[1, mesh.mesh.t[:, cells]]
+    whole = np.ptp(heights)
+    skin, rounding = abs(integral.skin) * whole, SAME_SHAPE * whole
+    beside = heights.min(axis=0) > heights.max() - skin - rounding
     kept = cells[beside]
-    tall = np.ptp(heights[:, beside], axis=0)
-    if not kept.size or np.abs(tall - abs(integral.skin) * (high - low)).max() > rounding:
+    if not kept.size or np.abs(np.ptp(heights[:, beside], axis=0) - skin).max() > rounding:
         raise ModelError(f"the mesh has no row of elements for {integral.domain!r}; mesh the region with such a skin")
     return np.asarray(kept)
 

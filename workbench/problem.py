@@ -213,21 +213,21 @@ def build(
     low, high = chip.band if band is None else band
     check_use(materials.values(), band=(low, high))
     section = cut_section(chip)
-    size = replace(mesh_size(section.regions, materials, high, order=order,
-                             elements_per_wavelength=elements_per_wavelength), skins=dict(skins or {}))
+    size = mesh_size(section.regions, materials, high, order=order, elements_per_wavelength=elements_per_wavelength,
+                     skins=skins)
     return problem(mesh_section(section, size, cache=cache), materials, (low, high), name=f"{chip.name}, {state}")
 
 
 def mesh_size(
     regions: tuple[str, ...], materials: Mapping[str, Material], frequency: float, *, order: int = 2,
-    elements_per_wavelength: float | None = None,
+    elements_per_wavelength: float | None = None, skins: Mapping[str, float] | None = None,
 ) -> MeshSize:
     """How fine the mesh of these regions has to be at `frequency` (Hz), for fields of an order of :data:`FINENESS`."""
     fine = FINENESS[order]
     return MeshSize(mesh_speeds(regions, materials, order), frequency, order=order,
                     elements_per_wavelength=elements_per_wavelength or fine.elements_per_wavelength,
                     minimum_through_thickness=fine.through_thickness, corner_refinement=fine.corner_refinement,
-                    growth=fine.growth)
+                    growth=fine.growth, skins=skins or {})
 
 
 def mesh_speeds(regions: tuple[str, ...], materials: Mapping[str, Material], order: int = 2) -> dict[str, float]:

@@ -213,9 +213,7 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
     pulled = np.flatnonzero(np.abs((x - search.centre) * search.precision) > PULLED)
     if pulled.size:
         # What is missing may be imitated by a known parameter far from what is known of it: asked without that too.
-        back = x.copy()
-        back[pulled] = search.centre[pulled]
-        back, _, scores = _weakly(model, search, back, tuple(map(int, pulled)))
+        back, _, scores = _weakly(model, search, _replaced(x, pulled, search.centre[pulled]), tuple(map(int, pulled)))
         ends += _glances(model, back, scores)
     least = min((end.cost for _, _, end in ends), default=0.0)
     found: list[Refit] = []
@@ -326,20 +324,20 @@ def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[
 def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bool) -> tuple[Refit, Real]:
     """:func:`elsewhere`, in basins that some `levers` lead to, on bases for all of these at once."""
     search = fit.search
-    centre = x.copy()
-    centre[: model.known] = search.centre[: model.known]
     places = [(i, value) for i in levers for value in _places(search, i, far)]
     if not places:
         return fit, x
+    known = slice(model.known)
+    centre = _replaced(x, known, search.centre[known])
     corners = places if far else [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
     model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED,
-                          [_with_one(centre, i, value) for i, value in corners])
+                          [_replaced(centre, i, value) for i, value in corners])
     thin = search.thinned()
     own = best = _glance(thin, x)
     ends = [own]
     for i, value in places:
         try:
-            held = _glance(thin, _with_one(centre if far else best.x, i, value), fixed=(i,))
+            held = _glance(thin, _replaced(centre if far else best.x, i, value), fixed=(i,))
             if held.cost < PROMISING * best.cost:
                 ends.append(_glance(thin, held.x))
         except NO_END:
@@ -364,10 +362,10 @@ def _places(search: Search, i: int, far: bool) -> Sequence[float]:
     return [search.centre[i] + hop * search.scale[i] for hop in HOPS]
 
 
-def _with_one(x: Real, i: int, value: float) -> Real:
-    """x (p,) with one parameter replaced."""
+def _replaced(x: Real, where: int | slice | NDArray[np.int64], values: float | Real) -> Real:
+    """x (p,) with some parameters replaced."""
     there = x.copy()
-    there[i] = value
+    there[where] = values
     return there
 
 
@@ -451,11 +449,8 @@ def _begun(
                 search.high[i] = min(search.high[i], start[i] + WIDEST * search.scale[i])
     own = np.array([model.index(name) for effect in effects for name in effect.names])
     margin = AT_END * (search.high - search.low)[own]
-    begins = []
-    for share in SHARES:
-        x = start.copy()
-        x[own] = np.clip((start + share * asked)[own], search.low[own] + margin, search.high[own] - margin)
-        begins.append(x)
+    low, high = search.low[own] + margin, search.high[own] - margin
+    begins = [_replaced(start, own, np.clip((start + share * asked)[own], low, high)) for share in SHARES]
     # What is asked for goes with moves of the known parameters, without which less of it may be closer.
     return search, min(begins, key=lambda begin: float(np.sum(search.evaluate(begin, deviation).vector ** 2)))
 

@@ -153,8 +153,7 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
             base, scores, location, singles = _asked(model, other, end, progress)
         elif singles:
             # The bases are those of the places that were looked at: those of the best fit again.
-            closest = min(singles, key=lambda f: f.evidence)
-            singles = _with(singles, closest, gather(model, closest, _further(model, closest)[:PAIRS]))
+            singles = _settled(model, singles, min(singles, key=lambda f: f.evidence))
     singles.sort(key=lambda f: f.evidence)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
@@ -259,6 +258,14 @@ def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
     return sorted([new if f is old else f for f in fits], key=lambda f: f.evidence)
 
 
+def _settled(model: Model, fits: Sequence[Refit], best: Refit) -> list[Refit]:
+    """`fits` with the best one made again on bases of its own, best first.
+
+    Whatever else is asked of it, also whether that is all, is asked there.
+    """
+    return _with(fits, best, gather(model, best, _further(model, best)[:PAIRS]))
+
+
 def _weighed(model: Model, fits: Sequence[Refit]) -> list[Weighed]:
     """Fits with the states held out as they predict these, which decide between fits that come close; best first."""
     found = [(fit, predicted(model, fit)) for fit in fits]
@@ -296,8 +303,7 @@ def _near(
     best = min([base, *found], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
         progress(f"neighbourhood of {best.name}", 0.6)
-        # Whatever else is asked of it, also whether that is all, is asked on bases of its own.
-        found = _with(found, best, gather(model, best, _further(model, best)[:PAIRS]))
+        found = _settled(model, found, best)
     return base, scores, location, found
 
 

@@ -195,6 +195,8 @@ class _Region:
 
         It ends where a step promises less than `enough`, or where rounding leaves no step that is better.
         """
+        ridge = _ridge(hessian)
+
         def value(d: Real) -> float:
             return _quadratic(hessian, slope, d) + mu * self.barrier(d)
 
@@ -202,7 +204,7 @@ class _Region:
         for _ in range(NEWTON):
             above, below = 1.0 / (self.upper - d), 1.0 / (d - self.lower)
             gradient = hessian @ d + slope + mu * (above - below)
-            curvature = hessian + np.diag(mu * (above**2 + below**2) + _ridge(hessian))
+            curvature = hessian + np.diag(mu * (above**2 + below**2) + ridge)
             try:
                 images = np.linalg.inv(self.matrix(d)) @ self.slopes
                 gradient -= mu * np.trace(images, axis1=1, axis2=2)

@@ -51,9 +51,9 @@ class ImperfectBond(Term):
 
     def integrals(self) -> tuple[Integral, ...]:
         moduli = (("K", f"{self.material}.bulk_modulus"), ("G", f"{self.material}.shear_modulus"))
-        shared = (("t", f"{self.region}.thickness"), ("eta", f"{self.name}.loss_factor"), *moduli)
-        normal = (("s", f"{self.name}.normal_compliance"), *shared)
-        tangential = (("s", f"{self.name}.tangential_compliance"), *shared)
+        shared = (("t", f"{self.region}.thickness"), ("eta", f"{self.name}.loss_factor"))
+        normal = (("s", f"{self.name}.normal_compliance"), *shared, *moduli)
+        tangential = (("s", f"{self.name}.tangential_compliance"), *shared, moduli[1])
 
         def of(law: ConstantLaw, symbols: tuple[tuple[str, str], ...], product: Product) -> Integral:
             return Integral(Formula(law, symbols), self.region, (product,), skin=SKIN if self.upper else -SKIN)
@@ -66,8 +66,8 @@ class ImperfectBond(Term):
         )
 
 
-#: How c33, c13 and G follow from K and G: the factors of both.
-_C33, _C13, _SHEAR = (1.0, 4.0 / 3.0), (1.0, -2.0 / 3.0), (0.0, 1.0)
+#: How c33, c13 and G follow from K and G: the factors.
+_C33, _C13, _SHEAR = {"K": 1.0, "G": 4.0 / 3.0}, {"K": 1.0, "G": -2.0 / 3.0}, {"G": 1.0}
 
 
 def _axial(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
@@ -87,15 +87,16 @@ def _shear(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
 
 
 def _given(
-    v: Mapping[str, complex], own: tuple[float, float], first: tuple[float, float], second: tuple[float, float]
+    v: Mapping[str, complex], own: Mapping[str, float], first: Mapping[str, float], second: Mapping[str, float]
 ) -> tuple[complex, Mapping[str, complex]]:
     """-s / (d + m s) a b of a skin whose own modulus is m, for two moduli a and b, and its derivatives."""
-    m, a, b = (bulk * v["K"] + shear * v["G"] for bulk, shear in (own, first, second))
+    m, a, b = (sum(factor * v[name] for name, factor in factors.items()) for factors in (own, first, second))
     lossy = 1.0 + 1j * v["eta"]
     d, s = SKIN * v["t"], v["s"] * lossy
-    share = s / (d + m * s)
-    by_s = -d / (d + m * s) ** 2 * a * b
-    slopes = {"s": by_s * lossy, "eta": by_s * 1j * v["s"], "t": SKIN * share / (d + m * s) * a * b}
-    for k, modulus in enumerate("KG"):
-        slopes[modulus] = share**2 * own[k] * a * b - share * (first[k] * b + second[k] * a)
-    return -share * a * b, slopes
+    total = d + m * s
+    share = s / total
+    by_s = -d / total**2 * a * b
+    return -share * a * b, {
+        "s": by_s * lossy, "eta": by_s * 1j * v["s"], "t": SKIN * share / total * a * b,
+        **{name: share**2 * own[name] * a * b - share * (first[name] * b + second[name] * a) for name in own},
+    }
