@@ -134,7 +134,7 @@ CALLED: Mapping[str, str] = {
     "fractional loss": f"fractional loss of {PLA}",
     "anisotropic polymer": f"anisotropy of {PLA}",
     "water uptake": f"liquid taken up by {PLA}",
-    "partial electrode": "rim of the transducer without piezoelectricity",
+    "partial electrode": "electrode that ends before the rim",
     "depoled rim": "rim of the transducer without piezoelectricity",
     "softening": "softening with the drive",
 }

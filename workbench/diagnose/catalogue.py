@@ -40,6 +40,7 @@ from workbench.physics import (
     fluid_temperature,
     loss_laws,
     missing_couplant,
+    partial_electrode,
     softening,
     surface_load,
     thin_layer,
@@ -59,7 +60,7 @@ MISTAKEN_THICKNESS, MISTAKEN_RADIUS = (0.8, 1.2), (0.95, 1.05)
 PRINTED = {"substrate", "sidewall"}
 
 #: Rims that may lack something begin at these shares of the radius, one in the other: a sharp edge lies between two.
-RIMS = (0.7, 0.85, 0.93, 0.97, 0.99, 0.997)
+RIMS = (0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.985, 0.995)
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
@@ -547,9 +548,21 @@ def transducer(device: Device) -> Iterator[Effect]:
                 {**dict.fromkeys(depoled_limits, 0j), **{f"{rim}.permittivity_excess": 0j for rim in rims}})
 
     terms, values = _added(states, unpoled)
-    yield Effect("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a depoled rim, or an "
-                 "electrode that does not reach it", tuple(_of(n, a) for n, a in depoled_limits.items()),
-                 admissible=depoled_limits, terms=terms, values=values)
+    yield Effect("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a rim that is not poled",
+                 tuple(_of(n, a) for n, a in depoled_limits.items()), admissible=depoled_limits, terms=terms,
+                 values=values)
+
+    bare_limits = {f"{rim}.bare_fraction": partial_electrode.ADMISSIBLE["bare_fraction"] for rim in rims}
+
+    def short(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
+        return ((partial_electrode.PartialElectrode(TRANSDUCER, name, tuple(rims.values()), tuple(rims),
+                                                    upper=state.chip.electrodes.live == "top"),),
+                dict.fromkeys(bare_limits, 0j))
+
+    terms, values = _added(states, short)
+    yield Effect("electrode that ends before the rim", TRANSDUCER, "geometry", "a face of the transducer is bare at "
+                 "its rim", tuple(_of(n, a) for n, a in bare_limits.items()), admissible=bare_limits, terms=terms,
+                 values=values)
 
     impedance = "backing.normal_impedance"
     limits = {impedance: replace(surface_load.ADMISSIBLE["normal_impedance"], lowest=0.0)}

@@ -9,10 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
-
-#: Vacuum permittivity, F/m (CODATA 2018).
-VACUUM_PERMITTIVITY = 8.8541878128e-12
+from workbench.physics.term import VACUUM_PERMITTIVITY, Admissible, Integral, Monomial, Product, Term
 
 #: What the poling of a rim can be.
 ADMISSIBLE: Mapping[str, Admissible] = {

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.physics.term import Condition, Integral, Monomial, Product, Term
-
-#: Vacuum permittivity, F/m (CODATA 2018).
-VACUUM_PERMITTIVITY = 8.8541878128e-12
+from workbench.physics.term import VACUUM_PERMITTIVITY, Condition, Integral, Monomial, Product, Term
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,109 @@
+"""A face bare at its rim against the disc whose electrode ends there, and against capacitors side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geometry.chip import Chip, Dimension, ElectrodeDisc, Electrodes
+from geometry.mesh import SectionMesh
+from materials.kinds import Material, Piezoelectric
+from workbench.operators import ModelError, assemble
+from workbench.physics.partial_electrode import HALFWAY, SKIN, PartialElectrode
+from workbench.physics.term import VACUUM_PERMITTIVITY
+from workbench.problem import Problem, problem
+from workbench.solve import solve_full
+
+RADIUS, THICKNESS, BAND = 3e-3, 2e-3, (300e3, 700e3)
+FREQUENCY = np.linspace(310e3, 690e3, 9)
+
+Disc = Callable[..., Problem]
+
+
+@pytest.fixture(scope="module")
+def disc(stacked: Callable[..., Chip], uniform_mesh: Callable[..., SectionMesh],
+         reference_materials: Callable[[str], dict[str, Material]]) -> Disc:
+    """A disc with a skin at either face, whose live electrode, on its `face`, ends at `radius` (None: covers it)."""
+    def made(radius: float | None = None, face: str = "top", edge: float = 0.15e-3, **constants: float) -> Problem:
+        pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
+        assert isinstance(pzt, Piezoelectric)
+        plain = stacked([("transducer", THICKNESS, RADIUS, None)], band=BAND)
+        live = ElectrodeDisc(None if radius is None else Dimension(radius))
+        chip = replace(plain, electrodes=Electrodes("top" if face == "top" else "bottom", live))
+        mesh = uniform_mesh(chip, edge, {"transducer": SKIN})
+        return problem(mesh, {"transducer": replace(pzt, **constants)}, BAND)
+
+    return made
+
+
+def bared(base: Problem, bare: dict[float, complex], *, upper: bool = True) -> Problem:
+    """A disc bare on shares of the rings that begin at some radii (m)."""
+    rings = {f"beyond {beyond}": share for beyond, share in bare.items()}
+    term = PartialElectrode("transducer", "pzt", tuple(beyond / RADIUS for beyond in bare), tuple(rings), upper)
+    return base.with_terms((term,), {f"{ring}.bare_fraction": share for ring, share in rings.items()})
+
+
+def impedance(model: Problem, frequency: NDArray[np.float64] = FREQUENCY) -> NDArray[np.complex128]:
+    return solve_full(assemble(model.mesh, model.terms), frequency, model.values).impedance
+
+
+def test_a_face_bare_in_part_is_capacitors_in_series(disc: Disc) -> None:
+    # Without coupling, and without permittivity along r, every ring is a skin and the rest, one after the other.
+    base = disc(e31=0.0, e33=0.0, e15=0.0, eps11=0.0)
+    frequency = np.array([310e3, 690e3])
+    found = impedance(bared(base, {1.5e-3: 0.25, 2.4e-3: 0.4}), frequency)
+    covered = np.array([1.0, 0.75, 0.75 * 0.6])
+    skin = HALFWAY * covered / (1.0 - (1.0 - HALFWAY) * covered)
+    area = np.pi * np.diff(np.square([0.0, 1.5e-3, 2.4e-3, 3e-3]))
+    permittivity = VACUUM_PERMITTIVITY * base.values["pzt.eps33"].real
+    capacitance = float((permittivity * area / THICKNESS / (1.0 - SKIN + SKIN / skin)).sum())
+    # On the lines between two rings the nodes below the skin have one potential.
+    assert found == pytest.approx(1.0 / (-2j * np.pi * frequency * capacitance), rel=2e-3)
+
+
+@pytest.mark.parametrize("face", ["top", "bottom"])
+@pytest.mark.parametrize("edge", [2.4e-3, 2.85e-3])
+def test_a_bare_ring_is_an_electrode_that_ends_a_little_further_in(disc: Disc, edge: float, face: str) -> None:
+    full, expected = impedance(disc(face=face)), impedance(disc(edge, face))
+    # Field that leaves the edge crosses the skin below it: the ring begins 1.2 thicknesses of the skin further out.
+    found = impedance(bared(disc(face=face), {edge + 1.2 * SKIN * THICKNESS: 1.0}, upper=face == "top"))
+    effect, miss = np.abs(expected / full - 1.0).max(), np.abs(found - expected).max() / np.abs(expected - full).max()
+    print(f"electrode up to {edge * 1e3:g} mm of 3 mm, {face}: {effect:.2f} of Z, off by {miss:.2g}")
+    assert effect > 0.03
+    # At the worst frequency, on the flank of a resonance. The skin is a seventh of the narrower ring, which would be off
+    # by a third of the effect without the shift.
+    assert miss < 0.1
+
+
+@pytest.mark.parametrize("bare", [0.0, 0.4])
+def test_the_tangent_is_the_change(disc: Disc, bare: float) -> None:
+    base = disc()
+    model = bared(base, {1.5e-3: bare, 2.4e-3: bare})
+    operators = assemble(model.mesh, model.terms)
+    at = solve_full(operators, FREQUENCY, model.values)
+    if not bare:
+        assert np.abs(at.impedance / impedance(base) - 1.0).max() < 1e-11
+    for name in ("beyond 0.0015.bare_fraction", "beyond 0.0024.bare_fraction", "pzt.eps33"):
+        step = 1e-6 * max(1.0, abs(model.values[name]))
+        below, above = (solve_full(operators, FREQUENCY, {**model.values, name: model.values[name] + s}).impedance
+                        for s in (-step, step))
+        slope = at.parameter_gradient(model.values, (name,))[:, 0]
+        assert np.abs((above - below) / (2.0 * step) - slope).max() < 1e-5 * np.abs(slope).max()
+
+
+def test_a_bare_ring_takes_no_power(disc: Disc) -> None:
+    for bare in (0.3, 1.0):
+        model = bared(disc(), {1.5e-3: bare, 2.4e-3: bare})
+        solution = solve_full(assemble(model.mesh, model.terms), FREQUENCY, model.values)
+        assert (solution.input_power() > 0.0).all()
+        assert np.abs(solution.dissipation().sum(axis=1) / solution.input_power() - 1.0).max() < 1e-9
+
+
+def test_a_mesh_without_the_skin_is_refused(small_disc: Problem) -> None:
+    model = bared(small_disc, {1.5e-3: 1.0})
+    with pytest.raises(ModelError, match=r"no row of elements for 'transducer beyond 0\.5 skin 0\.01'"):
+        assemble(model.mesh, model.terms)
