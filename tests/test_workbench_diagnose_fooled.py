@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from geometry.chip import read_chip
 from inputs import InputError
 from materials.registry import user_registry
-from workbench.diagnose.belong import each_alone
+from workbench.diagnose.belong import cleared, each_alone
 from workbench.diagnose.campaign import read_campaign
 from workbench.diagnose.device import ORDER, Model, model
 from workbench.diagnose.refit import base_fit
@@ -179,3 +179,10 @@ def test_recordings_of_two_devices_are_told_from_missing_physics(bench: Bench) -
     _, base, _ = base_fit(device)
     assert "explain disc (0." in (said := each_alone(device, base))
     assert "each alone, but not together" in said
+
+
+@pytest.mark.parametrize(("chip", "regions"), [("sample", {"transducer"}), ("disc", set())])
+def test_a_disc_that_is_in_order_alone_clears_the_transducer(bench: Bench, chip: str, regions: set[str]) -> None:
+    for name in ("disc", "sample"):
+        bench.record(name, name, bench={"bench.series_resistance": 1.5 if name == chip else 0.0})
+    assert cleared(bench.model(KNOWN)) == regions

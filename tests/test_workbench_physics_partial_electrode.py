@@ -71,11 +71,12 @@ def test_a_bare_ring_is_an_electrode_that_ends_a_little_further_in(disc: Disc, e
     full, expected = impedance(disc(face=face)), impedance(disc(edge, face))
     # Field that leaves the edge crosses the skin below it: the ring begins 1.2 thicknesses of the skin further out.
     found = impedance(bared(disc(face=face), {edge + 1.2 * SKIN * THICKNESS: 1.0}, upper=face == "top"))
-    effect, miss = np.abs(expected / full - 1.0).max(), np.abs(found - expected).max() / np.abs(expected - full).max()
+    effect = np.abs(expected / full - 1.0).max()
+    miss = np.abs(found - expected).max() / np.abs(expected - full).max()
     print(f"electrode up to {edge * 1e3:g} mm of 3 mm, {face}: {effect:.2f} of Z, off by {miss:.2g}")
     assert effect > 0.03
-    # At the worst frequency, on the flank of a resonance. The skin is a seventh of the narrower ring, which would be off
-    # by a third of the effect without the shift.
+    # At the worst frequency, on the flank of a resonance. The skin is a seventh of the narrower ring, which would be
+    # off by a third of the effect without the shift.
     assert miss < 0.1
 
 

@@ -1,4 +1,4 @@
-"""Whether the recordings of a campaign belong to the states they are given for, and to one device."""
+"""Whether the recordings of a campaign belong to their states and to one device, and what is in order alone."""
 
 from __future__ import annotations
 
@@ -50,23 +50,45 @@ def _rms(state: DeviceState, fit: StateFit, other: DeviceState) -> float:
     return float(np.sqrt(np.mean(np.abs(log_ratio(predicted, other.measured.impedance[inside])) ** 2)))
 
 
+def cleared(model: Model) -> frozenset[str]:
+    """Regions of the chip files that lack regions of others, and whose states the known parameters explain alone.
+
+    What is missing, if it is much, sits elsewhere: a free disc shows most of what a transducer may be.
+    """
+    groups = [(states, {region for state in states for region in state.materials})
+              for states in _by_chip(model).values()]
+    device = set().union(*(regions for _, regions in groups))
+    return frozenset().union(*(regions for states, regions in groups
+                               if regions < device and _alone(model, states).good))
+
+
 def each_alone(model: Model, base: Refit) -> str:
     """What it means where the known parameters explain the states of every chip file alone, but not all together.
 
     Empty where they do not, or explain all together, or where there is only one chip file.
     """
-    groups: dict[str, list[DeviceState]] = {}
-    for state in model.campaign.fitted:
-        groups.setdefault(state.chip.file, []).append(state)
+    groups = _by_chip(model)
     if base.good or len(groups) < 2:
         return ""
     left = []
     for states in groups.values():
-        alone = replace(model, campaign=replace(model.campaign, states=tuple(states)),
-                        fitted=model.fitted.of([state.name for state in states]).apart(), held_out=None)
-        fit = base_fit(alone)[1]
+        fit = _alone(model, states)
         if not fit.good:
             return ""
         left.append(f"{' and '.join(state.name for state in states)} ({fit.reduced:.3g})")
     return (f"The known parameters explain {', and '.join(left)} each alone, but not together ({base.reduced:.3g}): "
             "these may be recordings of different devices, or something changed between them.")
+
+
+def _by_chip(model: Model) -> dict[str, list[DeviceState]]:
+    """The fitted states of every chip file."""
+    groups: dict[str, list[DeviceState]] = {}
+    for state in model.campaign.fitted:
+        groups.setdefault(state.chip.file, []).append(state)
+    return groups
+
+
+def _alone(model: Model, states: Sequence[DeviceState]) -> Refit:
+    """The known parameters fitted to some states alone."""
+    return base_fit(replace(model, campaign=replace(model.campaign, states=tuple(states)),
+                            fitted=model.fitted.of([state.name for state in states]).apart(), held_out=None))[1]

@@ -60,7 +60,7 @@ MISTAKEN_THICKNESS, MISTAKEN_RADIUS = (0.8, 1.2), (0.95, 1.05)
 PRINTED = {"substrate", "sidewall"}
 
 #: Rims that may lack something begin at these shares of the radius, one in the other: a sharp edge lies between two.
-RIMS = (0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.985, 0.995)
+RIMS = (0.5, 0.7, 0.84, 0.92, 0.96, 0.985, 0.995)
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"

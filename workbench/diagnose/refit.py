@@ -204,16 +204,16 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
     known, and the best hypotheses are followed from there.
 
     Returns:
-        the location with that weight, and refits with full weight, those that leave little on bases of their own.
+        the location where they weigh more, and refits with full weight, those that leave little on bases of their own.
     """
     search = base.search
-    x, here, scores = _weakly(model, search, x)
-    location = located(model, x, _weak(search.objective), Tangents.at(search, here), scores)
+    x, scores = _weakly(model, search, x)
+    location = _located(model, search, x)
     ends = _glances(model, x, scores)
     pulled = np.flatnonzero(np.abs((x - search.centre) * search.precision) > PULLED)
     if pulled.size:
         # What is missing may be imitated by a known parameter far from what is known of it: asked without that too.
-        back, _, scores = _weakly(model, search, _replaced(x, pulled, search.centre[pulled]), tuple(map(int, pulled)))
+        back, scores = _weakly(model, search, _replaced(x, pulled, search.centre[pulled]), tuple(map(int, pulled)))
         ends += _glances(model, back, scores)
     least = min((end.cost for _, _, end in ends), default=0.0)
     found: list[Refit] = []
@@ -235,15 +235,22 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
     return location, found
 
 
-def _weakly(model: Model, search: Search, x: Real, fixed: tuple[int, ...] = ()) -> tuple[Real, Weighted, list[Score]]:
+def _weakly(model: Model, search: Search, x: Real, fixed: tuple[int, ...] = ()) -> tuple[Real, list[Score]]:
     """The least cost near x (p,) with the data weighing little, on bases made there, and the scores at that.
 
     The parameters of the indices `fixed` stay where they are.
     """
     model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
     x = _glance(search.thinned(), x, fixed).x
-    here = search.evaluate(x, _weak(search.objective))
-    return x, here, scores_at(model, search, x, here)
+    return x, scores_at(model, search, x, search.evaluate(x, _weak(search.objective)))
+
+
+def _located(model: Model, search: Search, x: Real) -> tuple[Place, ...]:
+    """The location near x (p,), where the data weigh little, with the data weighing enough to tell places apart."""
+    deviation = _weak(search.objective, CLOSER)
+    x = _glance(search.thinned(), x, deviation=CLOSER).x
+    here = search.evaluate(x, deviation)
+    return located(model, x, deviation, Tangents.at(search, here), scores_at(model, search, x, here))
 
 
 def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:

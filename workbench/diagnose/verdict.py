@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from workbench.diagnose.belong import check_assignment, each_alone
+from workbench.diagnose.belong import check_assignment, cleared, each_alone
 from workbench.diagnose.campaign import Campaign
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
@@ -101,8 +101,9 @@ class Diagnosis:
 
     ``nominal`` the states as stated, ``base`` after the known parameters were fitted, ``best`` with the accepted
     effects (the base itself if none); ``scores`` of all hypotheses at the base; ``singles`` and ``pairs`` refitted;
-    ``location`` (region, kind, sigmas) ranked; ``held_before`` and ``held_after`` the states held out, by the base and
-    by ``best``; ``next_measurement`` in words; ``findings`` plain statements.
+    ``location`` (region, kind, sigmas) ranked, where much is missing with regions last that the known parameters
+    explain alone (`belong.cleared`); ``held_before`` and ``held_after`` the states held out, by the base and by
+    ``best``; ``next_measurement`` in words; ``findings`` plain statements.
     """
 
     campaign: Campaign
@@ -194,6 +195,8 @@ def _asked(
     if _strained(base):
         progress("strong effects", 0.2)
         location, singles = afar(model, base, end)
+        alone = cleared(model)
+        location = tuple(sorted(location, key=lambda place: place[0] in alone))
     if any(_explains(base, fit) for fit in singles):
         return base, _scores(model, base), location, singles
     base, scores, near, more = _near(model, base, progress)

@@ -57,11 +57,12 @@ class Element:
 
 #: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
 #: frequency (1 + clock) f that the generator makes of f; all are zero (the gain as its logarithm) where it is ideal.
-#: How large they may be: PHYSICS of contacts, leads and probes; data sheets of generators state 1 to 50 in a million.
+#: How large they may be: what contacts, leads and probes have; data sheets of generators state 1 to 50 in a million.
+#: Below zero, what a compensation takes away too much: of a bad contact, 10 cm of wire, 20 cm of cable.
 BENCH_ELEMENTS: Mapping[str, Element] = {
-    "series_resistance": Element("resistance of leads and contacts", "ohm", 0.3, -1.0, 5.0),
-    "series_inductance": Element("inductance of the leads", "H", 2e-7, -5e-7, 2e-6),
-    "parallel_capacitance": Element("stray and probe capacitance", "F", 1e-11, -5e-11, 2e-10),
+    "series_resistance": Element("resistance of leads and contacts", "ohm", 0.3, -0.3, 5.0),
+    "series_inductance": Element("inductance of the leads", "H", 2e-7, -1e-7, 2e-6),
+    "parallel_capacitance": Element("stray and probe capacitance", "F", 1e-11, -2e-11, 2e-10),
     "gain": Element("logarithm of the gain", "1", 0.05, -0.5, 0.5),
     "phase": Element("phase of the gain", "rad", 0.02, -0.5, 0.5),
     "delay": Element("delay between the channels", "s", 2e-9, -5e-8, 5e-8),

@@ -31,13 +31,13 @@ class PartialElectrode(Term):
         1 - q = s c / (1 - (1 - s) c),  c = (1 - f_1) (1 - f_2) ... ,  s = HALFWAY,
 
     over a skin of the region that takes the share :data:`SKIN` of its thickness, next to `piezoelectric.Piezoelectric`
-    on the same region. The electrode stays where it is, and what lies below it in the skin is taken away: all of it, f
-    = 1, leaves D_z = 0 there, as air does beside a ceramic. The edge of the electrode is then, by a part of the skin's
-    thickness, further out than it is meant to be. The rings, one in the other, begin at the shares `beyond` of the
-    region's radius, in rising order; c is what those leave that hold a point. An edge between the beginnings of two
-    rings is a part, 0 < f < 1, of the wider one and all of the other. The mesh must have the skin (`geometry.mesh.MeshSize.skins`):
-    the upper one or the lower one. Parameters ``<ring>.bare_fraction`` f (see :data:`ADMISSIBLE`),
-    ``<material>.e31``, ``.e33`` and ``.eps33``.
+    on the same region. The electrode stays where it is, and what lies below it in the skin is taken away: all of it,
+    f = 1, leaves D_z = 0 there, as air does beside a ceramic. An electrode that ends further in by 1.2 thicknesses of
+    the skin does the same: field leaves its edge at an angle. The rings, one in the other, begin at the shares `beyond`
+    of the region's radius, in rising order; c is what those leave that hold a point. An edge between the beginnings of
+    two rings is a part, 0 < f < 1, of the wider one and all of the other. The mesh must have the skin
+    (`geometry.mesh.MeshSize.skins`): the upper one or the lower one. Parameters ``<ring>.bare_fraction`` f (see
+    :data:`ADMISSIBLE`), ``<material>.e31``, ``.e33`` and ``.eps33``.
     """
 
     region: str
