@@ -125,17 +125,20 @@ def test_the_next_measurement_is_where_the_rivals_differ_most() -> None:
     assert verdict._next(model, best, [], scores) == ""  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("chi_square", "parameters", "effects", "held", "better"), [
-    (90.0, 1, 1, 0.0, True),
-    (90.0, 1, 1, 11.0, False),   # it predicts the states held out worse by more
-    (97.0, 2, 1, 0.0, True),
-    (99.0, 2, 1, 0.0, False),    # no better than chance for a further parameter
-    (50.0, 2, 2, 0.0, False),    # two effects always fit better than one
+@pytest.mark.parametrize(("chi_square", "parameters", "effects", "held", "as_well"), [
+    (105.0, "x", 1, 0.0, True),
+    (107.0, "x", 1, 0.0, False),
+    (105.0, "x", 1, 2.0, False),   # it predicts the states held out worse
+    (103.0, "xy", 1, 0.0, True),
+    (105.0, "xy", 1, 0.0, False),  # no better than chance for a further parameter
+    (97.0, "ab", 1, 0.0, True),
+    (99.0, "ab", 1, 0.0, False),   # the best with one parameter more, which it does not need
+    (50.0, "xy", 2, 0.0, False),   # two effects always fit better than one
 ])
-def test_a_better_fit_is_a_rival_whatever_its_ranges_cost(
-    chi_square: float, parameters: int, effects: int, held: float, better: bool
+def test_what_fits_as_well_is_a_rival_whatever_its_ranges_cost(
+    chi_square: float, parameters: str, effects: int, held: float, as_well: bool
 ) -> None:
     best: Any = SimpleNamespace(chi_square=100.0, estimate={"a": 1.0}, effects=("one",))
-    other: Any = SimpleNamespace(chi_square=chi_square, estimate=dict.fromkeys("abc"[:parameters], 1.0),
+    other: Any = SimpleNamespace(chi_square=chi_square, estimate=dict.fromkeys(parameters, 1.0),
                                  effects=("one", "two")[:effects])
-    assert verdict._fits_better(other, best, held) == better
+    assert verdict._fits_as_well(other, best, held) == as_well

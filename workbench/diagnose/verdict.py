@@ -87,12 +87,12 @@ DETECTED = 5.0
 class Rival:
     """An explanation that the data cannot rule out: how far its evidence is behind the best one's, in the same units.
 
-    ``fits_better``: what it loses, it loses by the ranges of its parameters alone.
+    ``fits_as_well``: what it loses, it loses by the ranges of its parameters alone.
     """
 
     refit: Refit
     behind: float
-    fits_better: bool
+    fits_as_well: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
                 pairs = _with(pairs, both, best)
         progress("verdict", 0.9)
         close = [f for f in (*singles, *pairs) if _simplest(f, best)
-                 and (f.evidence - best.evidence < CLOSE or _fits_better(f, best))]
+                 and (f.evidence - best.evidence < CLOSE or _fits_as_well(f, best))]
         weighed = _weighed(model, close)
         if weighed[0][0] is not best:
             best = gather(model, weighed[0][0])
@@ -358,9 +358,9 @@ def _judged(
     rivals: tuple[Rival, ...] = ()
     if accepted:
         others = [(fit, _held(model, states) - held) for fit, states in weighed[1:]]
-        behind = [Rival(fit, fit.evidence - best.evidence + more, _fits_better(fit, best, more))
+        behind = [Rival(fit, fit.evidence - best.evidence + more, _fits_as_well(fit, best, more))
                   for fit, more in others]
-        rivals = tuple(rival for rival in behind if rival.behind < RIVAL or rival.fits_better)
+        rivals = tuple(rival for rival in behind if rival.behind < RIVAL or rival.fits_as_well)
     if accepted:
         verdict = "ambiguous" if rivals else "missing_physics"
     elif found or not base.good:
@@ -385,15 +385,18 @@ def _simplest(other: Refit, best: Refit) -> bool:
     return not {e.name for e in best.effects} < {e.name for e in other.effects}
 
 
-def _fits_better(other: Refit, best: Refit, held: float = 0.0) -> bool:
-    """Whether an explanation of no more effects fits better, beyond what its further parameters are worth by chance.
+def _fits_as_well(other: Refit, best: Refit, held: float = 0.0) -> bool:
+    """Whether an explanation of no more effects fits as well, beyond what its further parameters are worth by chance.
 
     `held` is by how much its chi-square of the states held out is larger. Evidence depends on how wide the ranges of
     the parameters are, which is a choice: what loses by that alone is not ruled out. Two of chi-square for a parameter
-    (Akaike 1974, IEEE Trans. Automatic Control 19, 716).
+    (Akaike 1974, IEEE Trans. Automatic Control 19, 716), and as much as evidence may be behind; nothing for what has
+    all the parameters of the best and more.
     """
     further = len(other.estimate) - len(best.estimate)
-    return len(other.effects) <= len(best.effects) and other.chi_square + held + 2.0 * further < best.chi_square
+    margin = 0.0 if set(best.estimate) < set(other.estimate) else RIVAL
+    return (len(other.effects) <= len(best.effects)
+            and other.chi_square + held + 2.0 * further < best.chi_square + margin)
 
 
 def _inside(fit: Refit, name: str) -> bool:
@@ -426,7 +429,7 @@ def _statements(
         result.append("Its parameter lies outside what is admissible: the sign of another cause.")
     for rival in rivals:
         result.append(f"The data cannot rule out {rival.refit.name} ({rival.behind:.1f} behind"
-                      + (", though it fits better)." if rival.fits_better else ")."))
+                      + (", though it fits as well)." if rival.fits_as_well else ")."))
     for name, shift in strayed:
         result.append(f"{name} would have to lie {shift:+.1f} standard uncertainties from what is known of it.")
     if ended := best.at_bounds:
