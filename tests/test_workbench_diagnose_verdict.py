@@ -53,6 +53,12 @@ def test_a_hint_is_what_noise_hardly_gives(gain: float, numbers: int, correlatio
     assert verdict._hints(scored, correlation) == hint
 
 
+@pytest.mark.parametrize(("gain", "numbers", "rare"), [(14.0, 1, False), (16.5, 1, True), (16.5, 2, False),
+                                                       (19.5, 2, True)])
+def test_four_sigmas_of_one_number_are_rare(gain: float, numbers: int, rare: bool) -> None:
+    assert verdict._rare(gain, numbers, verdict.CLEAR) == rare
+
+
 def test_what_leaves_little_and_hints_at_something_is_not_quiet() -> None:
     """A wrong basin of a thin layer's thickness: chi-square 1.00, and a hypothesis that gains 42."""
     weak: Any = SimpleNamespace(gain=8.0, error=np.array([0.1]))

@@ -41,6 +41,10 @@ Progress = Callable[[str, float], None]
 #: odds of 150 to 1, so that fifty hypotheses together raise a false alarm in few campaigns.
 ACCEPTED = 10.0
 
+#: And where noise alone gives its parameters what they gain as hardly as so many sigmas to one number: for a narrow
+#: range evidence asks less, and the model's own error is no noise.
+CLEAR = 4.0
+
 #: A refit is made again on bases about its own optimum from this share of that: those of the base model err by less.
 NEAR = 0.7
 
@@ -244,8 +248,12 @@ def _hints(scored: Score, correlation: float) -> bool:
 
     As hardly as :data:`HINT` sigmas of one number: a hypothesis of six gains more by chance than one of one.
     """
-    chance = chi2.sf(scored.gain / correlation, max(np.isfinite(scored.error).sum(), 1))
-    return bool(chance < chi2.sf(HINT**2, 1))
+    return _rare(scored.gain / correlation, int(np.isfinite(scored.error).sum()), HINT)
+
+
+def _rare(gain: float, numbers: int, sigmas: float) -> bool:
+    """Whether noise alone gives so many numbers a gain of chi-square as hardly as so many sigmas to one number."""
+    return bool(chi2.sf(gain, max(numbers, 1)) < chi2.sf(sigmas**2, 1))
 
 
 def _quiet(fit: Refit, scores: Sequence[Score]) -> bool:
@@ -333,7 +341,8 @@ def _judged(
 ) -> Diagnosis:
     best, held_after = weighed[0]
     gained = gain(base, best)
-    found = best is not base and gained > ACCEPTED
+    found = (best is not base and gained > ACCEPTED
+             and _rare((base.chi_square - best.chi_square) / best.correlation, len(best.estimate), CLEAR))
     left = _left(best, _further(model, best)) if found else 0.0
     complete = _complete(base, best, left)
     held = _held(model, held_after)
