@@ -28,13 +28,13 @@ Disc = Callable[..., Problem]
 def disc(stacked: Callable[..., Chip], uniform_mesh: Callable[..., SectionMesh],
          reference_materials: Callable[[str], dict[str, Material]]) -> Disc:
     """A disc with a skin at either face, whose live electrode, on its `face`, ends at `radius` (None: covers it)."""
-    def made(radius: float | None = None, face: str = "top", edge: float = 0.15e-3, **constants: float) -> Problem:
+    def made(radius: float | None = None, face: str = "top", **constants: float) -> Problem:
         pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
         assert isinstance(pzt, Piezoelectric)
         plain = stacked([("transducer", THICKNESS, RADIUS, None)], band=BAND)
         live = ElectrodeDisc(None if radius is None else Dimension(radius))
         chip = replace(plain, electrodes=Electrodes("top" if face == "top" else "bottom", live))
-        mesh = uniform_mesh(chip, edge, {"transducer": SKIN})
+        mesh = uniform_mesh(chip, 0.15e-3, {"transducer": SKIN})
         return problem(mesh, {"transducer": replace(pzt, **constants)}, BAND)
 
     return made

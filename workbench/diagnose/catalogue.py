@@ -165,6 +165,16 @@ def _added(
     return terms, values
 
 
+def _bringing(
+    label: str, region: str, kind: str, about: str, states: Iterable[DeviceState], make: Make,
+    limits: Mapping[str, Admissible], starts: Mapping[str, float] | None = None,
+) -> Effect:
+    """The hypothesis that brings terms of its own into `states`, its parameters at nothing or where they start."""
+    terms, values = _added(states, make)
+    parameters = tuple(_of(name, limit, (starts or {}).get(name, 0.0)) for name, limit in limits.items())
+    return Effect(label, region, kind, about, parameters, admissible=limits, terms=terms, values=values)
+
+
 def _small_bubbles(region: str, fluid: str, name: str) -> Make:
     """Wood's bubbles in a fluid, none yet."""
     known = {f"{name}.{key}": complex(bubbles.AIR_IN_WATER[key]) for key in ("ambient_pressure", "heat_capacity_ratio")}
@@ -196,9 +206,8 @@ def cavity_fluid(device: Device) -> Iterator[Effect]:
 
     wood = {"wood.void_fraction": bubbles.ADMISSIBLE["void_fraction"]}
 
-    terms, values = _added(device.filled, _small_bubbles(CAVITY, fluid.name, "wood"))
-    yield Effect("small bubbles in the cavity", CAVITY, "stiffness", "gas far below its resonance softens the liquid",
-                 (_of("wood.void_fraction", wood["wood.void_fraction"]),), admissible=wood, terms=terms, values=values)
+    yield _bringing("small bubbles in the cavity", CAVITY, "stiffness", "gas far below its resonance softens the "
+                    "liquid", device.filled, _small_bubbles(CAVITY, fluid.name, "wood"), wood)
 
     if fluid.shear_viscosity is not None:
         limits = {"bubbles.void_fraction": bubbles.ADMISSIBLE["void_fraction"],
@@ -209,11 +218,8 @@ def cavity_fluid(device: Device) -> Iterator[Effect]:
                     {"bubbles.void_fraction": 0.0, "bubbles.radius": 4e-6,
                      **{f"bubbles.{key}": value for key, value in bubbles.AIR_IN_WATER.items()}})
 
-        terms, values = _added(device.filled, resonant)
-        yield Effect("resonant bubbles in the cavity", CAVITY, "loss", "bubbles of one size about their resonance",
-                     (_of("bubbles.void_fraction", limits["bubbles.void_fraction"]),
-                      _of("bubbles.radius", limits["bubbles.radius"], 4e-6)),
-                     admissible=limits, terms=terms, values=values)
+        yield _bringing("resonant bubbles in the cavity", CAVITY, "loss", "bubbles of one size about their resonance",
+                        device.filled, resonant, limits, {"bubbles.radius": 4e-6})
 
     yield from _warmer(device)
     speed = f"{fluid.name}.sound_speed"
@@ -288,10 +294,8 @@ def soaked(device: Device) -> Iterator[Effect]:
             return (tuple(SolidTerm(r, wet) for r in regions),
                     {f"{wet}.bulk_modulus": 0.0, f"{wet}.shear_modulus": 0.0, f"{wet}.density": 0.0})
 
-        terms, values = _added(device.filled, swollen)
-        yield Effect(f"liquid taken up by {material.name}", region, "mass", "the solid is heavier and softer once the "
-                     "cavity has been filled", tuple(_of(n, a) for n, a in limits.items()), admissible=limits,
-                     terms=terms, values=values)
+        yield _bringing(f"liquid taken up by {material.name}", region, "mass", "the solid is heavier and softer once "
+                        "the cavity has been filled", device.filled, swollen, limits)
 
 
 def top(device: Device) -> Iterator[Effect]:
@@ -309,9 +313,7 @@ def top(device: Device) -> Iterator[Effect]:
             return ((surface_load.SurfaceLoad(part(outside(region), LEVEL), region, name),),
                     {f"{name}.normal_impedance": 0.0, f"{name}.tangential_impedance": 0.0})
 
-        terms, values = _added(states, loaded)
-        yield Effect(name, region, "loss", "something lies on the chip, or presses on it",
-                     tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+        yield _bringing(name, region, "loss", "something lies on the chip, or presses on it", states, loaded, limits)
 
 
 def _is_hard(material: IsotropicSolid) -> bool:
@@ -327,11 +329,10 @@ def couplant(device: Device) -> Iterator[Effect]:
     for region, fluid in _fluids(device):
         name = f"{region} bubbles"
         limits = {f"{name}.void_fraction": Admissible(0.0, 0.05, "1", "from none to gel that was stirred")}
-        terms, values = _added(device.holding(region), _small_bubbles(region, fluid.name, name))
         yield from _shearing(device, region, fluid)
         yield from _partial(device, region, fluid)
-        yield Effect(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it",
-                     tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+        yield _bringing(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it",
+                        device.holding(region), _small_bubbles(region, fluid.name, name), limits)
 
 
 def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
@@ -348,9 +349,8 @@ def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
                                             below, above)
         return (term,), {root: 0.0, modulus: 0.0, f"{region}.thickness": state.chip.layer(region).thickness.value}
 
-    terms, values = _added(states, viscous)
-    yield Effect(f"shear through the {region}", region, "coupling", "the layer is viscous and carries shear",
-                 tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+    yield _bringing(f"shear through the {region}", region, "coupling", "the layer is viscous and carries shear",
+                    states, viscous, limits)
 
 
 def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
@@ -365,9 +365,8 @@ def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
                       for ring, beyond in rings.items()),
                 {**dict.fromkeys(limits, 0j), f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
 
-    terms, values = _added(states, missing)
-    yield Effect(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
-                 tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+    yield _bringing(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
+                    states, missing, limits)
 
 
 def _rims(region: str) -> dict[str, float]:
@@ -412,10 +411,8 @@ def bonds(device: Device) -> Iterator[Effect]:
                 return ((thin_layer.ImperfectBond(region, material, name, upper),),
                         {**dict.fromkeys(limits, 0j), f"{region}.thickness": state.chip.layer(region).thickness.value})
 
-            terms, values = _added(states, springs)
-            yield Effect(f"imperfect {name}", region, "stiffness", "the layer gives way there more than its material "
-                         "does", tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms,
-                         values=values)
+            yield _bringing(f"imperfect {name}", region, "stiffness", "the layer gives way there more than its "
+                            "material does", states, springs, limits)
 
 
 def solids(device: Device) -> Iterator[Effect]:
@@ -451,10 +448,8 @@ def _printed(device: Device, material: IsotropicSolid, regions: Sequence[str]) -
                 {names[0]: 0.0, names[1]: 0.0, f"{material.name}.lateral_excess": 0.0})
 
     states = [s for s in device.states if any(m.name == material.name for m in s.materials.values())]
-    terms, values = _added(states, across)
-    yield Effect(f"anisotropy of {material.name}", regions[0], "stiffness", "a printed solid is stiffer along its "
-                 "layers than across", tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms,
-                 values=values)
+    yield _bringing(f"anisotropy of {material.name}", regions[0], "stiffness", "a printed solid is stiffer along its "
+                    "layers than across", states, across, limits)
 
 
 def _dispersive(device: Device, material: IsotropicSolid, regions: Sequence[str]) -> Iterator[Effect]:
@@ -471,10 +466,8 @@ def _dispersive(device: Device, material: IsotropicSolid, regions: Sequence[str]
                 {loss: 0.0, f"{name}.bulk_fractional_loss": 0.0, exponent: 0.3, f"{name}.loss_frequency": middle})
 
     states = [s for s in device.states if any(m.name == name for m in s.materials.values())]
-    terms, values = _added(states, law)
-    yield Effect(f"fractional loss of {name}", regions[0], "loss", "a loss that changes with frequency, and the "
-                 "stiffness that must change with it", (_of(loss, limits[loss]), _of(exponent, limits[exponent], 0.3)),
-                 admissible=limits, terms=terms, values=values)
+    yield _bringing(f"fractional loss of {name}", regions[0], "loss", "a loss that changes with frequency, and the "
+                    "stiffness that must change with it", states, law, limits, {exponent: 0.3})
 
 
 def lengths(device: Device) -> Iterator[Effect]:
@@ -547,10 +540,8 @@ def transducer(device: Device) -> Iterator[Effect]:
         return (tuple(depoled.DepoledRim(TRANSDUCER, name, beyond, rim) for rim, beyond in rims.items()),
                 {**dict.fromkeys(depoled_limits, 0j), **{f"{rim}.permittivity_excess": 0j for rim in rims}})
 
-    terms, values = _added(states, unpoled)
-    yield Effect("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a rim that is not poled",
-                 tuple(_of(n, a) for n, a in depoled_limits.items()), admissible=depoled_limits, terms=terms,
-                 values=values)
+    yield _bringing("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a rim that is not poled",
+                    states, unpoled, depoled_limits)
 
     bare_limits = {f"{rim}.bare_fraction": partial_electrode.ADMISSIBLE["bare_fraction"] for rim in rims}
 
@@ -559,10 +550,8 @@ def transducer(device: Device) -> Iterator[Effect]:
                                                     upper=state.chip.electrodes.live == "top"),),
                 dict.fromkeys(bare_limits, 0j))
 
-    terms, values = _added(states, short)
-    yield Effect("electrode that ends before the rim", TRANSDUCER, "geometry", "a face of the transducer is bare at "
-                 "its rim", tuple(_of(n, a) for n, a in bare_limits.items()), admissible=bare_limits, terms=terms,
-                 values=values)
+    yield _bringing("electrode that ends before the rim", TRANSDUCER, "geometry", "a face of the transducer is bare "
+                    "at its rim", states, short, bare_limits)
 
     impedance = "backing.normal_impedance"
     limits = {impedance: replace(surface_load.ADMISSIBLE["normal_impedance"], lowest=0.0)}
@@ -573,9 +562,8 @@ def transducer(device: Device) -> Iterator[Effect]:
         return (surface_load.SurfaceLoad(face, TRANSDUCER, "backing"),), {
             impedance: 0.0, "backing.tangential_impedance": 0.0}
 
-    terms, values = _added(states, backed)
-    yield Effect("load on the face of the transducer", TRANSDUCER, "loss", "a holder or a backing pushes back",
-                 tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+    yield _bringing("load on the face of the transducer", TRANSDUCER, "loss", "a holder or a backing pushes back",
+                    states, backed, limits)
 
     drives = {s.drive for s in states if s.drive is not None}
     if len(drives) > 1 and all(s.drive is not None for s in states):
@@ -587,10 +575,8 @@ def transducer(device: Device) -> Iterator[Effect]:
             return ((softening.Softening(TRANSDUCER, name),),
                     {names_[0]: 0.0, names_[1]: 0.0, softening.DRIVE_SQUARED: state.drive**2})
 
-        terms, values = _added(states, driven)
-        yield Effect("softening with the drive", TRANSDUCER, "stiffness", "the ceramic is softer and loses more when "
-                     "driven harder", tuple(_of(n, a) for n, a in limits.items()), admissible=limits, terms=terms,
-                     values=values)
+        yield _bringing("softening with the drive", TRANSDUCER, "stiffness", "the ceramic is softer and loses more "
+                        "when driven harder", states, driven, limits)
 
 
 # --------------------------------------------------------------------------------------------------------------------

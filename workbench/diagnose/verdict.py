@@ -219,7 +219,12 @@ def gain(base: Refit, fit: Refit) -> float:
     Points whose residuals under that fit go together count as one: what no hypothesis removes is noise that is not
     white.
     """
-    return (base.chi_square - fit.chi_square) / fit.correlation - fit.cost_of_freedom + base.cost_of_freedom
+    return _fall(base, fit) - fit.cost_of_freedom + base.cost_of_freedom
+
+
+def _fall(base: Refit, fit: Refit) -> float:
+    """By how much the chi-square of a fit is below that of the base, for points that are independent."""
+    return (base.chi_square - fit.chi_square) / fit.correlation
 
 
 def _further(model: Model, fit: Refit) -> list[Score]:
@@ -341,8 +346,7 @@ def _judged(
 ) -> Diagnosis:
     best, held_after = weighed[0]
     gained = gain(base, best)
-    found = (best is not base and gained > ACCEPTED
-             and _rare((base.chi_square - best.chi_square) / best.correlation, len(best.estimate), CLEAR))
+    found = best is not base and gained > ACCEPTED and _rare(_fall(base, best), len(best.estimate), CLEAR)
     left = _left(best, _further(model, best)) if found else 0.0
     complete = _complete(base, best, left)
     held = _held(model, held_after)
