@@ -103,9 +103,35 @@ def test_the_concealed_one_is_ranked_first() -> None:
     assert scores[0].effect.name == "own0"
 
 
+def test_its_evidence_is_the_likelihood_averaged_over_the_range() -> None:
+    problem = linear(7, bound=8.0)
+    here, own = problem.here(), problem.index("own0")
+    found = score(problem, np.zeros(7), here, problem.tangents(), effect(problem, "own0"))  # type: ignore[arg-type]
+    known = here.jacobian[:, :KNOWN]
+
+    def cost(value: float) -> float:
+        """Chi-square with the known parameters at their best."""
+        vector = here.vector + here.jacobian[:, own] * value
+        return float(np.sum((vector - known @ np.linalg.lstsq(known, vector)[0]) ** 2))
+
+    values = np.linspace(0.0, 8.0, 4001)
+    likelihood = np.exp(-0.5 * np.array([cost(value) - cost(3.0) for value in values]))
+    odds = 2.0 * np.log(np.trapezoid(likelihood, values) / 8.0) + cost(0.0) - cost(3.0)
+    # Gaussian, and some 0.14 wide within a range of 8: Laplace's approximation is exact.
+    assert found.evidence == pytest.approx(odds, rel=1e-9)
+
+
+def test_a_parameter_that_is_not_needed_costs_the_first_place() -> None:
+    problem = linear(6)
+    effects = [effect(problem, "own0", "own1"), effect(problem, "own0")]
+    first, second = scores_at(problem, problem.search(), np.zeros(7), problem.here(), effects)  # type: ignore[arg-type]
+    assert first.effect.name == "own0"
+    assert second.gain > first.gain
+
+
 def test_confusion_is_one_for_the_same_direction_and_none_for_orthogonal_ones() -> None:
     def along(*columns: Real) -> Score:
-        return Score(Effect("", "", "", ""), 0.0, np.zeros(1), np.zeros(1), np.column_stack(columns), 0.0)
+        return Score(Effect("", "", "", ""), 0.0, 0.0, np.zeros(1), np.zeros(1), np.column_stack(columns), 0.0)
 
     e = np.eye(5)
     assert confusion(along(e[0]), along(-3.0 * e[0])) == pytest.approx(1.0)

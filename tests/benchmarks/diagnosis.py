@@ -74,8 +74,9 @@ def main() -> None:
         refits = [(s.effect.name, refit(found.model, (s.effect,), base.x, [s])) for s in scores]
         refitted = time.perf_counter() - started
         best = max((fit for _, fit in refits if fit is not None), key=lambda fit: gain(base, fit))
+        first = max(scores, key=lambda s: s.evidence).effect.name
         print(f"scores of {len(scores)} hypotheses: {scored:.2f} s; their refits: {refitted:.0f} s; ratio "
-              f"{scored / refitted:.4f}; best by either: {max(scores, key=lambda s: s.gain).effect.name}, {best.name}")
+              f"{scored / refitted:.4f}; best by either: {first}, {best.name}")
 
 
 if __name__ == "__main__":

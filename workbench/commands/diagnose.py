@@ -79,8 +79,8 @@ def record(found: Diagnosis) -> dict[str, Any]:
             for before, after, state in zip(found.held_before, found.held_after, found.campaign.held_out, strict=True)},
         "next_measurement": found.next_measurement,
         "detection_limits": detection_limits(found),
-        "scores": [{"effect": s.effect.name, "region": s.effect.region, "gain": s.gain, "sigmas": s.sigmas}
-                   for s in found.scores],
+        "scores": [{"effect": s.effect.name, "region": s.effect.region, "gain": s.gain, "sigmas": s.sigmas,
+                    "evidence": s.evidence} for s in found.scores],
         "refits": [{"effects": [e.name for e in f.effects], "evidence": gain(found.base, f),
                     "reduced_chi_square": f.reduced} for f in (*found.singles, *found.pairs)],
         "findings": list(found.findings),
@@ -161,8 +161,8 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
     if found.next_measurement:
         first.append(f"Next measurement: {found.next_measurement}")
     first.append(states_table(found))
-    scores = Table(("hypothesis", "where", "kind", "sigmas", "fall of chi-square"), tuple(
-        (s.effect.name, s.effect.region, s.effect.kind, f"{s.sigmas:.1f}", f"{s.gain:.1f}")
+    scores = Table(("hypothesis", "where", "kind", "sigmas", "fall of chi-square", "evidence"), tuple(
+        (s.effect.name, s.effect.region, s.effect.kind, f"{s.sigmas:.1f}", f"{s.gain:.1f}", f"{s.evidence:.1f}")
         for s in found.scores[:LISTED]))
     refits = Table(("hypothesis", "fall of chi-square", "evidence", "reduced chi-square", "parameters"), tuple(
         (f.name, f"{found.base.chi_square - f.chi_square:.1f}", f"{gain(found.base, f):.1f}",

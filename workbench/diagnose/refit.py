@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
 from workbench.diagnose.locate import Place, located
-from workbench.diagnose.score import Score, Tangents, columns, scores_at
+from workbench.diagnose.score import Score, Tangents, columns, cost_of_freedom, scores_at
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
 from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
@@ -485,11 +485,8 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) 
             width = model.parameters[i].high - model.parameters[i].low
             estimate[name] = float(x[i])
             error[name] = float(min(np.sqrt(max(covariance[k, k], 0.0)), width))
-        own_ranges = [model.parameters[model.index(n)] for n in unique]
-        widths = np.array([p.high - p.low for p in own_ranges])
-        # The volume of the ranges over that of the posterior, none of whose axes is longer than a range.
-        relative = np.clip(np.linalg.eigvalsh(covariance / np.outer(widths, widths)), 1e-30, 1.0 / (2.0 * np.pi))
-        cost = float(-np.sum(np.log(2.0 * np.pi * relative)))
+        ranges = [model.parameters[model.index(n)] for n in unique]
+        cost = cost_of_freedom(covariance, np.array([p.high - p.low for p in ranges]))
     shifts = {p.name: float((x[i] - p.start) / p.prior) for i, p in enumerate(model.parameters[:model.known])
               if p.prior is not None}
     states = []

@@ -26,13 +26,15 @@ Real = NDArray[np.float64]
 class Score:
     """What the score test says of one hypothesis.
 
-    ``gain`` is the fall of chi-square it promises within its bounds; ``amplitude`` (k,) the parameters it asks for, SI,
-    and ``error`` (k,) their standard errors; ``tangent`` (m, k) what is left of its tangents; ``blind`` the share of
-    them that known parameters can imitate.
+    ``gain`` is the fall of chi-square it promises within its bounds; ``evidence`` that less what the ranges of its
+    parameters cost (:func:`cost_of_freedom`), by which hypotheses are ranked as refits are; ``amplitude`` (k,) the
+    parameters it asks for, SI, and ``error`` (k,) their standard errors; ``tangent`` (m, k) what is left of its
+    tangents; ``blind`` the share of them that known parameters can imitate.
     """
 
     effect: Effect
     gain: float
+    evidence: float
     amplitude: Real
     error: Real
     tangent: Real
@@ -81,7 +83,7 @@ def score(model: Model, x: Real, here: Weighted, tangents: Tangents, effect: Eff
     size, whole = np.linalg.norm(left, axis=0), np.linalg.norm(raw, axis=0)
     seen = size > 1e-9 * np.maximum(whole, 1e-300)
     amplitude, error = np.zeros(len(indices)), np.full(len(indices), np.inf)
-    gain = 0.0
+    gain = cost = 0.0
     if seen.any():
         unit = left[:, seen] / size[seen]
         before = float(tangents.left @ tangents.left)
@@ -89,17 +91,30 @@ def score(model: Model, x: Real, here: Weighted, tangents: Tangents, effect: Eff
                                                     np.maximum(high[seen], 0.0) * size[seen] + 1e-12))
         amplitude[seen] = bounded.x / size[seen]
         gain = before - float(np.sum((tangents.left + unit @ bounded.x) ** 2))
-        error[seen] = np.sqrt(np.diag(np.linalg.pinv(unit.T @ unit, rcond=1e-12))) / size[seen]
+        covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[seen], size[seen])
+        error[seen] = np.sqrt(np.diag(covariance))
+        cost = cost_of_freedom(covariance, (high - low)[seen])
     blind = 1.0 - float(np.linalg.norm(left)) / max(float(np.linalg.norm(raw)), 1e-300)
-    return Score(effect, gain, amplitude, error, left, blind)
+    return Score(effect, gain, gain - cost, amplitude, error, left, blind)
+
+
+def cost_of_freedom(covariance: Real, widths: Real) -> float:
+    """What the ranges of parameters cost: twice the logarithm of their volume over that of the posterior.
+
+    Args:
+        covariance: (k, k) of the posterior; none of its axes counts as longer than a range.
+        widths: (k,) of the ranges, in the same units.
+    """
+    relative = np.clip(np.linalg.eigvalsh(covariance / np.outer(widths, widths)), 1e-30, 1.0 / (2.0 * np.pi))
+    return float(-np.sum(np.log(2.0 * np.pi * relative)))
 
 
 def scores_at(model: Model, search: Search, x: Real, here: Weighted, effects: Sequence[Effect] | None = None
               ) -> list[Score]:
-    """The scores of the hypotheses (all, or those given) at x (p,), best first."""
+    """The scores of the hypotheses (all, or those given) at x (p,), that of the best evidence first."""
     tangents = Tangents.at(search, here)
     found = [score(model, x, here, tangents, effect) for effect in (model.effects if effects is None else effects)]
-    return sorted(found, key=lambda s: -s.gain)
+    return sorted(found, key=lambda s: -s.evidence)
 
 
 def confusion(first: Score, second: Score) -> float:

@@ -235,7 +235,7 @@ def _further(model: Model, fit: Refit) -> list[Score]:
 
 def _left(fit: Refit, further: Sequence[Score]) -> float:
     """The most that any further hypothesis (:func:`_further`) promises to explain of what a fit leaves."""
-    return further[0].gain / fit.correlation
+    return max(scored.gain for scored in further) / fit.correlation
 
 
 def _explains(base: Refit, fit: Refit) -> bool:
@@ -329,7 +329,7 @@ def _pairs(model: Model, singles: Sequence[Refit], progress: Progress) -> list[R
     for single in singles[:PAIRED]:
         for scored in _further(model, single)[:PAIRS]:
             tried.setdefault(frozenset((single.name, scored.effect.name)), (single, scored))
-    chosen = sorted(tried.values(), key=lambda pair: pair[0].chi_square - pair[1].gain)[:PAIRS]
+    chosen = sorted(tried.values(), key=lambda pair: pair[0].evidence - pair[1].evidence)[:PAIRS]
     found = []
     for number, (single, scored) in enumerate(chosen):
         progress(f"trying {single.name} and {scored.effect.name}", 0.75 + 0.2 * number / len(chosen))
