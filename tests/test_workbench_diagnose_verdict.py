@@ -59,6 +59,19 @@ def test_four_sigmas_of_one_number_are_rare(gain: float, numbers: int, rare: boo
     assert verdict._rare(gain, numbers, verdict.CLEAR) == rare
 
 
+@pytest.mark.parametrize(("gains", "count", "least", "kept"), [
+    ((28.0, 1.0, 29.0), 8, 0.0, (28.0, 29.0)),  # far down for its number of parameters, and no worse
+    ((28.0, 1.0, 29.0), 1, 0.0, (28.0,)),
+    ((100.0, 31.0, 29.0), 8, 0.0, (100.0, 31.0)),  # a third of what the best one does
+    ((9.0, 8.0), 8, 10.0, ()), ((), 8, 0.0, ()),
+])
+def test_what_promises_much_is_refitted_in_the_order_of_evidence(
+    gains: tuple[float, ...], count: int, least: float, kept: tuple[float, ...]
+) -> None:
+    scores: Any = [SimpleNamespace(gain=gain) for gain in gains]
+    assert tuple(scored.gain for scored in refit.promising(scores, count, least)) == kept
+
+
 def test_what_leaves_little_and_hints_at_something_is_not_quiet() -> None:
     """A wrong basin of a thin layer's thickness: chi-square 1.00, and a hypothesis that gains 42."""
     weak: Any = SimpleNamespace(gain=8.0, error=np.array([0.1]))

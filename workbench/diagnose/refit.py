@@ -69,8 +69,8 @@ SHARES = (1.0, 0.1, 0.0)
 #: It begins no closer to the end of its range than this share of it.
 AT_END = 1e-4
 
-#: Of the hypotheses that promise most where the data weigh little, so many are followed, if they promise more than the
-#: second number of what the best one does; at most the third number of them, all about as good, to the end.
+#: Of the hypotheses that promise more than the second number of what any does, so many are followed where the data
+#: weigh little; at most the third number of them, all about as good, to the end.
 FOLLOWED, WORTH, KEPT = 6, 0.3, 2
 
 #: They are asked for once more with the known parameters, that have gone so many uncertainties even there, held back.
@@ -256,14 +256,19 @@ def _located(model: Model, search: Search, x: Real) -> tuple[Place, ...]:
 def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:
     """Where the hypotheses that promise most lead from x (p,) with the data weighing little."""
     ends = []
-    for scored in scores[:FOLLOWED]:
-        if scored.gain > WORTH * scores[0].gain:
-            try:
-                search, begin = _begun(model, (scored.effect,), x, [scored], _weak(model.fitted))
-                ends.append((scored.effect, search, _glance(search.thinned(), begin)))
-            except NO_END:
-                continue
+    for scored in promising(scores, FOLLOWED):
+        try:
+            search, begin = _begun(model, (scored.effect,), x, [scored], _weak(model.fitted))
+            ends.append((scored.effect, search, _glance(search.thinned(), begin)))
+        except NO_END:
+            continue
     return ends
+
+
+def promising(scores: Sequence[Score], count: int, least: float = 0.0) -> list[Score]:
+    """The first `count` of those that promise a fall of chi-square above `least`, and much of what any does."""
+    enough = max(least, WORTH * max((scored.gain for scored in scores), default=0.0))
+    return [scored for scored in scores if scored.gain > enough][:count]
 
 
 def _followed(model: Model, effect: Effect, search: Search, end: Minimum) -> Minimum:

@@ -18,7 +18,6 @@ from workbench.diagnose.locate import Place, located
 from workbench.diagnose.refit import (
     GOOD_STATE,
     UNNEEDED,
-    WORTH,
     Refit,
     StateFit,
     afar,
@@ -28,6 +27,7 @@ from workbench.diagnose.refit import (
     gathered_elsewhere,
     leaves_less,
     predicted,
+    promising,
     refit,
 )
 from workbench.diagnose.score import Score, confusion, scores_at
@@ -306,11 +306,13 @@ def _near(
     The best of them on bases of its own too.
     """
     progress("neighbourhood", 0.3)
-    base = gather(model, base, _scores(model, base)[:SINGLES])
+    scores = _scores(model, base)
+    base = gather(model, base, [*scores[:SINGLES], *promising(scores, SINGLES)])
     scores = _scores(model, base)
     location = located(model, base.x, model.deviations(), base.tangents(), scores)
     found = []
-    wanted = [s for s in scores[:SINGLES] if s.gain > max(ACCEPTED, WORTH * scores[0].gain)]
+    # Those of several parameters stand far down, and may yet be what the data cannot rule out.
+    wanted = promising(scores, SINGLES, ACCEPTED)
     for number, scored in enumerate(wanted):
         progress(f"trying {scored.effect.name}", 0.4 + 0.2 * number / len(wanted))
         result = refit(model, (scored.effect,), base.x, [scored])
