@@ -56,6 +56,7 @@ def _with_elements(sub: argparse.ArgumentParser, order: int) -> None:
     usual = ELEMENTS[order]
     sub.add_argument("--elements-per-wavelength", type=float, default=usual, metavar="N",
                      help=f"elements of order {order} per slowest wavelength (default {usual:g})")
+    sub.set_defaults(usual_elements=usual)
 
 
 def _with_recording(sub: argparse.ArgumentParser) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,14 +39,24 @@ def asked_model(options: argparse.Namespace, chip: Chip) -> Asked:
     if at is not None and not band[0] <= at <= band[1]:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
                          f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
-    if not (math.isfinite(options.elements_per_wavelength) and options.elements_per_wavelength > 0.0):
-        raise InputError("command line", "--elements-per-wavelength", options.elements_per_wavelength,
-                         "a number above zero; 10 is usual")
     return Asked(
         registry=user_registry(options.materials), band=band, points=options.points, at=at, full=options.full,
         tolerance=options.tolerance, drive=parse_drive(options.drive),
-        elements_per_wavelength=options.elements_per_wavelength,
+        elements_per_wavelength=asked_elements(options),
     )
+
+
+def asked_elements(options: argparse.Namespace) -> float:
+    """The elements per wavelength that the options ask for.
+
+    Raises:
+        InputError: no elements.
+    """
+    count: float = options.elements_per_wavelength
+    if not (math.isfinite(count) and count > 0.0):
+        raise InputError("command line", "--elements-per-wavelength", count,
+                         f"a number above zero; {options.usual_elements:g} is usual")
+    return count
 
 
 def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
@@ -59,10 +70,9 @@ def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     return band
 
 
-def saving_folder(options: argparse.Namespace) -> Path:
-    """Where materials are saved: the last folder that the options name, or else the user's own."""
-    folder: Path = options.materials[-1] if options.materials else user_folder()
-    return folder
+def saving_folder(folders: Sequence[Path]) -> Path:
+    """Where materials are saved: the last of the `folders` that the options name, or else the user's own."""
+    return folders[-1] if folders else user_folder()
 
 
 def output_folder(path: Path) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 import os
 import sys
 from functools import partial
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inputs import InputError, choose, parse_quantity
-from workbench.commands.asked import output_folder
+from workbench.commands.asked import asked_elements, output_folder
 from workbench.commands.fit_job import (
     Done,
     derived_table,
@@ -49,13 +48,11 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench fit``: material parameters from one recording, or from many."""
-    count = options.elements_per_wavelength
-    if not (math.isfinite(count) and count > 0.0):
-        raise InputError("command line", "--elements-per-wavelength", count, "a number above zero; 10 is usual")
     if options.tries < 0:
         raise InputError("command line", "--tries", options.tries, "a number of ways down, 0 for none")
-    settings = Settings(materials=tuple(options.materials), elements_per_wavelength=count, algorithm=options.algorithm,
-                        starts=tuple(options.start), tries=options.tries, force=options.force)
+    settings = Settings(
+        materials=tuple(options.materials), elements_per_wavelength=asked_elements(options),
+        algorithm=options.algorithm, starts=tuple(options.start), tries=options.tries, force=options.force)
     if options.kind == "batch":
         return _batch(options, console, settings)
     settings = dataclasses.replace(settings, gel_thicknesses=_thicknesses(options.gel_study))

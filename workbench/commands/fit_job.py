@@ -13,9 +13,10 @@ import numpy as np
 from geometry.chip import read_chip
 from geometry.mesh import user_cache
 from inputs import InputError
-from materials import Registry, save, user_folder, user_registry
+from materials import Registry, save, user_registry
 from materials.kinds import Material
 from materials.versions import check_name
+from workbench.commands.asked import saving_folder
 from workbench.commands.tables import origin_table
 from workbench.fit import paper
 from workbench.fit.batch import Job, Member, Settings, content_key, finished
@@ -85,7 +86,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
         # The entry's `start` names the registry's material, which a chip's density may have changed.
         entry = registry_entry(result, prepared, sources, date=date, forced=refused,
                                temperature=prepared.chip.state(prepared.state).temperature)
-        saved_as = save(entry, job.save, folder=_saving_folder(settings))
+        saved_as = save(entry, job.save, folder=saving_folder(settings.materials))
     gel: tuple[GelCase, ...] = ()
     if settings.gel_thicknesses:
         gel = gel_study(prepared, registry, numbers={e.parameter.name: e.value for e in result.estimates},
@@ -127,10 +128,6 @@ def _filling(member: Member, registry: Registry) -> dict[str, Material]:
     if member.material is not None:
         chip = with_material(chip, state, free_region(chip, state, member.kind, member.region), member.material)
     return chip_materials(chip, state, registry)
-
-
-def _saving_folder(settings: Settings) -> Path:
-    return settings.materials[-1] if settings.materials else user_folder()
 
 
 def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepared, tuple[Source, ...]]:

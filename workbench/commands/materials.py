@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 def run(options: argparse.Namespace, _console: Console) -> int:
     """``workbench materials``: look at them, and keep the saved fits."""
     if options.action == "import":
-        for imported in import_entries(options.file, folder=saving_folder(options)):
+        for imported in import_entries(options.file, folder=saving_folder(options.materials)):
             print_line(f"{imported.name}: {'imported' if imported.new else 'was there already'}")
         return 0
     registry = user_registry(options.materials)

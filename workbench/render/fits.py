@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.render.canvas import SIGNED_COLOURS, new_figure, save
-from workbench.render.plots import LINE_COLOURS, SpectrumLike, _tidy
+from workbench.render.plots import LINE_COLOURS, SpectrumLike, tidy
 
 Real = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def draw_fit(
     phase_residual.set_ylabel("fitted − measured\nphase (°)", fontsize=9)
     phase_residual.set_xlabel("frequency (MHz)")
     for axes in panels:
-        _tidy(axes, both=axes is magnitude)
+        tidy(axes, both=axes is magnitude)
     figure.align_ylabels()
     figure.tight_layout()
     return save(figure, path)
@@ -149,7 +149,7 @@ def draw_intervals(intervals: Sequence[Interval], path: Path, *, title: str = ""
     axes.set_xlabel("difference from the start (% of the start; beyond 10 % logarithmic)")
     axes.set_title(title)
     axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.9 / figure.get_figheight()), ncols=3)
-    _tidy(axes)
+    tidy(axes)
     figure.tight_layout()
     return save(figure, path)
 
@@ -185,7 +185,7 @@ def draw_sensitivity(
         axes.set_xlabel("slope of the cost over the largest")
         axes.set_title(label, fontsize=10)
         axes.legend(frameon=False, loc="lower right")
-        _tidy(axes)
+        tidy(axes)
     figure.suptitle(title)
     figure.tight_layout()
     return save(figure, path)
@@ -208,7 +208,7 @@ def draw_costs(scalings: Real, costs: Mapping[str, Real], path: Path, *, title: 
     axes.set_ylabel("sum of squares of ln|Z / Z_baseline|")
     axes.set_title(title)
     axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    _tidy(axes)
+    tidy(axes)
     figure.tight_layout()
     return save(figure, path)
 
@@ -250,7 +250,7 @@ def draw_gel_study(
     phase.set_yticks([-90, -45, 0, 45, 90])
     phase.set_xlabel("frequency (MHz)")
     for axes in (magnitude, phase):
-        _tidy(axes, both=True)
+        tidy(axes, both=True)
     figure.align_ylabels()
     figure.tight_layout()
     return save(figure, path)
@@ -289,7 +289,7 @@ def draw_batch(
         axes.set_xlim(-0.5, len(devices) - 0.5)
         axes.set_xticks(places, devices, rotation=45, ha="right", fontsize=8)
         axes.ticklabel_format(axis="y", useOffset=False, style="plain")
-        _tidy(axes)
+        tidy(axes)
     for axes in panels[len(values):]:
         axes.set_visible(False)
     figure.suptitle(title)

@@ -63,7 +63,7 @@ def draw_spectra(
     phase.set_yticks([-90, -45, 0, 45, 90])
     phase.set_xlabel("frequency (MHz)")
     for axes in (magnitude, phase):
-        _tidy(axes, both=True)
+        tidy(axes, both=True)
     figure.align_ylabels()
     figure.tight_layout()
     return save(figure, path)
@@ -87,7 +87,7 @@ def draw_residuals(
     axes.set_ylabel(label)
     axes.set_title(title)
     axes.legend(frameon=False)
-    _tidy(axes)
+    tidy(axes)
     figure.tight_layout()
     return save(figure, path)
 
@@ -130,7 +130,7 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     right.axvline(trap.radius * 1e3, color="#888888", linewidth=0.8, linestyle=":")
     for axes in (left, right):
         axes.set_ylabel(f"Gor'kov potential $U$ ({unit})")
-        _tidy(axes)
+        tidy(axes)
     particle = f"{2e6 * forces.particle.radius:.3g} µm {forces.particle.name}"
     figure.suptitle(f"{particle}\n{typeset(forces.excitation)}", fontsize=9)
     figure.tight_layout()
@@ -189,12 +189,13 @@ def draw_convergence(
     axes.set_ylabel("relative error")
     axes.set_title(title)
     axes.legend(frameon=False)
-    _tidy(axes, both=True)
+    tidy(axes, both=True)
     figure.tight_layout()
     return save(figure, path)
 
 
-def _tidy(axes: Axes, *, both: bool = False) -> None:
+def tidy(axes: Axes, *, both: bool = False) -> None:
+    """Light grid lines behind what is drawn (`both`: minor ones too), and no frame above and to the right."""
     axes.grid(visible=True, which="both" if both else "major", color="#e4e4e4", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
