@@ -280,3 +280,15 @@ def test_the_ranking_stands_beside_the_published_one(
     assert "Zero in the baseline" in text
     for name in ("ranking.png", "costs_real.png", "costs_imaginary.png"):
         assert (out / name).exists()
+
+
+@pytest.mark.parametrize(("estimate", "unit", "said"), [
+    ((1.2345678e11, 1.2e11, 1.27e11), "Pa", ("123.46", "120 to 127")),
+    ((1.2345678e11, 1.23455e11, 1.23458e11), "Pa", ("123.4568", "123.455 to 123.458")),  # five digits hide it
+    ((2.0, 2.0, 2.0), "1", ("2", "2 to 2")),
+    ((2.0, np.nan, np.nan), "1", ("2", "")),
+])
+def test_an_estimate_is_shown_with_the_digits_its_interval_asks_for(
+    estimate: tuple[float, float, float], unit: str, said: tuple[str, str]
+) -> None:
+    assert fit_job.shown_estimate(*estimate, unit) == said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -178,6 +179,16 @@ def shown(value: float, unit: str, *, digits: int = 5) -> str:
     return number(value * shown_factor(unit), digits) if np.isfinite(value) else ""
 
 
+def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[str, str]:
+    """An estimate and its interval, without the unit, with digits enough to show two of the interval's width."""
+    if not np.isfinite(low):
+        return shown(value, unit), ""
+    digits = 5
+    if high > low:
+        digits = max(digits, math.ceil(math.log10(max(abs(value), abs(low), abs(high)) / (high - low))) + 2)
+    return shown(value, unit, digits=digits), f"{shown(low, unit, digits=digits)} to {shown(high, unit, digits=digits)}"
+
+
 def shown_unit(unit: str) -> str:
     """The unit in which numbers of an SI unit are shown."""
     return SHOWN.get(unit, (unit, 1.0))[0]
@@ -204,9 +215,8 @@ def parameter_table(result: FitResult, prepared: Prepared) -> Table:
         held = e.at_bound.removesuffix(f" of {prepared.material.name}")
         remarks = [f"held by {held}" if held else "", "" if e.determined else "not determined",
                    "by profile" if e.method == "profile" else ""]
-        interval = f"{shown(e.low, p.unit)} to {shown(e.high, p.unit)}" if np.isfinite(e.low) else ""
         prior = "" if p.prior is None else f"± {shown(p.prior, p.unit, digits=2)}"
-        rows.append((short_name(e, prepared), shown(p.start, p.unit), shown(e.value, p.unit), interval,
+        rows.append((short_name(e, prepared), shown(p.start, p.unit), *shown_estimate(e.value, e.low, e.high, p.unit),
                      shown_unit(p.unit), difference, prior, "; ".join(filter(None, remarks))))
     return Table(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", ""),
                  tuple(rows))
@@ -218,8 +228,7 @@ def derived_table(result: FitResult, prepared: Prepared) -> Table | None:
     if not found:
         return None
     return Table(("follows from it", "value", "95 % interval", "unit"), tuple(
-        (d.name, shown(d.value, d.unit), f"{shown(d.low, d.unit)} to {shown(d.high, d.unit)}" if np.isfinite(d.low)
-         else "", shown_unit(d.unit)) for d in found))
+        (d.name, *shown_estimate(d.value, d.low, d.high, d.unit), shown_unit(d.unit)) for d in found))
 
 
 def match_table(result: FitResult) -> Table:
