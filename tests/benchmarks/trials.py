@@ -23,6 +23,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from itertools import islice
@@ -306,6 +307,33 @@ def table(outcomes: Sequence[Outcome]) -> None:
     rate("outside the catalogue: right region", foreign, lambda o: o.region)
     if outcomes:
         print(f"CPU time of a diagnosis: median {np.median([o.seconds for o in outcomes]):.0f} s")
+    print()
+    confusion(outcomes)
+
+
+def confusion(outcomes: Sequence[Outcome]) -> None:
+    """Print what was said of what was concealed, in Markdown: a row a mechanism, of what is detectable and what not."""
+    print("| concealed | detectable | named | a rival | another named | unexplained | no claim | not detectable | claimed |")
+    print("| --- | ---: | ---: | ---: | --- | ---: | ---: | ---: | ---: |")
+    for label, rows in _by_mechanism(outcomes):
+        seen = [o for o in rows if o.detectability > DETECTABLE]
+        hidden = [o for o in rows if not o.detectability > DETECTABLE]
+        named = [o for o in seen if o.claimed]
+        others = Counter(o.said for o in named if not o.among)
+        cells = [len(seen), sum(o.first for o in named), sum(o.among and not o.first for o in named),
+                 "; ".join(f"{said} ({count})" if count > 1 else said for said, count in others.items()),
+                 sum(o.verdict == "unexplained" for o in seen),
+                 sum(not o.claimed and o.verdict != "unexplained" for o in seen),
+                 len(hidden), sum(o.claimed for o in hidden)]
+        print(f"| {label} | " + " | ".join(str(cell) if cell else "" for cell in cells) + " |")
+
+
+def _by_mechanism(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, list[Outcome]]]:
+    """Outcomes by what was concealed, in the order of the mechanisms; two at once together."""
+    for name in (*CATALOGUED, *OUTSIDE, NONE, "two at once"):
+        rows = [o for o in outcomes if (o.mechanism if " and " not in o.mechanism else "two at once") == name]
+        if rows:
+            yield name.replace("_", " ") + (" (not in the catalogue)" if name in OUTSIDE else ""), rows
 
 
 #: An effect of more standard deviations than this is detectable; a held-out state is back to noise below that.
