@@ -313,8 +313,10 @@ def table(outcomes: Sequence[Outcome]) -> None:
 
 def confusion(outcomes: Sequence[Outcome]) -> None:
     """Print what was said of what was concealed, in Markdown: a row a mechanism, of what is detectable and what not."""
-    print("| concealed | detectable | named | a rival | another named | unexplained | no claim | not detectable | claimed |")
-    print("| --- | ---: | ---: | ---: | --- | ---: | ---: | ---: | ---: |")
+    columns = ("concealed", "detectable", "named", "a rival", "another named", "unexplained", "no claim",
+               "not detectable", "claimed")
+    print(f"| {' | '.join(columns)} |")
+    print("| --- |" + " ---: |" * (len(columns) - 1))
     for label, rows in _by_mechanism(outcomes):
         seen = [o for o in rows if o.detectability > DETECTABLE]
         hidden = [o for o in rows if not o.detectability > DETECTABLE]
