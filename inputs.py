@@ -137,8 +137,14 @@ def refuse_unknown_keys(table: Mapping[str, object], allowed: Iterable[str], *, 
 
 
 def write_atomic(path: Path, content: str | bytes) -> None:
-    """Write `content` to `path` so that a reader sees either the old file or the new one, never a part of it."""
+    """Write `content` to `path` so that a reader sees either the old file or the new one, never a part of it.
+
+    A device or a pipe is written to, and stays what it is.
+    """
     data = content.encode("utf-8") if isinstance(content, str) else content
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
