@@ -13,7 +13,8 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -136,24 +137,38 @@ def refuse_unknown_keys(table: Mapping[str, object], allowed: Iterable[str], *, 
                              nearest_names(key, names))
 
 
-def write_atomic(path: Path, content: str | bytes) -> None:
-    """Write `content` to `path` so that a reader sees either the old file or the new one, never a part of it.
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path of the same name to write to, whose file takes the place of `path` once it is whole.
 
-    A device or a pipe is written to, and stays what it is.
+    A reader sees either the old file or the new one, never a part of it, and a power cut leaves one of the two. A
+    device or a pipe is written to, and stays what it is.
     """
-    data = content.encode("utf-8") if isinstance(content, str) else content
-    if path.exists() and not path.is_file():
-        path.write_bytes(data)
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-            stream.flush()
+    replaceable = path.is_file() or not path.exists()
+    if replaceable:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent if replaceable else None, prefix=f".{path.name}.") as folder:
+        whole = Path(folder) / path.name
+        yield whole
+        if not replaceable:
+            path.write_bytes(whole.read_bytes())
+            return
+        with whole.open("rb") as stream:
             os.fsync(stream.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        os.replace(whole, path)
+        sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a new name in a folder last."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_atomic(path: Path, content: str | bytes) -> None:
+    """Write `content` to `path` so that a reader sees either the old file or the new one (:func:`replacing`)."""
+    with replacing(path) as whole:
+        whole.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 from geometry.chip import Chip
 from geometry.solid import solids
-from inputs import write_atomic
+from inputs import replacing
 
 
 def export_step(chip: Chip, path: Path) -> Path:
@@ -22,10 +21,8 @@ def export_step(chip: Chip, path: Path) -> Path:
     assembly = Assembly(name=chip.name)
     for name, shape in shapes.items():
         assembly.add(shape, name=name)
-    with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / "chip.step"
-        assembly.export(str(draft))
-        write_atomic(path, draft.read_bytes())
+    with replacing(path) as whole:
+        assembly.export(str(whole), exportType="STEP")
     return path
 
 
@@ -36,11 +33,9 @@ def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str
         SolidError: CadQuery is not installed, or the solids are not those of the chip.
     """
     written = {}
-    with tempfile.TemporaryDirectory() as drafts:
-        for name, shape in solids(chip).items():
-            draft = Path(drafts) / f"{name}.stl"
+    for name, shape in solids(chip).items():
+        written[name] = folder / f"{name}.stl"
+        with replacing(written[name]) as whole:
             # The facets are bounded by the deviation alone: the angle, in radians, is left wide.
-            shape.exportStl(str(draft), tolerance=1e3 * deviation, angularTolerance=0.5, relative=False)
-            written[name] = folder / draft.name
-            write_atomic(written[name], draft.read_bytes())
+            shape.exportStl(str(whole), tolerance=1e3 * deviation, angularTolerance=0.5, relative=False)
     return written

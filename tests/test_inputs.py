@@ -9,7 +9,7 @@ from threading import Thread
 
 import pytest
 
-from inputs import write_atomic
+from inputs import replacing, write_atomic
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
@@ -28,6 +28,20 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(os, "fsync", failing)
     with pytest.raises(OSError, match="no space"):
         write_atomic(tmp_path / "a.txt", "new")
+    assert (tmp_path / "a.txt").read_text() == "old"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_an_interruption_while_writing_leaves_the_old_file(tmp_path: Path) -> None:
+    write_atomic(tmp_path / "a.txt", "old")
+
+    def interrupted() -> None:
+        with replacing(tmp_path / "a.txt") as whole:
+            whole.write_text("ne")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert (tmp_path / "a.txt").read_text() == "old"
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -14,7 +14,6 @@ import io
 import json
 import os
 import struct
-import tempfile
 import uuid
 import zlib
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError
+from inputs import InputError, replacing, sync_folder
 
 FORMAT = "workbench run 1"
 
@@ -127,7 +126,7 @@ class Journal:
         if good == 0:
             self._write({"kind": "run", "run_id": run.run_id, "created": run.created, "setup_text": run.setup_text,
                          "instruments": dict(run.instruments)}, {})
-            _sync_folder(beside.parent)
+            sync_folder(beside.parent)
 
     def add(self, entry: Point | Event) -> None:
         """Put a point or an event on the disk."""
@@ -242,15 +241,6 @@ def _records(path: Path) -> tuple[list[dict[str, Any]], int]:
     return found, place
 
 
-def _sync_folder(folder: Path) -> None:
-    """Make a new name in a folder last."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArray[Any]]] | None = None) -> None:
     """Write the HDF5 file whole, in place of what was there; `results` are arrays by group and name.
 
@@ -260,38 +250,27 @@ def write_run(run: Run, path: Path, *, results: Mapping[str, Mapping[str, NDArra
     """
     import h5py
 
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    try:
-        with h5py.File(temporary, "w") as file:
-            file.attrs.update({"format": FORMAT, "run_id": run.run_id, "created": run.created,
-                               "setup": run.setup_text, "instruments": json.dumps(dict(run.instruments)),
-                               "complete": run.complete})
-            table = file.create_group("points")
-            for name in _NUMBERS:
-                table[name] = np.array([getattr(point, name) for point in run.points])
-            table["impedance"] = np.array([point.impedance for point in run.points], dtype=np.complex128)
-            table["flags"] = np.array([json.dumps(point.flags) for point in run.points], dtype=h5py.string_dtype())
-            captures = file.create_group("captures")
-            for point in run.points:
-                group = captures.create_group(f"{point.sequence:06d}")
-                for name in _ARRAYS:
-                    packed = {"compression": "gzip", "shuffle": True} if name == "raw" else {}
-                    group.create_dataset(name, data=getattr(point, name), **packed)
-            events = file.create_group("events")
-            events["time"] = np.array([event.time for event in run.events])
-            events["text"] = np.array([event.text for event in run.events], dtype=h5py.string_dtype())
-            for group_name, arrays in (results or {}).items():
-                for name, values in arrays.items():
-                    file[f"results/{group_name}/{name}"] = values
-        with open(temporary, "rb") as stream:
-            os.fsync(stream.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-        _sync_folder(path.parent)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with replacing(path) as whole, h5py.File(whole, "w") as file:
+        file.attrs.update({"format": FORMAT, "run_id": run.run_id, "created": run.created,
+                           "setup": run.setup_text, "instruments": json.dumps(dict(run.instruments)),
+                           "complete": run.complete})
+        table = file.create_group("points")
+        for name in _NUMBERS:
+            table[name] = np.array([getattr(point, name) for point in run.points])
+        table["impedance"] = np.array([point.impedance for point in run.points], dtype=np.complex128)
+        table["flags"] = np.array([json.dumps(point.flags) for point in run.points], dtype=h5py.string_dtype())
+        captures = file.create_group("captures")
+        for point in run.points:
+            group = captures.create_group(f"{point.sequence:06d}")
+            for name in _ARRAYS:
+                packed = {"compression": "gzip", "shuffle": True} if name == "raw" else {}
+                group.create_dataset(name, data=getattr(point, name), **packed)
+        events = file.create_group("events")
+        events["time"] = np.array([event.time for event in run.events])
+        events["text"] = np.array([event.text for event in run.events], dtype=h5py.string_dtype())
+        for group_name, arrays in (results or {}).items():
+            for name, values in arrays.items():
+                file[f"results/{group_name}/{name}"] = values
 
 
 def _read_hdf5(path: Path) -> Run:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from inputs import replacing
 from workbench.render.canvas import pyvista
 
 if TYPE_CHECKING:
@@ -57,10 +56,6 @@ def write_vtu(fields: Fields, path: Path, *, extra: Mapping[str, NDArray[Any]] |
     grid.field_data["region_names"] = list(mesh.regions)
     grid.field_data["frequency"] = [fields.frequency]
     grid.field_data["voltage_real"], grid.field_data["voltage_imag"] = [fields.voltage.real], [fields.voltage.imag]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # VTK writes to a named file only; it is renamed when it is whole.
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        whole = Path(folder) / path.name
+    with replacing(path) as whole:
         grid.save(whole)
-        os.replace(whole, path)
     return path
