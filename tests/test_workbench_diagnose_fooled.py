@@ -8,6 +8,7 @@ physics: `tests/benchmarks/trials.py`).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from materials.registry import user_registry
 from workbench.diagnose.belong import cleared, each_alone
 from workbench.diagnose.campaign import read_campaign
 from workbench.diagnose.device import ORDER, Model, model
-from workbench.diagnose.refit import base_fit
+from workbench.diagnose.refit import base_fit, checked
 from workbench.diagnose.verdict import Diagnosis, diagnose
 from workbench.fit.objective import through_bench
 from workbench.operators import assemble
@@ -186,3 +187,22 @@ def test_a_disc_that_is_in_order_alone_clears_the_transducer(bench: Bench, chip:
     for name in ("disc", "sample"):
         bench.record(name, name, bench={"bench.series_resistance": 1.5 if name == chip else 0.0})
     assert cleared(bench.model(KNOWN)) == regions
+
+
+def test_what_the_reduced_model_does_to_a_fit_is_said(bench: Bench) -> None:
+    """Bases that were made for another place, c33 one and a half per cent off."""
+    bench.record("disc", "disc")
+    device = bench.model({f"{PZT}.c33": "1 %"})
+    _, base, _ = base_fit(device)
+    _, off = checked(device, base)
+    assert off < 1e-4
+    strayed = base.x.copy()
+    strayed[device.index(f"{PZT}.c33")] *= 1.015
+    device.fitted.surround(base.x, {}, 0.1)
+    stale = replace(base, states=tuple(replace(state, impedance=impedance) for state, impedance in zip(
+        base.states, device.fitted(strayed, deviation=device.deviations()).impedance, strict=True)), x=strayed)
+    _, off = checked(device, stale)
+    exact = device.fitted.predictors[0].full(device.fitted.settings(strayed, 0)[0], {}, FREQUENCIES)
+    print(f"off by {off:.2e}")
+    assert off == pytest.approx(np.abs(stale.states[0].impedance / exact - 1.0).max(), rel=0.02)
+    assert off > 1e-3

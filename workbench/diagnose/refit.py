@@ -504,6 +504,15 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) 
                  cost, shifts, tuple(states))
 
 
+def checked(model: Model, fit: Refit) -> tuple[float, float]:
+    """The reduced chi-square of a fit on bases made at its own place, and how far Z was off, relative, where most."""
+    model.fitted.surround(fit.x, {}, UNNEEDED)
+    there = _judged(model, fit.effects, fit.search, fit.x)
+    off = max(float(np.abs(was.impedance / now.impedance - 1.0).max())
+              for was, now in zip(fit.states, there.states, strict=True))
+    return there.reduced, off
+
+
 def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> StateFit:
     return StateFit(name, float(np.mean(np.abs(log / noise) ** 2) / 2.0), float(np.sqrt(np.mean(np.abs(log) ** 2))),
                     correlation_length(log / noise), impedance)

@@ -17,11 +17,13 @@ from workbench.diagnose.device import Model
 from workbench.diagnose.locate import Place, located
 from workbench.diagnose.refit import (
     GOOD_STATE,
+    TRUSTED,
     UNNEEDED,
     Refit,
     StateFit,
     afar,
     base_fit,
+    checked,
     elsewhere,
     gather,
     gathered_elsewhere,
@@ -389,9 +391,12 @@ def _judged(
     findings += _statements(verdict, chosen, rivals, strayed, location)
     if verdict == "unexplained" and (said := each_alone(model, base)):
         findings.append(said)
+    following = _next(model, chosen, rivals, scores)
+    findings += [_inexact(model, fit) for fit in dict.fromkeys((best if found else chosen, chosen))
+                 if not fit.doubt < TRUSTED]
     return Diagnosis(model.campaign, model, verdict, nominal, base, chosen, tuple(scores), tuple(singles), tuple(pairs),
                      rivals, location, held_before, held_after if accepted else held_before, strayed,
-                     all(_inside(chosen, name) for name in chosen.estimate), _next(model, chosen, rivals, scores),
+                     all(_inside(chosen, name) for name in chosen.estimate), following,
                      tuple(findings), time.perf_counter() - started, model.fitted.solves)
 
 
@@ -432,6 +437,14 @@ def _closest(
                      for before, after in zip(held_before, held_after, strict=True))
     return (f"{best.name} brings it from {base.reduced:.3g} to {best.reduced:.3g}{', ' if held else ''}{held}, an "
             f"evidence of {gained:.1f} (twice the logarithm of the odds): {numbers}.")
+
+
+def _inexact(model: Model, fit: Refit) -> str:
+    """What the reduced model did to the figures of a fit that ended where its bases were not made for."""
+    reduced, off = checked(model, fit)
+    return (f"Where the fit of {fit.name or 'the known parameters alone'} ended, the reduced model was off by up to "
+            f"{100.0 * off:.2g} % of Z: made again there, it leaves a reduced chi-square of {reduced:.3g}, not "
+            f"{fit.reduced:.3g}.")
 
 
 def _statements(
