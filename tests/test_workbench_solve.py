@@ -19,6 +19,7 @@ from workbench.solve import (
     System,
     factorise,
     solve_dense,
+    solve_each,
     solve_full,
     solve_reduced,
     sweep,
@@ -178,7 +179,9 @@ def test_a_parameter_the_problem_lacks_is_named(small_disc: Problem) -> None:
     ((0, 2, -2), True), ((-2, 0, 2), True), ((2, -2, 0), True), ((0, 1, 2), True),  # and a fluid, in any order
     ((0, 2, 3), False), ((0, 2, -2, 1), False),  # no such progression: every frequency is factorised
 ])
-def test_groups_in_geometric_progression_are_diagonalised_once(powers: tuple[int, ...], makes_one: bool) -> None:
+def test_groups_in_geometric_progression_are_diagonalised_once(
+    powers: tuple[int, ...], makes_one: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     random = np.random.default_rng(3)
     size, omega = 12, np.linspace(0.9, 1.1, 31)
     matrices = random.standard_normal((len(powers), size, size)) + 0.01j * random.standard_normal(
@@ -193,3 +196,8 @@ def test_groups_in_geometric_progression_are_diagonalised_once(powers: tuple[int
     assert np.abs(states[:-1] - expected).max() < 1e-11 * np.abs(expected).max()
     assert (states[-1] == 1.0).all()
     assert residual.max() < 1e-11
+    monkeypatch.setattr("workbench.solve.ENTRIES", 4 * (size - 1) ** 2)  # in eight parts
+    right = random.standard_normal((3, size - 1, omega.size)) + 1j * random.standard_normal((3, size - 1, omega.size))
+    several = solve_each(factors, matrices[:, :-1, :-1], right)
+    expected = np.linalg.solve(whole[:, :-1, :-1], right.transpose(2, 1, 0)).transpose(2, 1, 0)
+    assert np.abs(several - expected).max() < 1e-11 * np.abs(expected).max()

@@ -33,6 +33,7 @@ from workbench.physics.term import (
     Integral,
     Monomial,
     Part,
+    Product,
     Term,
     Values,
     factored,
@@ -41,6 +42,12 @@ from workbench.physics.term import (
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+
+#: Cells whose points are projected on at once: what that takes stays in the processor's cache.
+TOGETHER = 64
+
+#: Products of pairs of unknowns, at all frequencies together, that forms are made from at once, for the same reason.
+PRODUCTS = 500_000
 
 #: Cells that differ by less than this share of their size are the same: rounding of where they are.
 SAME_SHAPE = 1e-9
@@ -99,6 +106,12 @@ class Place:
     elements: NDArray[np.int64]
     normal: Real | None = None
     facing_normal: Real | None = None
+
+    def of(self, cells: slice) -> Place:
+        """A part of the elements."""
+        normals = [None if each is None else each[:, cells] for each in (self.normal, self.facing_normal)]
+        return Place(self.dofs[:, cells], self.weights[cells], {kind: s[cells] for kind, s in self.shapes.items()},
+                     self.elements[cells], *normals)
 
     def factor(self, name: str) -> Real:
         normal = self.facing_normal if name.endswith(FACING) else self.normal
@@ -351,39 +364,48 @@ class FullOperators:
             groups.setdefault(integral.domain, []).append(integral)
         return groups
 
-    def project(self, basis: Real, test: Real | None = None) -> Real:
-        """test^T A_q basis for real columns (size, n): (number of integrals, n_test, n). `test` defaults to `basis`."""
-        return self._projected(self.places, basis, test)
+    def project(self, basis: Real, further: Real | None = None) -> Real:
+        """basis^T A_q basis for real columns (size, n), below it further^T A_q basis for more of them (size, m).
 
-    def project_change(self, mesh: SectionMesh, basis: Real, test: Real) -> Real:
+        Returns:
+            (number of integrals, n + m, n); the upper part is symmetric.
+        """
+        return self._projected(self.places, basis, further)
+
+    def project_change(self, mesh: SectionMesh, basis: Real, further: Real | None = None) -> Real:
         """What :meth:`project` changes by when the model moves onto `mesh` (a `geometry.stretch` of its own).
 
         Integrated over those cells only whose shape differs: of a layer that grows, not of those that it lifts.
         """
         within = _reshaped(self.mesh, mesh)
-        change = np.zeros((len(self.integrals), test.shape[1], basis.shape[1]))
-        for each, sign in ((mesh, 1.0), (self.mesh, -1.0)):
+        found = []
+        for each in (mesh, self.mesh):
             places = {name: _place(each, group[0], within) for name, group in self._by_place.items()}
-            change += sign * self._projected({name: p for name, p in places.items() if p is not None}, basis, test)
-        return change
+            found.append(self._projected({name: p for name, p in places.items() if p is not None}, basis, further))
+        return found[0] - found[1]
 
-    def _projected(self, places: Mapping[str, Place], basis: Real, test: Real | None) -> Real:
-        left = basis if test is None else test
-        result = np.zeros((len(self.integrals), left.shape[1], basis.shape[1]))
+    def _projected(self, places: Mapping[str, Place], basis: Real, further: Real | None) -> Real:
+        count = basis.shape[1]
+        columns = basis if further is None else np.column_stack([basis, further])
+        result = np.zeros((len(self.integrals), columns.shape[1], count))
         for place_name, place in places.items():
             group = self._by_place[place_name]
-            weights = place.weights.reshape(-1, 1)
             used = _operators_of(group)
-            rights = {name: v.reshape(weights.size, -1) for name, v in self.evaluate(place, used, basis).items()}
-            lefts = {name: weights * v.reshape(weights.size, -1)
-                     for name, v in (rights if test is None else self.evaluate(place, used, test)).items()}
-            grams: dict[tuple[str, str], Real] = {}
+            grams = {_pair(p): np.zeros((columns.shape[1], count)) for integral in group for p in integral.products}
+            for start in range(0, len(place.weights), TOGETHER):
+                cells = place.of(slice(start, start + TOGETHER))
+                root = np.sqrt(cells.weights)[:, :, None]
+                seen = {name: (root * values).reshape(cells.weights.size, -1)
+                        for name, values in self.evaluate(cells, used, columns).items()}
+                for (row, column), gram in grams.items():
+                    one, other = seen[row], seen[column]
+                    gram[:count] += one[:, :count].T @ other[:, :count]
+                    gram[count:] += 0.5 * (one[:, count:].T @ other[:, :count] + other[:, count:].T @ one[:, :count])
+            for gram in grams.values():
+                gram[:count] = 0.5 * (gram[:count] + gram[:count].T)
             for integral in group:
                 for p in integral.products:
-                    for pair in ((p.row, p.column), (p.column, p.row)):
-                        if pair not in grams:
-                            grams[pair] = lefts[pair[0]].T @ rights[pair[1]]
-                        result[self._index[id(integral)]] += 0.5 * p.weight * grams[pair]
+                    result[self._index[id(integral)]] += p.weight * grams[_pair(p)]
         return result
 
     def images(self, state: Complex, constants: Complex) -> Complex:
@@ -540,12 +562,31 @@ class ReducedOperators:
         return int(self.matrices.shape[1])
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        # The matrices are real: one real product for both parts of the states.
-        count, rank, points = len(self.matrices), right.shape[0], right.shape[1]
-        parts = self.matrices.reshape(count * rank, rank) @ np.hstack([right.real, right.imag])
-        images = parts.reshape(count, rank, 2, points)
-        return np.asarray(np.einsum("in,qin->nq", left, images[:, :, 0])
-                          + 1j * np.einsum("in,qin->nq", left, images[:, :, 1]))
+        rank, points = right.shape
+        result = np.empty((points, len(self.matrices)), dtype=complex)
+        at_once = max(1, PRODUCTS // self._upper.shape[1])
+        for start in range(0, points, at_once):
+            some = slice(start, start + at_once)
+            one, other = left[:, some], right[:, some]
+            products = np.empty((self._upper.shape[1], one.shape[1]), dtype=complex)
+            end = 0
+            for row in range(rank):
+                begin, end = end, end + rank - row
+                np.multiply(one[row], other[row:], out=products[begin:end])
+                if left is not right:
+                    products[begin:end] += other[row] * one[row:]
+            # The matrices are real: one real product for both parts.
+            result[some] = (self._upper @ products.view(np.float64)).view(np.complex128).T
+        if left is not right:
+            result *= 0.5
+        return result
+
+    @cached_property
+    def _upper(self) -> Real:
+        """The upper triangles of the matrices, row by row, what is beside the diagonal twice: (integrals, r(r+1)/2)."""
+        rank = self.size
+        twice = 2.0 - np.eye(rank)
+        return np.concatenate([self.matrices[:, row, row:] * twice[row, row:] for row in range(rank)], axis=1)
 
 
 def combined(constants: Complex, matrices: Real) -> Complex:
@@ -558,6 +599,11 @@ def combined(constants: Complex, matrices: Real) -> Complex:
     if constants.imag.any():
         result += 1j * (constants.imag @ flat)
     return result.reshape(matrices.shape[1:])
+
+
+def _pair(product: Product) -> tuple[str, str]:
+    """The operators of a product in an order of their own: forms are symmetric."""
+    return (product.row, product.column) if product.row <= product.column else (product.column, product.row)
 
 
 def _operators_of(integrals: Iterable[Integral]) -> list[str]:

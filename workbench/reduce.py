@@ -189,13 +189,14 @@ def _extended(
     rank = basis.shape[1]
     old = np.zeros(0, dtype=int) if known is None else np.append(np.arange(known.basis.shape[1] - 1), rank - 1)
     new = np.setdiff1d(np.arange(rank), old)
-    images = operators.project(basis[:, new], np.column_stack([basis, test]))
+    images = operators.project(basis[:, new], np.column_stack([basis[:, old], test]))
+    own, cross, seen = np.split(images, [new.size, rank], axis=1)
     matrices = np.zeros((len(operators.integrals), rank, rank))
     sketch = np.zeros((len(operators.integrals), test.shape[1], rank))
     if known is not None:
         matrices[:, old[:, None], old], sketch[:, :, old] = known.operators.matrices, known.sketch
-    matrices[:, :, new], sketch[:, :, new] = images[:, :rank], images[:, rank:]
-    matrices[:, new] = images[:, :rank].transpose(0, 2, 1)
+    matrices[:, new[:, None], new], sketch[:, :, new] = own, seen
+    matrices[:, old[:, None], new], matrices[:, new[:, None], old] = cross, cross.transpose(0, 2, 1)
     return matrices, sketch
 
 

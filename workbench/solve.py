@@ -32,6 +32,9 @@ RESIDUAL_LIMIT = 1e-10
 #: Largest scaled residual of a reduced model solved by its eigenvectors; above, every frequency is factorised.
 PENCIL_RESIDUAL = 1e-11
 
+#: Entries of the reduced systems that are solved at once: what that takes stays in the processor's cache.
+ENTRIES = 500_000
+
 
 class NotConverged(RuntimeError):
     """A linear solve whose residual stayed above the limit. Carries the frequency, the residual and the iterate."""
@@ -346,10 +349,23 @@ def solve_dense(factors: Complex, matrices: Complex) -> tuple[Complex, Real]:
             residual = np.linalg.norm(right - pencil.product(x), axis=0) / norm
             if residual.max() <= PENCIL_RESIDUAL:
                 return np.vstack([x, np.ones(x.shape[1])]), residual
-        inner = np.einsum("gn,gij->nij", factors, matrices[:, :-1, :-1], optimize=True)
-        x = np.linalg.solve(inner, right.T[:, :, None])
-        remainder = (inner @ x)[:, :, 0].T - right
-    return np.vstack([x[:, :, 0].T, np.ones(x.shape[0])]), np.linalg.norm(remainder, axis=0) / norm
+        x = solve_each(factors, matrices[:, :-1, :-1], right)
+        remainder = sum(h * (each[:-1, :-1] @ x) for h, each in zip(factors, matrices, strict=True)) - right
+    return np.vstack([x, np.ones(x.shape[1])]), np.linalg.norm(remainder, axis=0) / norm
+
+
+def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
+    """x (..., r, n) with sum_g factors_g(w) matrices_g (groups, r, r) times x = right (..., r, n), at n frequencies."""
+    count, rank = len(matrices), matrices.shape[1]
+    flat = matrices.reshape(count, rank**2)
+    columns = right.reshape(-1, rank, right.shape[-1]).transpose(2, 1, 0)
+    result = np.empty(columns.shape, dtype=complex)
+    at_once = max(1, ENTRIES // rank**2)
+    for start in range(0, len(result), at_once):
+        some = slice(start, start + at_once)
+        whole = (factors[:, some].T @ flat).reshape(-1, rank, rank)
+        result[some] = np.linalg.solve(whole, columns[some])
+    return result.transpose(2, 1, 0).reshape(right.shape)
 
 
 def reduced_tangents(solution: Solution, values: Values, names: tuple[str, ...]) -> Complex:
@@ -368,8 +384,7 @@ def reduced_tangents(solution: Solution, values: Values, names: tuple[str, ...])
         if pencil is not None:
             found = np.stack([pencil.solve(each) for each in right])
         else:
-            inner = np.einsum("gn,gij->nij", factors, matrices, optimize=True)
-            found = np.linalg.solve(inner, right.transpose(2, 1, 0)).transpose(2, 1, 0)
+            found = solve_each(factors, matrices, right)
     return np.concatenate([found, np.zeros((len(names), 1, solution.frequency.size))], axis=1)
 
 

@@ -464,7 +464,8 @@ def _begun(
     low, high = search.low[own] + margin, search.high[own] - margin
     begins = [_replaced(start, own, np.clip((start + share * asked)[own], low, high)) for share in SHARES]
     # What is asked for goes with moves of the known parameters, without which less of it may be closer.
-    return search, min(begins, key=lambda begin: float(np.sum(search.evaluate(begin, deviation).vector ** 2)))
+    costs = [float(np.sum(search.evaluate(begin, deviation, free=free).vector ** 2)) for begin in begins]
+    return search, begins[int(np.argmin(costs))]
 
 
 def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) -> Refit:

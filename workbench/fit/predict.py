@@ -153,13 +153,12 @@ class _Expansion:
     def _derivatives(self, integrals: Integers) -> Real:
         """Derivatives (k, terms, r + PROJECTIONS, r) of the matrices and sketches of some integrals (k,)."""
         model = self.model.of(integrals)
-        test = np.column_stack([model.basis, model.test])
 
         def change(*steps: tuple[int, float]) -> Real:
             lengths = self.centre.copy()
             for index, step in steps:
                 lengths[index] += step
-            return model.full.project_change(self._mesh(lengths), model.basis, test)
+            return model.full.project_change(self._mesh(lengths), model.basis, model.test)
 
         if not self.second:
             return np.stack([change((i, step)) / step for i, step in enumerate(SHORT * self.centre)], axis=1)
