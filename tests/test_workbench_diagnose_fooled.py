@@ -21,12 +21,13 @@ from materials.registry import user_registry
 from workbench.diagnose.belong import cleared, each_alone
 from workbench.diagnose.campaign import read_campaign
 from workbench.diagnose.device import ORDER, Model, model
-from workbench.diagnose.refit import base_fit, checked
+from workbench.diagnose.refit import UNNEEDED, base_fit, checked
 from workbench.diagnose.verdict import Diagnosis, diagnose
+from workbench.fit.joint import Search
 from workbench.fit.objective import through_bench
 from workbench.operators import assemble
 from workbench.problem import build, with_boundary_layers
-from workbench.reduce import reduce
+from workbench.reduce import NotEnriched, reduce
 from workbench.spectrum import Spectrum, write_csv
 
 Real = NDArray[np.float64]
@@ -206,3 +207,21 @@ def test_what_the_reduced_model_does_to_a_fit_is_said(bench: Bench) -> None:
     print(f"off by {off:.2e}")
     assert off == pytest.approx(np.abs(stale.states[0].impedance / exact - 1.0).max(), rel=0.02)
     assert off > 1e-3
+
+
+def test_a_search_stays_where_the_reduced_model_is_trusted(bench: Bench) -> None:
+    """The recording is of a c33 that lies 4 % from where the bases were made."""
+    bench.record("disc", "disc", factors={f"{PZT}.c33": 1.04})
+    device = bench.model({f"{PZT}.c33": "5 %", f"{PZT}.c13": "5 %"})
+    free, lifted = device.free(())
+    search = Search(device.fitted, free=free, lifted=lifted)
+    device.fitted.surround(search.centre, {}, UNNEEDED)
+    anywhere = search.minimise(search.centre, device.deviations())
+    trusted = 0.01 * search.evaluate(anywhere.x, device.deviations()).data.error
+    found = search.minimise(search.centre, device.deviations(), trusted=trusted)
+    error = search.evaluate(found.x, device.deviations()).data.error
+    print(f"anywhere to {100.0 * trusted:.1e}, trusted to {error:.1e}")
+    assert 0.1 * trusted < error <= trusted
+    assert found.cost < search.minimise(search.centre, device.deviations(), limit=0).cost
+    with pytest.raises(NotEnriched):
+        search.minimise(anywhere.x, device.deviations(), trusted=trusted)

@@ -41,8 +41,9 @@ CENTRED, SAME, SHARE = 3, 2.0, 0.02
 UNNEEDED = 1e-3
 
 #: They serve while parameters move by so many of their standard errors there, and need not be made again where the
-#: estimated relative error of Z, which is ten to a hundred times the true one, is below the second number.
-ERRORS, TRUSTED = 3.0, 0.03
+#: estimated relative error of Z, which is ten to a hundred times the true one, is below the second number; no step is
+#: taken to where it is above the third, or so many times that of the optimum they were made about.
+ERRORS, TRUSTED, DOUBTED, TIMES = 3.0, 0.03, 0.3, 3.0
 
 #: Steps of a refit, and of a look at another basin.
 STEPS, GLANCE = 25, 8
@@ -419,11 +420,12 @@ def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
                 if np.isfinite(error):
                     reach[name] = max(reach.get(name, 0.0), abs(float(amplitude)) + ERRORS * float(error))
         model.fitted.surround(fit.x, reach, UNNEEDED)
-        centre = fit.search.evaluate(fit.x, deviation).vector
-        found = fit.search.minimise(fit.x, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3)
+        centre = fit.search.evaluate(fit.x, deviation)
+        found = fit.search.minimise(fit.x, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3,
+                                    trusted=max(DOUBTED, TIMES * centre.data.error))
         fit = _judged(model, fit.effects, fit.search, found.x)
         # The first bases were made for another place, and so was the chi-square they gave here.
-        if fit.doubt < TRUSTED or min(float(centre @ centre), before) - fit.chi_square < fit.worth:
+        if fit.doubt < TRUSTED or min(float(centre.vector @ centre.vector), before) - fit.chi_square < fit.worth:
             break
         before = fit.chi_square
     return fit

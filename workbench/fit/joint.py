@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +31,7 @@ from workbench.fit.certainty import REFUSED, BandLeftOut, Direction, Fitted, Noi
 from workbench.fit.constrained import Inequality, Minimum, interior, minimise
 from workbench.fit.objective import Objective, Recording, Residual
 from workbench.fit.parameter import Parameter
+from workbench.reduce import NotEnriched
 from workbench.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
@@ -212,9 +214,15 @@ class Search:
 
     def minimise(
         self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,
-        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (),
+        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (), trusted: float = np.inf,
     ) -> Minimum:
-        """The least cost near x; the parameters of the indices `fixed` stay where they are."""
+        """The least cost near x; the parameters of the indices `fixed` stay where they are.
+
+        Steps that lead to where predictions have an estimated relative error above `trusted` are shortened.
+
+        Raises:
+            NotEnriched: that of x itself is above `trusted`.
+        """
         free = np.setdiff1d(self.free, fixed)
         moved = frozenset(map(int, free))
 
@@ -225,6 +233,8 @@ class Search:
 
         def reduced(y: Real) -> Weighted:
             full = self.evaluate(whole(y), deviation, smoothing, moved)
+            if math.isfinite(trusted) and not full.data.error <= trusted:
+                raise NotEnriched(full.data.error, trusted, self.objective.solves)
             return Weighted(full.vector, full.jacobian[:, free], full.data)
 
         held = x.copy()
