@@ -33,6 +33,7 @@ from workbench.diagnose.refit import (
     refit,
 )
 from workbench.diagnose.score import Score, confusion, scores_at
+from workbench.solve import one_thread
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -137,8 +138,11 @@ class Diagnosis:
         return self.best.effects
 
 
+@one_thread()
 def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -> Diagnosis:
     """Locate the mismatch of a campaign, name what explains it, or say that nothing does.
+
+    On one thread: where a strained fit ends depends on rounding, and rounding on the number of threads.
 
     Raises:
         InputError: recordings seem to be exchanged between states.
