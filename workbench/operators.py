@@ -400,7 +400,8 @@ class FullOperators:
                 for (row, column), gram in grams.items():
                     one, other = seen[row], seen[column]
                     gram[:count] += one[:, :count].T @ other[:, :count]
-                    gram[count:] += 0.5 * (one[:, count:].T @ other[:, :count] + other[:, count:].T @ one[:, :count])
+                    below = one[:, count:].T @ other[:, :count]
+                    gram[count:] += below if one is other else 0.5 * (below + other[:, count:].T @ one[:, :count])
             for gram in grams.values():
                 gram[:count] = 0.5 * (gram[:count] + gram[:count].T)
             for integral in group:
