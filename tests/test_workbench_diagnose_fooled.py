@@ -17,15 +17,18 @@ from numpy.typing import NDArray
 
 from geometry.chip import read_chip
 from inputs import InputError
+from materials.kinds import Fluid
 from materials.registry import user_registry
 from workbench.diagnose.belong import cleared, each_alone
 from workbench.diagnose.campaign import read_campaign
 from workbench.diagnose.device import ORDER, Model, model
-from workbench.diagnose.refit import UNNEEDED, base_fit, checked
+from workbench.diagnose.refit import UNNEEDED, base_fit, checked, refit
+from workbench.diagnose.score import scores_at
 from workbench.diagnose.verdict import Diagnosis, diagnose
 from workbench.fit.joint import Search
 from workbench.fit.objective import through_bench
 from workbench.operators import assemble
+from workbench.physics import bubbles
 from workbench.problem import build, with_boundary_layers
 from workbench.reduce import NotEnriched, reduce
 from workbench.spectrum import Spectrum, write_csv
@@ -187,7 +190,49 @@ def test_recordings_of_two_devices_are_told_from_missing_physics(bench: Bench) -
 def test_a_disc_that_is_in_order_alone_clears_the_transducer(bench: Bench, chip: str, regions: set[str]) -> None:
     for name in ("disc", "sample"):
         bench.record(name, name, bench={"bench.series_resistance": 1.5 if name == chip else 0.0})
-    assert cleared(bench.model(KNOWN)) == regions
+    assert cleared(bench.model(KNOWN))[0] == regions
+
+
+def test_an_effect_that_bends_far_away_from_its_tangent_is_found(bench: Bench) -> None:
+    """Gel that gas makes three times slower: its known parameters alone leave ten thousand times the noise.
+
+    Asked where they fit best the score is of no use, and at nothing it asks for a tenth: only held at several strengths
+    from where the disc alone leaves everything does it lead there.
+    """
+    fraction = 7e-4
+    gel = user_registry([MATERIALS]).load("gel/trial")
+    assert isinstance(gel, Fluid)
+    gas = bubbles.AIR_IN_WATER["ambient_pressure"] * bubbles.AIR_IN_WATER["heat_capacity_ratio"]
+    liquid = gel.density * gel.sound_speed**2
+    # Wood: compressibility and density are those of the volume.
+    speed = ((1.0 - fraction) * ((1.0 - fraction) + fraction * liquid / gas)) ** -0.5
+    bench.record("disc", "disc")
+    bench.record("sample", "sample", factors={"gel/trial.density": 1.0 - fraction, "gel/trial.sound_speed": speed})
+    found = bench.diagnosed(KNOWN)
+    assert found.base.reduced > 1e3
+    assert named(found) == ["bubbles in the couplant"]
+    assert found.best.good
+    # The search ends within a fraction of what this gel's void fraction is known to.
+    assert found.best.estimate["couplant bubbles.void_fraction"] == pytest.approx(fraction, rel=1e-2)
+
+
+def test_intervals_are_wider_where_points_go_together(bench: Bench) -> None:
+    """Of noise with a colour of 0.8 one point in nine counts."""
+    widths, correlations = [], []
+    for name, colour in (("white", 0.0), ("red", 0.8)):
+        bench.states, bench.rng = [], np.random.default_rng(3)
+        bench.record(name, "disc", colour=colour)
+        device = bench.model({f"{PZT}.c33": "2 %", f"{PZT}.eps33": "2 %"})
+        _, base, _ = base_fit(device)
+        effect = next(e for e in device.effects if e.name == "resistance of leads and contacts")
+        fit = refit(device, (effect,), base.x, scores_at(device, base.search, base.x, base.here, [effect]))
+        assert fit is not None
+        widths.append(fit.error["bench.series_resistance"])
+        correlations.append(fit.correlation * max(1.0, fit.reduced))
+    assert correlations[0] == pytest.approx(1.0, abs=0.2)
+    assert correlations[1] > 4.0
+    # The tangents are the same but for where the two fits ended.
+    assert widths[1] / widths[0] == pytest.approx((correlations[1] / correlations[0]) ** 0.5, rel=0.05)
 
 
 def test_what_the_reduced_model_does_to_a_fit_is_said(bench: Bench) -> None:

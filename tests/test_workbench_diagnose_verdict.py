@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.diagnose import refit, verdict
+from workbench.diagnose.score import Score
 
 
 def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: float = 1.0) -> Any:
@@ -49,8 +50,31 @@ def test_nothing_else_may_take_much_of_what_an_explanation_leaves(
     (30.0, 6, 1.0, True),
 ])
 def test_a_hint_is_what_noise_hardly_gives(gain: float, numbers: int, correlation: float, hint: bool) -> None:
-    scored: Any = SimpleNamespace(gain=gain, error=np.array([*[0.1] * numbers, np.inf]))
-    assert verdict._hints(scored, correlation) == hint
+    assert verdict._hints(score(gain, numbers), correlation) == hint
+
+
+def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
+    """The score of a hypothesis of one parameter more than the data see."""
+    error = np.array([*[0.1] * numbers, np.inf])
+    return Score(effect, gain, gain, np.zeros(numbers + 1), error, np.zeros((0, 0)), 0.0)  # type: ignore[arg-type]
+
+
+def test_a_further_hypothesis_of_many_numbers_takes_some_by_chance() -> None:
+    """Twenty by one number and 35.8 by seven are as rare."""
+    best = fit(1.02)
+    best.effects = ("rim",)
+    assert verdict._left(best, [score(20.0)]) == pytest.approx(20.0)
+    assert verdict._left(best, [score(12.0), score(36.0, 7)]) == pytest.approx(20.2, abs=0.1)
+
+
+def test_what_a_further_hypothesis_takes_is_asked_of_the_refit_where_there_is_one() -> None:
+    best, pair = fit(1.02, chi_square=1000.0), fit(1.01, chi_square=988.0)
+    best.effects, pair.effects = ("rim",), ("rim", "load")
+    further = [score(9.0, effect="mass"), score(25.0, effect="load")]
+    assert verdict._left(best, further) == pytest.approx(25.0)
+    assert verdict._left(best, further, [pair]) == pytest.approx(12.0)
+    pair.effects = ("gap", "load")
+    assert verdict._left(best, further, [pair]) == pytest.approx(25.0)
 
 
 @pytest.mark.parametrize(("gain", "numbers", "rare"), [(14.0, 1, False), (16.5, 1, True), (16.5, 2, False),
@@ -74,8 +98,7 @@ def test_what_promises_much_is_refitted_in_the_order_of_evidence(
 
 def test_what_leaves_little_and_hints_at_something_is_not_quiet() -> None:
     """A wrong basin of a thin layer's thickness: chi-square 1.00, and a hypothesis that gains 42."""
-    weak: Any = SimpleNamespace(gain=8.0, error=np.array([0.1]))
-    strong: Any = SimpleNamespace(gain=42.0, error=np.array([0.1]))
+    weak, strong = score(8.0), score(42.0)
     assert verdict._quiet(fit(1.0, True), [weak])
     assert not verdict._quiet(fit(1.0, True), [weak, strong])
     assert not verdict._quiet(fit(1.3), [weak])

@@ -356,7 +356,7 @@ def _claimed(folder: Path, number: int) -> bool:
         mark.unlink(missing_ok=True)
         return _claimed(folder, number)
     finally:
-        own.unlink()
+        own.unlink(missing_ok=True)
     return True
 
 

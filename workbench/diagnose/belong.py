@@ -7,12 +7,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from inputs import InputError
 from workbench.diagnose.campaign import Campaign, DeviceState
 from workbench.diagnose.device import Model
 from workbench.diagnose.refit import Refit, StateFit, base_fit
 from workbench.fit.objective import log_ratio
+
+Real = NDArray[np.float64]
 
 #: Two recordings are exchanged where that leaves less than this share of the rms residual of either state.
 EXCHANGED = 0.5
@@ -50,16 +53,20 @@ def _rms(state: DeviceState, fit: StateFit, other: DeviceState) -> float:
     return float(np.sqrt(np.mean(np.abs(log_ratio(predicted, other.measured.impedance[inside])) ** 2)))
 
 
-def cleared(model: Model) -> frozenset[str]:
+def cleared(model: Model) -> tuple[frozenset[str], Real | None]:
     """Regions of the chip files that lack regions of others, and whose states the known parameters explain alone.
 
     What is missing, if it is much, sits elsewhere: a free disc shows most of what a transducer may be.
+
+    Returns:
+        the regions, and the parameters (p,) that explain the largest of those chip files, None where there is none.
     """
-    groups = [(states, {region for state in states for region in state.materials})
+    groups = [(states, frozenset(region for state in states for region in state.materials))
               for states in _by_chip(model).values()]
-    device = set().union(*(regions for _, regions in groups))
-    return frozenset().union(*(regions for states, regions in groups
-                               if regions < device and _alone(model, states).good))
+    device = frozenset().union(*(regions for _, regions in groups))
+    alone = [(regions, _alone(model, states)) for states, regions in groups if regions < device]
+    good = sorted(((regions, fit.x) for regions, fit in alone if fit.good), key=lambda each: len(each[0]))
+    return frozenset().union(*(regions for regions, _ in good)), good[-1][1] if good else None
 
 
 def each_alone(model: Model, base: Refit) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
 from workbench.diagnose.locate import Place, located
-from workbench.diagnose.score import Score, Tangents, columns, cost_of_freedom, scores_at
+from workbench.diagnose.score import Score, Tangents, columns, confusion, cost_of_freedom, scores_at
 from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
 from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
@@ -59,13 +59,18 @@ LEVER, SHIFTING, HOPS = 0.05, 0.03, (-0.5, 0.5, -1.0, 1.0, -1.5, 1.5, -2.0, 2.0)
 
 #: Bases for that hold the states with a lever at so many of its uncertainties. Where nothing within those helps, the
 #: fit is begun again at places all over what it may be, apart by no more than the second number, a factor.
-CORNERS, FAR = (-1.7, 1.7), 2.0
+CORNERS, FAR = (-1.7, 1.7), 1.5
 
 #: A refit searches so many times what the score test asks for, or the standard errors it gives.
 WIDEST = 30.0
 
 #: It begins with the best of these shares of what the score test asks for.
 SHARES = (1.0, 0.1, 0.0)
+
+#: A strong effect bends away from its tangent: asked with this relative deviation of the data, it is held at so many
+#: times what the score test asks for, or of the errors that gives where these are larger. So many hypotheses are, and
+#: those whose tangents have this cosine with that of the best.
+ROUGH, HELD, STRONG, TWIN = 0.15, (0.5, 2.0, 8.0), 8, 0.95
 
 #: It begins no closer to the end of its range than this share of it.
 AT_END = 1e-4
@@ -197,12 +202,13 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     return nominal, _judged(model, (), search, search.minimise(x, deviation, limit=STEPS, tolerance=ENOUGH).x), x
 
 
-def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Refit]]:
+def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[Place, ...], list[Refit]]:
     """Location and the best single hypotheses where the data weigh little, about x (p,), the end of the way down.
 
     A strong effect strains the known parameters while it is missing: where the data weigh in full, hypotheses are asked
     what is left of it there, and the way back is long. With little weight (`joint.EXPLORATION`) those stay near what is
-    known, and the best hypotheses are followed from there.
+    known, and the best hypotheses are followed from there. Even there the known parameters imitate what is missing as
+    well as they can: hypotheses are also asked at `alone` (p,), what states that lack parts of the device say of it.
 
     Returns:
         the location where they weigh more, and refits with full weight, those that leave little on bases of their own.
@@ -212,7 +218,13 @@ def afar(model: Model, base: Refit, x: Real) -> tuple[tuple[Place, ...], list[Re
     location = _located(model, search, x)
     ends = _glances(model, x, scores)
     pulled = np.flatnonzero(np.abs((x - search.centre) * search.precision) > PULLED)
-    if pulled.size:
+    if alone is not None:
+        model.fitted.surround(alone, _moves(model, (), alone), UNNEEDED)
+        scores = scores_at(model, search, alone, search.evaluate(alone, _weak(search.objective, ROUGH)))
+        held = promising(scores, STRONG)
+        ends += _held(model, alone, held)
+        ends += _held(model, alone, _twins(ends, held, scores))
+    elif pulled.size:
         # What is missing may be imitated by a known parameter far from what is known of it: asked without that too.
         back, scores = _weakly(model, search, _replaced(x, pulled, search.centre[pulled]), tuple(map(int, pulled)))
         ends += _glances(model, back, scores)
@@ -264,6 +276,35 @@ def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effec
         except NO_END:
             continue
     return ends
+
+
+def _held(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:
+    """Where the hypotheses of `scores` lead from x (p,), each held at several strengths first, as :func:`_glances`."""
+    ends: list[tuple[Effect, Search, Minimum]] = []
+    for scored in scores:
+        search, own = _searched(model, (scored.effect,), x, [scored])
+        asked = np.where(np.abs(scored.amplitude) < scored.error, scored.error, scored.amplitude)
+        asked[~np.isfinite(asked)] = 0.0
+        places = [_replaced(x, own, _inside(search, own, x[own] + times * asked)) for times in HELD]
+        model.fitted.surround(x, _moves(model, (), x), UNNEEDED, places)
+        thin = search.thinned()
+        for place in places:
+            try:
+                held = _glance(thin, place, tuple(map(int, own)))
+                if held.cost < PROMISING * min((end.cost for _, _, end in ends), default=np.inf):
+                    ends.append((scored.effect, search, _glance(thin, held.x)))
+            except NO_END:
+                continue
+    return ends
+
+
+def _twins(
+    ends: Sequence[tuple[Effect, Search, Minimum]], held: Sequence[Score], scores: Sequence[Score]
+) -> list[Score]:
+    """Of the `scores` those that are hardly told from that of the best of `ends`, and were not among the `held`."""
+    best = min(ends, key=lambda each: each[2].cost)[0] if ends else None
+    return [other for one in held if one.effect is best for other in scores
+            if other not in held and confusion(one, other) > TWIN][:KEPT]
 
 
 def promising(scores: Sequence[Score], count: int, least: float = 0.0) -> list[Score]:
@@ -449,25 +490,38 @@ def _begun(
     model: Model, effects: Sequence[Effect], start: Real, scores: Sequence[Score], deviation: Sequence[Real | float]
 ) -> tuple[Search, Real]:
     """The search under `effects`, with ranges that `scores` give their parameters, and where it had best begin (p,)."""
+    search, own = _searched(model, effects, start, scores)
+    asked = np.zeros(start.size)
+    for scored in scores:
+        asked[[model.index(name) for name in scored.effect.names]] = scored.amplitude
+    begins = [_replaced(start, own, _inside(search, own, (start + share * asked)[own])) for share in SHARES]
+    # What is asked for goes with moves of the known parameters, without which less of it may be closer.
+    moved = frozenset(map(int, search.free))
+    costs = [float(np.sum(search.evaluate(begin, deviation, free=moved).vector ** 2)) for begin in begins]
+    return search, begins[int(np.argmin(costs))]
+
+
+def _searched(
+    model: Model, effects: Sequence[Effect], start: Real, scores: Sequence[Score]
+) -> tuple[Search, NDArray[np.int64]]:
+    """The search under `effects`, with ranges about `start` (p,) that `scores` give, and the indices of their own."""
     free, lifted = model.free(effects)
     search = Search(model.fitted, free=free, lifted=lifted)
-    asked = np.zeros(start.size)
     for scored in scores:
         for name, amplitude, error in zip(scored.effect.names, scored.amplitude, scored.error, strict=True):
             i = model.index(name)
-            asked[i] = amplitude
             if np.isfinite(error):
                 # What is admissible may be a million times what the data see: the search needs a range of its own.
                 search.scale[i] = min(max(abs(amplitude), 3.0 * error), search.high[i] - search.low[i])
                 search.low[i] = max(search.low[i], start[i] - WIDEST * search.scale[i])
                 search.high[i] = min(search.high[i], start[i] + WIDEST * search.scale[i])
-    own = np.array([model.index(name) for effect in effects for name in effect.names])
+    return search, np.array([model.index(name) for effect in effects for name in effect.names])
+
+
+def _inside(search: Search, own: NDArray[np.int64], values: Real) -> Real:
+    """Values (k,) of the parameters `own`, no closer to the ends of their ranges than :data:`AT_END`."""
     margin = AT_END * (search.high - search.low)[own]
-    low, high = search.low[own] + margin, search.high[own] - margin
-    begins = [_replaced(start, own, np.clip((start + share * asked)[own], low, high)) for share in SHARES]
-    # What is asked for goes with moves of the known parameters, without which less of it may be closer.
-    costs = [float(np.sum(search.evaluate(begin, deviation, free=free).vector ** 2)) for begin in begins]
-    return search, begins[int(np.argmin(costs))]
+    return np.asarray(np.clip(values, search.low[own] + margin, search.high[own] - margin))
 
 
 def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) -> Refit:
@@ -503,8 +557,11 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) 
     points = sum(log.size for log in full.data.log_ratio)
     # Predictions hold the bases they were made on.
     here = replace(full, data=replace(full.data, predictions=()))
-    return Refit(effects, search, x, here, full.data.error, float(full.vector @ full.vector), points, estimate, error,
-                 cost, shifts, tuple(states))
+    found = Refit(effects, search, x, here, full.data.error, float(full.vector @ full.vector), points, estimate, error,
+                  cost, shifts, tuple(states))
+    # Points that go together count as one, and what is left beyond noise as noise.
+    wider = math.sqrt(found.correlation * max(1.0, found.reduced))
+    return replace(found, error={name: wider * value for name, value in error.items()})
 
 
 def checked(model: Model, fit: Refit) -> tuple[float, float]:

@@ -41,6 +41,11 @@ class Score:
     blind: float
 
     @property
+    def numbers(self) -> int:
+        """How many of its parameters the data see."""
+        return int(np.isfinite(self.error).sum())
+
+    @property
     def sigmas(self) -> float:
         return float(np.sqrt(max(self.gain, 0.0)))
 

@@ -164,7 +164,7 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
             base, scores, location, singles = _asked(model, other, end, progress)
         elif singles:
             # The bases are those of the places that were looked at: those of the best fit again.
-            singles = _settled(model, singles, min(singles, key=lambda f: f.evidence))
+            singles = _settled(model, singles)
     singles.sort(key=lambda f: f.evidence)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
@@ -174,9 +174,10 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         further = _further(model, best)
         if _explains(base, best) and not _quiet(best, further):
             progress("other basins", 0.7)
-            other = gathered_elsewhere(model, best, best.x)
-            if other is not best:
-                singles, best, further = _with(singles, best, other), other, _further(model, other)
+            # The bases are those of the basins that were looked at: those of the best fit again.
+            singles = _settled(model, _with(singles, best, gathered_elsewhere(model, best, best.x)))
+            best = singles[0]
+            further = _further(model, best)
         if not _complete(base, best, _left(best, further)):
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
@@ -204,9 +205,9 @@ def _asked(
     singles: list[Refit] = []
     if _strained(base):
         progress("strong effects", 0.2)
-        location, singles = afar(model, base, end)
-        alone = cleared(model)
-        location = tuple(sorted(location, key=lambda place: place[0] in alone))
+        clear, alone = cleared(model)
+        location, singles = afar(model, base, end, alone)
+        location = tuple(sorted(location, key=lambda place: place[0] in clear))
     if any(_explains(base, fit) for fit in singles):
         return base, _scores(model, base), location, singles
     base, scores, near, more = _near(model, base, progress)
@@ -239,9 +240,20 @@ def _further(model: Model, fit: Refit) -> list[Score]:
     return _scores(model, fit, [e for e in model.effects if not own & set(e.names)])
 
 
-def _left(fit: Refit, further: Sequence[Score]) -> float:
-    """The most that any further hypothesis (:func:`_further`) promises to explain of what a fit leaves."""
-    return max(scored.gain for scored in further) / fit.correlation
+def _left(fit: Refit, further: Sequence[Score], pairs: Sequence[Refit] = ()) -> float:
+    """The most that any further hypothesis (:func:`_further`) takes of what a fit leaves; it promises what it scores.
+
+    Where it was refitted together with the fit's own (`pairs`), that is what it does take. Of several numbers less what
+    these take more by chance than one does: it is compared with :data:`LEFT`.
+    """
+    rare = chi2.sf(LEFT, 1)
+    taken = []
+    for scored in further:
+        together = {*fit.effects, scored.effect}
+        fell = [fit.chi_square - pair.chi_square for pair in pairs if set(pair.effects) == together]
+        more = LEFT - float(chi2.isf(rare, max(scored.numbers, 1)))
+        taken.append(min([scored.gain, *fell]) / fit.correlation + more)
+    return max(taken)
 
 
 def _explains(base: Refit, fit: Refit) -> bool:
@@ -259,7 +271,7 @@ def _hints(scored: Score, correlation: float) -> bool:
 
     As hardly as :data:`HINT` sigmas of one number: a hypothesis of six gains more by chance than one of one.
     """
-    return _rare(scored.gain / correlation, int(np.isfinite(scored.error).sum()), HINT)
+    return _rare(scored.gain / correlation, scored.numbers, HINT)
 
 
 def _rare(gain: float, numbers: int, sigmas: float) -> bool:
@@ -280,11 +292,12 @@ def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
     return sorted([new if f is old else f for f in fits], key=lambda f: f.evidence)
 
 
-def _settled(model: Model, fits: Sequence[Refit], best: Refit) -> list[Refit]:
+def _settled(model: Model, fits: Sequence[Refit]) -> list[Refit]:
     """`fits` with the best one made again on bases of its own, best first.
 
     Whatever else is asked of it, also whether that is all, is asked there.
     """
+    best = min(fits, key=lambda f: f.evidence)
     return _with(fits, best, gather(model, best, _further(model, best)[:PAIRS]))
 
 
@@ -327,7 +340,7 @@ def _near(
     best = min([base, *found], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
         progress(f"neighbourhood of {best.name}", 0.6)
-        found = _settled(model, found, best)
+        found = _settled(model, found)
     return base, scores, location, found
 
 
@@ -355,7 +368,7 @@ def _judged(
     best, held_after = weighed[0]
     gained = gain(base, best)
     found = best is not base and gained > ACCEPTED and _rare(_fall(base, best), len(best.estimate), CLEAR)
-    left = _left(best, _further(model, best)) if found else 0.0
+    left = _left(best, _further(model, best), pairs) if found else 0.0
     complete = _complete(base, best, left)
     held = _held(model, held_after)
     worse = held - _held(model, held_before)
