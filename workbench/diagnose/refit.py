@@ -48,6 +48,10 @@ ERRORS, TRUSTED, DOUBTED, TIMES = 3.0, 0.03, 0.3, 3.0
 #: Steps of a refit, and of a look at another basin.
 STEPS, GLANCE = 25, 8
 
+#: A term describes its effect to about this share of it, whatever the noise: what resolved computations find of most of
+#: them, see the tests of `workbench.physics`.
+MODELLED = 0.02
+
 #: Reduced chi-square of a fit that leaves nothing: three standard deviations above one for a thousand numbers, and
 #: what the model's own error adds; of all states, and of one.
 GOOD, GOOD_STATE = 1.15, 1.3
@@ -118,8 +122,9 @@ class Refit:
 
     ``x`` (p,) all parameters; ``here`` the residuals there, without the predictions behind them; ``doubt`` the largest
     estimated relative error of these; ``chi_square`` of the data and the prior; ``estimate`` and ``error`` of the
-    hypotheses' own parameters by name; ``cost_of_freedom`` what their ranges cost (twice the logarithm of the Occam
-    factor); ``shifts`` known parameters in units of their prior; ``states`` one for each fitted state.
+    hypotheses' own parameters by name, of noise and of the terms themselves (:data:`MODELLED`); ``cost_of_freedom``
+    what their ranges cost (twice the logarithm of the Occam factor); ``shifts`` known parameters in units of their
+    prior; ``states`` one for each fitted state.
     """
 
     effects: tuple[Effect, ...]
@@ -561,7 +566,9 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) 
                   cost, shifts, tuple(states))
     # Points that go together count as one, and what is left beyond noise as noise.
     wider = math.sqrt(found.correlation * max(1.0, found.reduced))
-    return replace(found, error={name: wider * value for name, value in error.items()})
+    starts = {p.name: p.start for p in model.parameters}
+    return replace(found, error={name: math.hypot(wider * value, MODELLED * (estimate[name] - starts[name]))
+                                 for name, value in error.items()})
 
 
 def checked(model: Model, fit: Refit) -> tuple[float, float]:
