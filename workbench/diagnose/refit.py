@@ -297,10 +297,21 @@ def _held(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, 
             try:
                 held = _glance(thin, place, tuple(map(int, own)))
                 if held.cost < PROMISING * min((end.cost for _, _, end in ends), default=np.inf):
-                    ends.append((scored.effect, search, _glance(thin, held.x)))
+                    ends.append((scored.effect, search, _bare(_glance(thin, held.x))))
             except NO_END:
                 continue
     return ends
+
+
+def _bare(end: Minimum) -> Minimum:
+    """An end without the predictions there (:func:`_unpredicted`)."""
+    assert isinstance(end.residual, Weighted)
+    return replace(end, residual=_unpredicted(end.residual))
+
+
+def _unpredicted(here: Weighted) -> Weighted:
+    """Residuals without the predictions behind them, which hold the bases they were made on."""
+    return replace(here, data=replace(here.data, predictions=()))
 
 
 def _twins(
@@ -560,10 +571,8 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) 
     for log, impedance, state in zip(full.data.log_ratio, full.data.impedance, model.campaign.fitted, strict=True):
         states.append(state_fit(state.name, log, impedance, state.noise))
     points = sum(log.size for log in full.data.log_ratio)
-    # Predictions hold the bases they were made on.
-    here = replace(full, data=replace(full.data, predictions=()))
-    found = Refit(effects, search, x, here, full.data.error, float(full.vector @ full.vector), points, estimate, error,
-                  cost, shifts, tuple(states))
+    found = Refit(effects, search, x, _unpredicted(full), full.data.error, float(full.vector @ full.vector), points,
+                  estimate, error, cost, shifts, tuple(states))
     # Points that go together count as one, and what is left beyond noise as noise.
     wider = math.sqrt(found.correlation * max(1.0, found.reduced))
     starts = {p.name: p.start for p in model.parameters}
