@@ -62,7 +62,8 @@ GOOD, GOOD_STATE = 1.15, 1.3
 LEVER, SHIFTING, HOPS = 0.05, 0.03, (-0.5, 0.5, -1.0, 1.0, -1.5, 1.5, -2.0, 2.0)
 
 #: Bases for that hold the states with a lever at so many of its uncertainties. Where nothing within those helps, the
-#: fit is begun again at places all over what it may be, apart by no more than the second number, a factor.
+#: fit is begun again at places all over what it may be, apart by no more than the second number, a factor, with bases
+#: for every other one.
 CORNERS, FAR = (-1.7, 1.7), 1.5
 
 #: A refit searches so many times what the score test asks for, or the standard errors it gives.
@@ -399,7 +400,7 @@ def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bo
         return fit, x
     known = slice(model.known)
     centre = _replaced(x, known, search.centre[known])
-    corners = places if far else [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
+    corners = places[::2] if far else [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
     model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED,
                           [_replaced(centre, i, value) for i, value in corners])
     thin = search.thinned()
