@@ -400,9 +400,9 @@ def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bo
         return fit, x
     known = slice(model.known)
     centre = _replaced(x, known, search.centre[known])
-    corners = places[::2] if far else [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
+    around = [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
     model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED,
-                          [_replaced(centre, i, value) for i, value in corners])
+                          [_replaced(centre, i, value) for i, value in (places[::2] if far else around)])
     thin = search.thinned()
     own = best = _glance(thin, x)
     ends = [own]
