@@ -508,14 +508,23 @@ def _begun(
 ) -> tuple[Search, Real]:
     """The search under `effects`, with ranges that `scores` give their parameters, and where it had best begin (p,)."""
     search, own = _searched(model, effects, start, scores)
-    asked = np.zeros(start.size)
+    asked, new = np.zeros(start.size), [model.index(name) for scored in scores for name in scored.effect.names]
     for scored in scores:
         asked[[model.index(name) for name in scored.effect.names]] = scored.amplitude
     begins = [_replaced(start, own, _inside(search, own, (start + share * asked)[own])) for share in SHARES]
     # What is asked for goes with moves of the known parameters, without which less of it may be closer.
     moved = frozenset(map(int, search.free))
     costs = [float(np.sum(search.evaluate(begin, deviation, free=moved).vector ** 2)) for begin in begins]
-    return search, begins[int(np.argmin(costs))]
+    best = int(np.argmin(costs))
+    if best > 0:
+        # Where there is next to nothing of it, what else it brings in goes astray.
+        try:
+            led = search.minimise(begins[0], deviation, limit=GLANCE, tolerance=0.01, fixed=tuple(new))
+        except NO_END:
+            return search, begins[best]
+        if 2.0 * led.cost < costs[best]:
+            return search, led.x
+    return search, begins[best]
 
 
 def _searched(
