@@ -18,6 +18,12 @@ def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: flo
                            cost_of_freedom=0.0)
 
 
+def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
+    """The score of a hypothesis of one parameter more than the data see."""
+    error = np.array([*[0.1] * numbers, np.inf])
+    return Score(effect, gain, gain, np.zeros(numbers + 1), error, np.zeros((0, 0)), 0.0)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("before", "after", "explained"), [
     (1.5, fit(1.05, True), True),   # nothing but noise is left
     (14.0, fit(1.5), True),         # a strong effect, described to 4 %
@@ -51,12 +57,6 @@ def test_nothing_else_may_take_much_of_what_an_explanation_leaves(
 ])
 def test_a_hint_is_what_noise_hardly_gives(gain: float, numbers: int, correlation: float, hint: bool) -> None:
     assert verdict._hints(score(gain, numbers), correlation) == hint
-
-
-def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
-    """The score of a hypothesis of one parameter more than the data see."""
-    error = np.array([*[0.1] * numbers, np.inf])
-    return Score(effect, gain, gain, np.zeros(numbers + 1), error, np.zeros((0, 0)), 0.0)  # type: ignore[arg-type]
 
 
 def test_a_further_hypothesis_of_many_numbers_takes_some_by_chance() -> None:

@@ -348,16 +348,17 @@ def _claimed(folder: Path, number: int) -> bool:
     mark, own = folder / f"{number:04d}.pid", folder / f"by {os.getpid()}"
     own.write_text(str(os.getpid()))
     try:
-        # A link appears at once, with its owner in it.
-        mark.hardlink_to(own)
-    except FileExistsError:
-        if Path(f"/proc/{mark.read_text()}").exists():
-            return False
-        mark.unlink(missing_ok=True)
-        return _claimed(folder, number)
+        while True:
+            try:
+                # A link appears at once, with its owner in it.
+                mark.hardlink_to(own)
+                return True
+            except FileExistsError:
+                if Path(f"/proc/{mark.read_text()}").exists():
+                    return False
+                mark.unlink(missing_ok=True)
     finally:
-        own.unlink(missing_ok=True)
-    return True
+        own.unlink()
 
 
 def main() -> None:

@@ -228,8 +228,8 @@ def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[
         model.fitted.surround(alone, _moves(model, (), alone), UNNEEDED)
         scores = scores_at(model, search, alone, search.evaluate(alone, _weak(search.objective, ROUGH)))
         held = promising(scores, STRONG)
-        ends += _held(model, alone, held)
-        ends += _held(model, alone, _twins(ends, held, scores))
+        ends += _at_strengths(model, alone, held)
+        ends += _at_strengths(model, alone, _twins(ends, held, scores))
     elif pulled.size:
         # What is missing may be imitated by a known parameter far from what is known of it: asked without that too.
         back, scores = _weakly(model, search, _replaced(x, pulled, search.centre[pulled]), tuple(map(int, pulled)))
@@ -284,14 +284,14 @@ def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effec
     return ends
 
 
-def _held(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:
+def _at_strengths(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:
     """Where the hypotheses of `scores` lead from x (p,), each held at several strengths first, as :func:`_glances`."""
     ends: list[tuple[Effect, Search, Minimum]] = []
     for scored in scores:
         search, own = _searched(model, (scored.effect,), x, [scored])
         asked = np.where(np.abs(scored.amplitude) < scored.error, scored.error, scored.amplitude)
         asked[~np.isfinite(asked)] = 0.0
-        places = [_replaced(x, own, _inside(search, own, x[own] + times * asked)) for times in HELD]
+        places = [_replaced(x, own, _within(search, own, x[own] + times * asked)) for times in HELD]
         model.fitted.surround(x, _moves(model, (), x), UNNEEDED, places)
         thin = search.thinned()
         for place in places:
@@ -508,13 +508,13 @@ def _begun(
 ) -> tuple[Search, Real]:
     """The search under `effects`, with ranges that `scores` give their parameters, and where it had best begin (p,)."""
     search, own = _searched(model, effects, start, scores)
-    asked, new = np.zeros(start.size), [model.index(name) for scored in scores for name in scored.effect.names]
-    for scored in scores:
-        asked[[model.index(name) for name in scored.effect.names]] = scored.amplitude
-    begins = [_replaced(start, own, _inside(search, own, (start + share * asked)[own])) for share in SHARES]
+    new = [model.index(name) for scored in scores for name in scored.effect.names]
+    asked = np.zeros(start.size)
+    asked[new] = [amplitude for scored in scores for amplitude in scored.amplitude]
+    begins = [_replaced(start, own, _within(search, own, (start + share * asked)[own])) for share in SHARES]
     # What is asked for goes with moves of the known parameters, without which less of it may be closer.
     moved = frozenset(map(int, search.free))
-    costs = [float(np.sum(search.evaluate(begin, deviation, free=moved).vector ** 2)) for begin in begins]
+    costs = [0.5 * float(np.sum(search.evaluate(begin, deviation, free=moved).vector ** 2)) for begin in begins]
     best = int(np.argmin(costs))
     if best > 0:
         # Where there is next to nothing of it, what else it brings in goes astray.
@@ -522,7 +522,7 @@ def _begun(
             led = search.minimise(begins[0], deviation, limit=GLANCE, tolerance=0.01, fixed=tuple(new))
         except NO_END:
             return search, begins[best]
-        if 2.0 * led.cost < costs[best]:
+        if led.cost < costs[best]:
             return search, led.x
     return search, begins[best]
 
@@ -544,7 +544,7 @@ def _searched(
     return search, np.array([model.index(name) for effect in effects for name in effect.names])
 
 
-def _inside(search: Search, own: NDArray[np.int64], values: Real) -> Real:
+def _within(search: Search, own: NDArray[np.int64], values: Real) -> Real:
     """Values (k,) of the parameters `own`, no closer to the ends of their ranges than :data:`AT_END`."""
     margin = AT_END * (search.high - search.low)[own]
     return np.asarray(np.clip(values, search.low[own] + margin, search.high[own] - margin))
@@ -585,8 +585,8 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) 
                   estimate, error, cost, shifts, tuple(states))
     # Points that go together count as one, and what is left beyond noise as noise.
     wider = math.sqrt(found.correlation * max(1.0, found.reduced))
-    starts = {p.name: p.start for p in model.parameters}
-    return replace(found, error={name: math.hypot(wider * value, MODELLED * (estimate[name] - starts[name]))
+    moved = {name: estimate[name] - model.parameters[model.index(name)].start for name in estimate}
+    return replace(found, error={name: math.hypot(wider * value, MODELLED * moved[name])
                                  for name, value in error.items()})
 
 
