@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -231,6 +234,26 @@ def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip
         print(f"{thickness:g} about {centre:g}: {error:.1e}")
         assert error < 1e-3
     assert predictor.solves == solves
+
+
+def test_what_a_search_made_goes_with_it(stack: Problem, chip: Chip) -> None:
+    """At once, not when the garbage collector comes by, which does not know how large arrays are."""
+    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS,), tolerance=TOLERANCE)
+    predictor({})
+    predictor.tolerance = np.inf
+    gc.disable()
+    try:
+        other = predictor.at(GRID[::2])
+        held: list[weakref.ref[Any]] = []
+        for thickness in (2.06e-3, 2.08e-3, 2.2e-3):
+            prediction = other({}, {THICKNESS: thickness})
+            prediction.logarithmic_slope(THICKNESS)
+            held += [weakref.ref(each) for each in (prediction, prediction.part, prediction.model, other._expansion)]
+        held.append(weakref.ref(other))
+        del prediction, other
+        assert [each() for each in held if each() is not None] == []
+    finally:
+        gc.enable()
 
 
 def test_a_stretched_mesh_predicts_what_a_new_one_does(

@@ -372,17 +372,23 @@ class FullOperators:
         """
         return self._projected(self.places, basis, further)
 
-    def project_change(self, mesh: SectionMesh, basis: Real, further: Real | None = None) -> Real:
+    def project_change(
+        self, mesh: SectionMesh, basis: Real, further: Real | None = None
+    ) -> tuple[NDArray[np.int64], Real]:
         """What :meth:`project` changes by when the model moves onto `mesh` (a `geometry.stretch` of its own).
 
         Integrated over those cells only whose shape differs: of a layer that grows, not of those that it lifts.
+
+        Returns:
+            the indices (k,) of the integrals that change at all, and by how much: (k, n + m, n).
         """
         within = _reshaped(self.mesh, mesh)
-        found = []
-        for each in (mesh, self.mesh):
-            places = {name: _place(each, group[0], within) for name, group in self._by_place.items()}
-            found.append(self._projected({name: p for name, p in places.items() if p is not None}, basis, further))
-        return found[0] - found[1]
+        ahead, behind = ({name: place for name, group in self._by_place.items()
+                          if (place := _place(each, group[0], within)) is not None} for each in (mesh, self.mesh))
+        places = {*ahead, *behind}
+        changed = np.array([q for q, integral in enumerate(self.integrals) if integral.domain in places], dtype=int)
+        part = self.of(changed)
+        return changed, part._projected(ahead, basis, further) - part._projected(behind, basis, further)
 
     def _projected(self, places: Mapping[str, Place], basis: Real, further: Real | None) -> Real:
         count = basis.shape[1]

@@ -8,10 +8,11 @@ grows along the path of the fit and serves every later one.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,14 +121,14 @@ class _Expansion:
     def __init__(self, model: ReducedModel, centre: Real, mesh: Callable[[Real], SectionMesh], *, second: bool) -> None:
         self.model, self.centre, self.second = model, centre, second
         self._mesh = mesh
-        #: Of an integral, its derivatives (terms, r + PROJECTIONS, r), of the sketch below those of the matrix.
-        self._rows: dict[int, Real] = {}
+        #: Of an integral, what it changes with and how.
+        self._changes: dict[int, _Change] = {}
         self._latest: tuple[Integers, Integers, _Part] | None = None
 
     @cached_property
     def parabola(self) -> _Expansion:
         """The same to second order."""
-        return self if self.second else _Expansion(self.model, self.centre, self._mesh, second=True)
+        return _Expansion(self.model, self.centre, self._mesh, second=True)
 
     def part(self, integrals: Integers, moving: Integers) -> _Part:
         """The integrals of these indices (k,), of which those of indices `moving` change with dimensions.
@@ -138,41 +139,47 @@ class _Expansion:
             moving = moving[:0]
         known = self._latest
         if known is None or not (np.array_equal(known[0], integrals) and np.array_equal(known[1], moving)):
-            missing = np.array([q for q in moving if q not in self._rows], dtype=int)
+            missing = np.array([q for q in moving if q not in self._changes], dtype=int)
             if missing.size:
-                self._rows.update(zip(missing, self._derivatives(missing), strict=True))
+                self._changes.update(self._derivatives(missing))
             whole = integrals.size == len(self.model.operators.integrals)
             model = self.model if whole else self.model.of(integrals)
-            rank = model.operators.size
-            rows = np.stack([self._rows[q] for q in moving], axis=1) if moving.size else np.zeros((0, 0, rank, rank))
-            part = _Part(model, self, np.searchsorted(integrals, moving), np.ascontiguousarray(rows[:, :, :rank]),
-                         np.ascontiguousarray(rows[:, :, rank:]))
+            changes = tuple((int(np.searchsorted(integrals, q)), self._changes[q]) for q in moving)
+            part = _Part(model, self.centre, self.terms, changes)
             known = self._latest = integrals, moving, part
         return known[2]
 
-    def _derivatives(self, integrals: Integers) -> Real:
-        """Derivatives (k, terms, r + PROJECTIONS, r) of the matrices and sketches of some integrals (k,)."""
-        model = self.model.of(integrals)
-
-        def change(*steps: tuple[int, float]) -> Real:
+    def _derivatives(self, integrals: Integers) -> dict[int, _Change]:
+        """How some integrals (k,) change."""
+        def change(among: Sequence[int], *steps: tuple[int, float]) -> dict[int, Real]:
             lengths = self.centre.copy()
             for index, step in steps:
                 lengths[index] += step
-            return model.full.project_change(self._mesh(lengths), model.basis, model.test)
+            model = self.model.of(np.array(among, dtype=int))
+            changed, by = model.full.project_change(self._mesh(lengths), model.basis, model.test)
+            return {among[q]: each for q, each in zip(changed, by, strict=True)}
 
+        every = [int(q) for q in integrals]
+        place = {term: index for index, term in enumerate(self.terms)}
+        found: dict[int, dict[int, Real]] = {q: {} for q in every}  # of an integral, the derivatives by some terms
         if not self.second:
-            return np.stack([change((i, step)) / step for i, step in enumerate(SHORT * self.centre)], axis=1)
-        steps = REACH * self.centre
-        plus = [change((i, step)) for i, step in enumerate(steps)]
-        minus = [change((i, -step)) for i, step in enumerate(steps)]
-        found = [(ahead - behind) / (2.0 * step) for ahead, behind, step in zip(plus, minus, steps, strict=True)]
-        for i, j in self.terms[self.centre.size:]:
-            if i == j:
-                found.append((plus[i] + minus[i]) / steps[i] ** 2)
-            else:
-                both = change((i, steps[i]), (j, steps[j]))
-                found.append((both - plus[i] - plus[j]) / (steps[i] * steps[j]))
-        return np.stack(found, axis=1)
+            for i, step in enumerate(SHORT * self.centre):
+                for q, by in change(every, (i, step)).items():
+                    found[q][place[i,]] = by / step
+        else:
+            steps = REACH * self.centre
+            plus = [change(every, (i, step)) for i, step in enumerate(steps)]
+            for i, step in enumerate(steps):
+                minus = change(every, (i, -step))
+                for q in {**plus[i], **minus}:
+                    ahead, behind = plus[i].get(q, 0.0), minus.get(q, 0.0)
+                    found[q][place[i,]] = (ahead - behind) / (2.0 * step)
+                    found[q][place[i, i]] = (ahead + behind) / step**2
+            for i, j in itertools.combinations(range(steps.size), 2):
+                if shared := [q for q in plus[i] if q in plus[j]]:
+                    for q, both in change(shared, (i, steps[i]), (j, steps[j])).items():
+                        found[q][place[i, j]] = (both - plus[i][q] - plus[j][q]) / (steps[i] * steps[j])
+        return {q: _Change.of(by) for q, by in found.items()}
 
     @property
     def terms(self) -> list[tuple[int, ...]]:
@@ -186,46 +193,72 @@ class _Expansion:
         model, within = narrowed(self.model, states, tolerance)
         rank = len(within)
         result = _Expansion(model, self.centre, self._mesh, second=self.second)
-        result._rows = {q: np.concatenate([within.T @ rows[:, :rank] @ within, rows[:, rank:] @ within], axis=1)
-                        for q, rows in self._rows.items()}
+        result._changes = {q: _Change(known.terms, np.concatenate(
+            [within.T @ known.rows[:, :rank] @ within, known.rows[:, rank:] @ within], axis=1))
+            for q, known in self._changes.items()}
         return result
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """Some integrals of an expansion: of the `moving` ones (k,) the derivatives of ``matrices`` and ``sketch``.
+class _Change:
+    """What an integral changes with: indices ``terms`` (k,) of an expansion, ``rows`` (k, r + PROJECTIONS, r) by these.
 
-    (terms, k, r, r) and (terms, k, PROJECTIONS, r).
+    Most change with few of the dimensions. The rows are derivatives of its matrix and, below, of its sketch.
+    """
+
+    terms: Integers
+    rows: Real
+
+    @classmethod
+    def of(cls, rows: Mapping[int, Real]) -> _Change:
+        return cls(np.array(list(rows), dtype=int), np.stack(list(rows.values())) if rows else np.zeros((0, 0, 0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Some integrals of an expansion, and what those ``changes`` that move with dimensions: their indices here.
+
+    ``centre`` and ``terms`` of the expansion, which holds its latest part: one that held it would keep both for long.
     """
 
     model: ReducedModel
-    expansion: _Expansion
-    moving: Integers
-    matrices: Real
-    sketch: Real
+    centre: Real
+    terms: list[tuple[int, ...]]
+    changes: tuple[tuple[int, _Change], ...]
 
     def at(self, lengths: Real) -> ReducedModel:
         """The model at other lengths (metres)."""
-        step = lengths - self.expansion.centre
-        if not step.any() or not self.moving.size:
+        step = lengths - self.centre
+        if not step.any() or not self.changes:
             return self.model
         factors = np.array([np.prod(step[list(term)]) * (0.5 if len(term) == 2 and term[0] == term[1] else 1.0)
-                            for term in self.expansion.terms])
+                            for term in self.terms])
         matrices, sketch = self.model.operators.matrices.copy(), self.model.sketch.copy()
-        matrices[self.moving] += np.tensordot(factors, self.matrices, axes=1)
-        sketch[self.moving] += np.tensordot(factors, self.sketch, axes=1)
+        for q, by in self._summed(factors):
+            matrices[q] += by[:len(by.T)]
+            sketch[q] += by[len(by.T):]
         return replace(self.model, operators=replace(self.model.operators, matrices=matrices), sketch=sketch)
 
     def slope(self, index: int, lengths: Real) -> tuple[Integers, Real]:
         """The integrals whose matrices one dimension changes (k,), and d matrices / d length (k, r, r), 1/m."""
-        step = lengths - self.expansion.centre
-        factors = np.zeros(len(self.matrices))
-        for position, term in enumerate(self.expansion.terms):
+        step = lengths - self.centre
+        factors = np.zeros(len(self.terms))
+        for position, term in enumerate(self.terms):
             if term == (index,):
                 factors[position] = 1.0
             elif index in term:
                 factors[position] = step[term[0] if index == term[1] else term[1]]
-        return self.moving, np.tensordot(factors, self.matrices, axes=1)
+        found = [(q, by[:len(by.T)]) for q, by in self._summed(factors)]
+        rank = self.model.operators.size
+        matrices = np.stack([by for _, by in found]) if found else np.zeros((0, rank, rank))
+        return np.array([q for q, _ in found], dtype=int), matrices
+
+    def _summed(self, factors: Real) -> Iterator[tuple[int, Real]]:
+        """The indices of the integrals that `factors` of all terms move, and the rows of each so weighted."""
+        for q, change in self.changes:
+            weights = factors[change.terms]
+            if weights.any():  # most change with few dimensions
+                yield q, np.tensordot(weights, change.rows, axes=1)
 
 
 class Predictor:
@@ -255,6 +288,8 @@ class Predictor:
         self._expansion: _Expansion | None = None
         self._latest: Prediction | None = None
         self._assembled: dict[tuple[float, ...], FullOperators] = {}
+        # Expansions hold it: a method of this would keep their matrices for as long as the collector likes.
+        self._mesh = partial(_stretched, problem.mesh, chip, dimensions)
 
     def __call__(
         self, values: Mapping[str, complex], dimensions: Mapping[str, float] | None = None,
@@ -420,12 +455,6 @@ class Predictor:
         known = self.chip.dimensions()
         return np.array([dimensions.get(name, known[name].value) for name in self.names])
 
-    def _mesh(self, lengths: Real) -> SectionMesh:
-        mesh = self.problem.mesh
-        if self.chip is None or not self.names:
-            return mesh
-        return stretch(mesh, moved_chip(self.chip, self.names, lengths))
-
     def _operators(self, lengths: Real) -> FullOperators:
         key = tuple(map(float, lengths))
         if key not in self._assembled:
@@ -433,6 +462,10 @@ class Predictor:
                 self._assembled.pop(next(iter(self._assembled)))
             self._assembled[key] = assemble(self._mesh(lengths), self.problem.terms)
         return self._assembled[key]
+
+
+def _stretched(mesh: SectionMesh, chip: Chip | None, names: tuple[str, ...], lengths: Real) -> SectionMesh:
+    return mesh if chip is None or not names else stretch(mesh, moved_chip(chip, names, lengths))
 
 
 def moved_chip(chip: Chip, names: tuple[str, ...], lengths: Real) -> Chip:
