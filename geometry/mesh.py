@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from geometry.names import AXIS, CAVITY, TRANSDUCER, role_of, whole
 from geometry.section import VOID, Section, boundary_name
-from inputs import InputError, nearest_names, write_atomic
+from inputs import InputError, nearest_names, replacing
 
 #: Part of the key of a cached mesh: raise it whenever the same section and size would give another mesh.
 CACHE_VERSION = 1
@@ -511,9 +511,8 @@ def _content_key(section: Section, size: MeshSize) -> str:
 
 
 def _save(path: Path, cells: _Cells) -> None:
-    stream = io.BytesIO()
-    np.savez(stream, points=cells.points, cells=cells.cells, region=cells.region)
-    write_atomic(path, stream.getvalue())
+    with replacing(path) as written:
+        np.savez(written, points=cells.points, cells=cells.cells, region=cells.region)
 
 
 def _load(path: Path) -> _Cells:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes.util
-import io
 import math
 import os
 import sys
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import write_atomic
+from inputs import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,8 +107,7 @@ def save(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path:
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("png", "svg"):
         raise ValueError(f"cannot write {path.name!r}: the suffix is {path.suffix!r}; expected .png or .svg")
-    stream = io.BytesIO()
-    # Without a date, the same figure is the same file.
-    figure.savefig(stream, format=kind, dpi=dots_per_inch, metadata={"Date": None} if kind == "svg" else None)
-    write_atomic(path, stream.getvalue())
+    with replacing(path) as whole:
+        # Without a date, the same figure is the same file.
+        figure.savefig(whole, format=kind, dpi=dots_per_inch, metadata={"Date": None} if kind == "svg" else None)
     return path
