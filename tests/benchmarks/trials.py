@@ -369,6 +369,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first trial")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--into", type=Path, help="file of outcomes that `score` adds to")
+    parser.add_argument("--commit", help="of what `table` prints, outcomes of this commit only")
     options = parser.parse_args()
     match options.job:
         case "make":
@@ -378,7 +379,7 @@ def main() -> None:
         case "score":
             score(options.folder, options.into)
         case "table":
-            table(read_outcomes(options.folder))
+            table([o for o in read_outcomes(options.folder) if options.commit in (None, o.commit)])
 
 
 if __name__ == "__main__":
