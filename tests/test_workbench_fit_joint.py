@@ -451,6 +451,18 @@ def test_parameters_held_fixed_stay_where_they_are(disc: Problem, chip: Chip) ->
     assert np.abs(slope[1:]).max() > 0.05 * size[1:].max()
 
 
+def test_a_search_begins_strictly_inside(disc: Problem, chip: Chip) -> None:
+    free = parameters(disc, None, PZT, ["c11", "c13", "c33"])
+    search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-3), free=(0, 1))
+    x = search.high.copy()
+    begin = search.inside(x)
+    assert (begin[:2] < x[:2]).all()
+    assert begin[:2] == pytest.approx(x[:2], rel=1e-5)
+    assert begin[2] == x[2]  # of what does not move nothing is asked
+    assert all(inequality.margin(begin) > 0.0 for inequality in search.inequalities)
+    assert search.minimise(x, [0.01], limit=0).x == pytest.approx(begin, abs=0.0)
+
+
 def test_the_prior_stands_below_the_data(disc: Problem, chip: Chip) -> None:
     free = (*parameters(disc, None, PZT, ["c11", "e33"]), Parameter("bench.phase", 0.0, -1.0, 1.0, None, "rad"))
     search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-3))

@@ -230,7 +230,7 @@ def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[
         held = promising(scores, STRONG)
         ends += _at_strengths(model, alone, held)
         ends += _at_strengths(model, alone, _twins(ends, held, scores))
-    elif pulled.size:
+    if pulled.size:
         # What is missing may be imitated by a known parameter far from what is known of it: asked without that too.
         back, scores = _weakly(model, search, _replaced(x, pulled, search.centre[pulled]), tuple(map(int, pulled)))
         ends += _glances(model, back, scores)
@@ -477,9 +477,11 @@ def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
             for name, amplitude, error in zip(scored.effect.names, scored.amplitude, scored.error, strict=True):
                 if np.isfinite(error):
                     reach[name] = max(reach.get(name, 0.0), abs(float(amplitude)) + ERRORS * float(error))
-        model.fitted.surround(fit.x, reach, UNNEEDED)
-        centre = fit.search.evaluate(fit.x, deviation)
-        found = fit.search.minimise(fit.x, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3,
+        # Where next to nothing is left of a layer, the search begins with more, which is another matter.
+        begin = fit.search.inside(fit.x)
+        model.fitted.surround(begin, reach, UNNEEDED)
+        centre = fit.search.evaluate(begin, deviation)
+        found = fit.search.minimise(begin, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3,
                                     trusted=max(DOUBTED, TIMES * centre.data.error))
         fit = _judged(model, fit.effects, fit.search, found.x)
         # The first bases were made for another place, and so was the chi-square they gave here.

@@ -237,12 +237,22 @@ class Search:
                 raise NotEnriched(full.data.error, trusted, self.objective.solves)
             return Weighted(full.vector, full.jacobian[:, free], full.data)
 
+        found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
+                         inequalities=self._conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
+                         refused=REFUSED)
+        return replace(found, x=whole(found.x))
+
+    def inside(self, x: Real) -> Real:
+        """Where :meth:`minimise` begins from x (p,): at x, or near it and strictly inside of what parameters may be."""
+        result, free = x.copy(), self.free
+        result[free] = interior(x[free], self.low[free], self.high[free], self._conditions(x, free))
+        return result
+
+    def _conditions(self, x: Real, free: NDArray[np.int64]) -> list[Inequality]:
+        """The inequalities of the parameters of the indices `free`, with the others where x (p,) has them."""
         held = x.copy()
         held[free] = 0.0
-        conditions = [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
-        found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
-                         inequalities=conditions, radius=radius, tolerance=tolerance, limit=limit, refused=REFUSED)
-        return replace(found, x=whole(found.x))
+        return [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
 
     def descend(
         self, x: Real, progress: Callable[[], None], *, first: int = 0, rival: Descent | None = None
