@@ -184,33 +184,3 @@ def test_what_fits_as_well_is_a_rival_whatever_its_ranges_cost(
     other: Any = SimpleNamespace(chi_square=chi_square, estimate=dict.fromkeys(parameters, 1.0),
                                  effects=("one", "two")[:effects])
     assert verdict._fits_as_well(other, best, held) == as_well
-
-
-def test_bases_are_made_where_the_search_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not where the fit ended: closer to a bound than a search begins, there may be nothing left of a layer."""
-    at: dict[str, Any] = {}
-
-    class Search:
-        free, scale = np.arange(1), np.ones(1)
-
-        def inside(self, x: Any) -> Any:
-            return x - 1e-6
-
-        def evaluate(self, x: Any, _deviation: Any) -> Any:
-            at["trusted"] = x
-            return SimpleNamespace(vector=np.ones(1), data=SimpleNamespace(error=0.0))
-
-        def minimise(self, x: Any, _deviation: Any, **_how: Any) -> Any:
-            at["begun"] = x
-            return SimpleNamespace(x=x)
-
-    def surround(x: Any, *_how: Any) -> None:
-        at["bases"] = x
-
-    ended: Any = SimpleNamespace(search=Search(), here=SimpleNamespace(jacobian=np.ones((1, 1))), x=np.ones(1),
-                                 effects=(), doubt=0.0)
-    monkeypatch.setattr(refit, "_judged", lambda *_of: ended)
-    model: Any = SimpleNamespace(deviations=lambda: [0.01], fitted=SimpleNamespace(surround=surround),
-                                 parameters=[SimpleNamespace(name="missing")])
-    refit.gather(model, ended)
-    assert at["bases"] == at["trusted"] == at["begun"] == 1.0 - 1e-6

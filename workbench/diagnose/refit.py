@@ -87,6 +87,10 @@ FOLLOWED, WORTH, KEPT = 6, 0.3, 2
 #: They are asked for once more with the known parameters, that have gone so many uncertainties even there, held back.
 PULLED = 3.0
 
+#: Where a hypothesis that was followed leaves more than noise, so many starts are drawn, by this share of what is known
+#: of the known parameters.
+DRAWN, ABOUT = 12, 0.5
+
 #: Such a way is followed on new bases while that takes the cost below this share, at most so many times.
 ONWARD, ROUNDS = 0.9, 12
 
@@ -241,15 +245,17 @@ def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[
             break
         if any(effect in fit.effects for fit in found):
             continue
-        try:
-            near = _followed(model, effect, search, end).x
-            full = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
-        except NO_END:
+        led = _led(model, effect, search, end)
+        if led is None:
             continue
-        fit = _judged(model, (effect,), search, full.x)
+        fit, near = led
+        if alone is not None and not fit.good:
+            other = _drawn(model, effect, search, near, alone)
+            if other.cost < RIGHT * near.cost and (led := _led(model, effect, search, other)) is not None:
+                fit, near = min((fit, near), led, key=lambda each: each[0].evidence)
         if leaves_less(fit, base, ROUGHLY):
             fit = gather(model, fit)
-            fit = fit if fit.good else gathered_elsewhere(model, fit, near)
+            fit = fit if fit.good else gathered_elsewhere(model, fit, near.x)
         found.append(fit)
     return location, found
 
@@ -328,6 +334,41 @@ def promising(scores: Sequence[Score], count: int, least: float = 0.0) -> list[S
     """The first `count` of those that promise a fall of chi-square above `least`, and much of what any does."""
     enough = max(least, WORTH * max((scored.gain for scored in scores), default=0.0))
     return [scored for scored in scores if scored.gain > enough][:count]
+
+
+def _led(model: Model, effect: Effect, search: Search, end: Minimum) -> tuple[Refit, Minimum] | None:
+    """The refit of a hypothesis that the end of its way leads to where the data weigh in full; and that end, followed.
+
+    None where nothing can be predicted.
+    """
+    try:
+        end = _followed(model, effect, search, end)
+        full = search.minimise(end.x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
+    except NO_END:
+        return None
+    return _judged(model, (effect,), search, full.x), end
+
+
+def _drawn(model: Model, effect: Effect, search: Search, end: Minimum, about: Real) -> Minimum:
+    """The best end of ways from starts drawn about a place (p,) with the data weighing little; `end` if none is better.
+
+    They begin with as much of the effect as there is in the `end`: also with the right one there are several basins,
+    and no single parameter leads from one to another.
+    """
+    centre = end.x.copy()
+    centre[:model.known] = about[:model.known]
+    model.fitted.surround(centre, _moves(model, (effect,), centre), UNNEEDED)
+    thin, random = search.thinned(), np.random.default_rng(0)
+    known = np.flatnonzero(search.precision[:model.known] > 0.0)
+    ends = [end]
+    for _ in range(DRAWN):
+        start = centre.copy()
+        start[known] += ABOUT / search.precision[known] * random.standard_normal(known.size)
+        try:
+            ends.append(_glance(thin, thin.inside(start)))
+        except NO_END:
+            continue
+    return min(ends, key=lambda each: each.cost)
 
 
 def _followed(model: Model, effect: Effect, search: Search, end: Minimum) -> Minimum:
@@ -503,6 +544,21 @@ def refit(model: Model, effects: Sequence[Effect], start: Real, scores: Sequence
     except NO_END:
         return None
     return _judged(model, tuple(effects), search, found.x)
+
+
+def without(model: Model, base: Refit, fit: Refit) -> Refit:
+    """The known parameters alone from where `fit` has them, as the `base` with what is known of them; else the base.
+
+    What an effect brings in may be no more than a way out of the basin that the base is in.
+    """
+    own = np.array([model.index(name) for effect in fit.effects for name in effect.names])
+    added = own[own >= model.known]
+    x = base.search.inside(_replaced(fit.x, added, base.search.centre[added]))
+    try:
+        found = base.search.minimise(x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
+    except NO_END:
+        return base
+    return min(base, _judged(model, (), base.search, found.x), key=lambda each: each.evidence)
 
 
 def _begun(

@@ -31,6 +31,7 @@ from workbench.diagnose.refit import (
     predicted,
     promising,
     refit,
+    without,
 )
 from workbench.diagnose.score import Score, confusion, scores_at
 from workbench.solve import one_thread
@@ -73,6 +74,10 @@ CORRELATED = 2.0
 #: hypothesis take more than this share of what it explains, nor may the known parameters have left what is known of
 #: them by more than the second number of uncertainties (rms): in the right place they need not.
 REMNANT, STRAY = 0.1, 2.0
+
+#: Known parameters that leave less than this share of what the base leaves, from where an effect has led them: the base
+#: is in another basin.
+HALF = 0.5
 
 #: A known parameter that left what was known of it by more than this many uncertainties is a finding of its own.
 STRAYED = 3.5
@@ -165,6 +170,11 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         elif singles:
             # The bases are those of the places that were looked at: those of the best fit again.
             singles = _settled(model, singles)
+    if singles and gain(base, best := min(singles, key=lambda f: f.evidence)) > NEAR * ACCEPTED:
+        other = without(model, base, best)
+        if gain(base, other) > ACCEPTED and leaves_less(other, base, HALF):
+            progress("another basin", 0.65)
+            base, scores, location, singles = _asked(model, gather(model, other), other.x, progress)
     singles.sort(key=lambda f: f.evidence)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
