@@ -236,6 +236,17 @@ def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip
     assert predictor.solves == solves
 
 
+def test_a_narrowed_basis_follows_the_same_dimensions(stack: Problem, chip: Chip) -> None:
+    """Those that change some integrals, and some that change none of a region."""
+    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, "couplant.thickness"), tolerance=TOLERANCE)
+    before = predictor({}).impedance
+    near = {THICKNESS: 2.004e-3}
+    there = predictor({}, near).impedance
+    predictor.settle([({}, {}), ({}, near)])
+    for lengths, exact in (({}, before), (near, there)):
+        assert np.abs(predictor({}, lengths).impedance / exact - 1.0).max() < TOLERANCE
+
+
 def test_what_a_search_made_goes_with_it(stack: Problem, chip: Chip) -> None:
     """At once, not when the garbage collector comes by, which does not know how large arrays are."""
     predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS,), tolerance=TOLERANCE)

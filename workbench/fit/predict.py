@@ -179,7 +179,10 @@ class _Expansion:
                 if shared := [q for q in plus[i] if q in plus[j]]:
                     for q, both in change(shared, (i, steps[i]), (j, steps[j])).items():
                         found[q][place[i, j]] = (both - plus[i][q] - plus[j][q]) / (steps[i] * steps[j])
-        return {q: _Change.of(by) for q, by in found.items()}
+        rank = self.model.operators.size
+        nothing = np.zeros((0, rank + self.model.sketch.shape[1], rank))
+        return {q: _Change(np.array(list(by), dtype=int), np.stack(list(by.values())) if by else nothing)
+                for q, by in found.items()}
 
     @property
     def terms(self) -> list[tuple[int, ...]]:
@@ -208,10 +211,6 @@ class _Change:
 
     terms: Integers
     rows: Real
-
-    @classmethod
-    def of(cls, rows: Mapping[int, Real]) -> _Change:
-        return cls(np.array(list(rows), dtype=int), np.stack(list(rows.values())) if rows else np.zeros((0, 0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
