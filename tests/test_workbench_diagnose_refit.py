@@ -54,12 +54,9 @@ def test_starts_are_drawn_where_a_part_is_explained_alone(deep: float, found: bo
         def thinned(self) -> Search:
             return self
 
-        def inside(self, x: Any) -> Any:
+        def minimise(self, x: Any, _deviation: Any, **_how: Any) -> Any:
             if x[0] > 4.0:
                 raise NO_END[-1]("far off")
-            return x
-
-        def minimise(self, x: Any, _deviation: Any, **_how: Any) -> Any:
             deeper = abs(x[0] - deep) < 1.5
             return SimpleNamespace(x=np.array([deep if deeper else 0.0, x[1]]), cost=1.0 if deeper else 100.0)
 
@@ -84,9 +81,6 @@ def test_the_base_is_asked_for_where_an_effect_has_led_it(
 
     class Search:
         centre = np.array([0.0, 0.0, 0.5])
-
-        def inside(self, x: Any) -> Any:
-            return x
 
         def minimise(self, x: Any, _deviation: Any, **_how: Any) -> Any:
             begun.append(x)

@@ -284,7 +284,7 @@ def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effec
     for scored in promising(scores, FOLLOWED):
         try:
             search, begin = _begun(model, (scored.effect,), x, [scored], _weak(model.fitted))
-            ends.append((scored.effect, search, _glance(search.thinned(), begin)))
+            ends.append((scored.effect, search, _bare(_glance(search.thinned(), begin))))
         except NO_END:
             continue
     return ends
@@ -355,17 +355,16 @@ def _drawn(model: Model, effect: Effect, search: Search, end: Minimum, about: Re
     They begin with as much of the effect as there is in the `end`: also with the right one there are several basins,
     and no single parameter leads from one to another.
     """
-    centre = end.x.copy()
-    centre[:model.known] = about[:model.known]
+    known = slice(model.known)
+    centre = _replaced(end.x, known, about[known])
     model.fitted.surround(centre, _moves(model, (effect,), centre), UNNEEDED)
     thin, random = search.thinned(), np.random.default_rng(0)
-    known = np.flatnonzero(search.precision[:model.known] > 0.0)
+    moved = np.flatnonzero(search.precision[known] > 0.0)
     ends = [end]
     for _ in range(DRAWN):
-        start = centre.copy()
-        start[known] += ABOUT / search.precision[known] * random.standard_normal(known.size)
+        offset = ABOUT / search.precision[moved] * random.standard_normal(moved.size)
         try:
-            ends.append(_glance(thin, thin.inside(start)))
+            ends.append(_glance(thin, _replaced(centre, moved, centre[moved] + offset)))
         except NO_END:
             continue
     return min(ends, key=lambda each: each.cost)
@@ -553,7 +552,7 @@ def without(model: Model, base: Refit, fit: Refit) -> Refit:
     """
     own = np.array([model.index(name) for effect in fit.effects for name in effect.names])
     added = own[own >= model.known]
-    x = base.search.inside(_replaced(fit.x, added, base.search.centre[added]))
+    x = _replaced(fit.x, added, base.search.centre[added])
     try:
         found = base.search.minimise(x, model.deviations(), limit=STEPS, tolerance=ENOUGH)
     except NO_END:

@@ -377,7 +377,7 @@ def _tried(
     The widest smoothing would undo a hop.
     """
     try:
-        begin = interior(begin, search.low, search.high, search.inequalities)
+        begin = search.inside(begin)
         return _Trial(label, begin, search.descend(
             begin, progress, first=1 if label.startswith(HOP) else 0, rival=rival))
     except NO_END as error:
