@@ -24,15 +24,43 @@ def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
     return Score(effect, gain, gain, np.zeros(numbers + 1), error, np.zeros((0, 0)), 0.0)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("before", "after", "explained"), [
-    (1.5, fit(1.05, True), True),   # nothing but noise is left
-    (14.0, fit(1.5), True),         # a strong effect, described to 4 %
-    (14.0, fit(1.5, strain=5.0), False),  # by known parameters that are elsewhere
-    (14.0, fit(3.0), False),
-    (1.8, fit(1.2), False),  # a quarter is left of what is no noise
+@pytest.mark.parametrize(("before", "after", "explained", "said"), [
+    (fit(1.5), fit(1.05, True), True, "a further hypothesis would take 30.0"),  # nothing but noise is left
+    (fit(14.0), fit(1.5), True, "a further hypothesis would take 30.0"),  # a strong effect, described to 4 %
+    (fit(14.0), fit(1.5, strain=3.0), False, "lie 3 standard uncertainties"),  # by known parameters that are elsewhere
+    (fit(14.0, strain=40.0), fit(1.5, strain=3.0), True, "take 30.0"),  # that the base has strained much more
+    (fit(14.0), fit(3.0), False, "reduced chi-square of 3, more than noise and than 10 %"),
+    (fit(1.8), fit(1.2), False, "more than noise"),  # a quarter is left of what is no noise
 ])
-def test_what_is_left_decides_whether_a_fit_explains(before: float, after: Any, explained: bool) -> None:
-    assert verdict._explains(fit(before), after) == explained
+def test_what_is_left_decides_whether_a_fit_explains(before: Any, after: Any, explained: bool, said: str) -> None:
+    """And what is said of a fit of which a further hypothesis would take 30."""
+    assert verdict._explains(before, after) == explained
+    assert said in verdict._lacking(before, after, 30.0)
+
+
+@pytest.mark.parametrize(("best", "asked"), [
+    (fit(1.05, True, 1050.0), True),
+    (fit(1.3, False, 1300.0), False),  # explains nothing
+    (fit(1.05, True, 1495.0), False),  # gains next to nothing
+])
+def test_the_best_single_is_looked_for_in_other_basins_where_it_still_hints_at_something(
+    monkeypatch: pytest.MonkeyPatch, best: Any, asked: bool
+) -> None:
+    """Before the base is asked for where it led: from a wrong basin no way leads to the base's right one."""
+    base, second, hopped = fit(1.5, chi_square=1500.0), fit(1.5, chi_square=1499.0), fit(1.0, True, 1000.0)
+    for each in (best, second, hopped):
+        each.evidence, each.x = each.chi_square, np.zeros(1)
+    monkeypatch.setattr(verdict, "_further", lambda *_of: [score(42.0)])
+    monkeypatch.setattr(verdict, "gathered_elsewhere", lambda _model, of, _x: hopped if of is best else None)
+    monkeypatch.setattr(verdict, "gather", lambda _model, of, _scores: of)
+    model: Any = None
+    found = verdict._hopped(model, base, [second, best], lambda *_of: None)
+    assert found == sorted([second, hopped if asked else best], key=lambda each: each.chi_square)
+
+
+def test_nothing_is_looked_for_in_other_basins_where_no_hypothesis_was_refitted() -> None:
+    model: Any = None
+    assert verdict._hopped(model, fit(1.5), [], lambda *_of: None) == []
 
 
 @pytest.mark.parametrize(("base", "best", "left", "complete"), [

@@ -72,7 +72,8 @@ CORRELATED = 2.0
 #: A strong effect is explained where no more than this share of what the known parameters leave is left: a ring whose
 #: edge lies between two of the catalogue's is described to a few per cent of what it does. Neither must any further
 #: hypothesis take more than this share of what it explains, nor may the known parameters have left what is known of
-#: them by more than the second number of uncertainties (rms): in the right place they need not.
+#: them by more than the second number of uncertainties (rms), or this share of what the base strained them by: in the
+#: right place they need not.
 REMNANT, STRAY = 0.1, 2.0
 
 #: Known parameters that leave less than this share of what the base leaves, from where an effect has led them: the base
@@ -170,25 +171,19 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
         elif singles:
             # The bases are those of the places that were looked at: those of the best fit again.
             singles = _settled(model, singles)
-    if singles and gain(base, best := min(singles, key=lambda f: f.evidence)) > NEAR * ACCEPTED:
-        other = without(model, base, best)
+    singles = _hopped(model, base, singles, progress)
+    if singles and gain(base, singles[0]) > NEAR * ACCEPTED:
+        other = without(model, base, singles[0])
         if gain(base, other) > ACCEPTED and leaves_less(other, base, HALF):
             progress("another basin", 0.65)
             base, scores, location, singles = _asked(model, gather(model, other), other.x, progress)
-    singles.sort(key=lambda f: f.evidence)
+            singles = _hopped(model, base, singles, progress)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
     best = min([base, *singles], key=lambda f: f.evidence)
     if gain(base, best) > NEAR * ACCEPTED:
-        further = _further(model, best)
-        if _explains(base, best) and not _quiet(best, further):
-            progress("other basins", 0.7)
-            # The bases are those of the basins that were looked at: those of the best fit again.
-            singles = _settled(model, _with(singles, best, gathered_elsewhere(model, best, best.x)))
-            best = singles[0]
-            further = _further(model, best)
-        if not _complete(base, best, _left(best, further)):
+        if not _complete(base, best, _left(best, _further(model, best))):
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
             if both is not best:
@@ -268,7 +263,7 @@ def _left(fit: Refit, further: Sequence[Score], pairs: Sequence[Refit] = ()) -> 
 
 def _explains(base: Refit, fit: Refit) -> bool:
     """Whether a fit leaves nothing but noise, or next to nothing of what the base leaves, with the known as known."""
-    return fit.good or (leaves_less(fit, base, REMNANT) and fit.strain < STRAY)
+    return fit.good or (leaves_less(fit, base, REMNANT) and fit.strain < max(STRAY, REMNANT * base.strain))
 
 
 def _complete(base: Refit, fit: Refit, left: float) -> bool:
@@ -300,6 +295,19 @@ def _quiet(fit: Refit, scores: Sequence[Score]) -> bool:
 def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
     """`fits` with one replaced, best first."""
     return sorted([new if f is old else f for f in fits], key=lambda f: f.evidence)
+
+
+def _hopped(model: Model, base: Refit, singles: Sequence[Refit], progress: Progress) -> list[Refit]:
+    """`singles`, best first; that one from another basin where it explains and what it leaves still hints at something.
+    """
+    singles = sorted(singles, key=lambda f: f.evidence)
+    if not singles or gain(base, best := singles[0]) <= NEAR * ACCEPTED:
+        return singles
+    if not _explains(base, best) or _quiet(best, _further(model, best)):
+        return singles
+    progress("other basins", 0.65)
+    # The bases are those of the basins that were looked at: those of the best fit again.
+    return _settled(model, _with(singles, best, gathered_elsewhere(model, best, best.x)))
 
 
 def _settled(model: Model, fits: Sequence[Refit]) -> list[Refit]:
@@ -391,8 +399,7 @@ def _judged(
             findings.append(f"It describes the effect roughly: {100 * share:.2g} % of what the known parameters left, "
                             "and noise does not explain, is left by it too.")
         if not complete:
-            findings.append(f"That is not all: of the reduced chi-square of {best.reduced:.3g} that it leaves, a "
-                            f"further hypothesis would take {left:.1f}. It is not accepted.")
+            findings.append(_lacking(base, best, left))
         if worse >= RIVAL:
             findings.append(f"It predicts the states held out worse than the known parameters alone, by a chi-square "
                             f"of {worse:.1f}: it is not accepted.")
@@ -452,6 +459,20 @@ def _inside(fit: Refit, name: str) -> bool:
             limit = effect.admissible[name]
             return limit.lowest <= fit.estimate[name] <= limit.highest
     return True
+
+
+def _lacking(base: Refit, best: Refit, left: float) -> str:
+    """Why the best fit, of which a further hypothesis would take `left`, is not :func:`_complete`."""
+    if _explains(base, best):
+        why = (f"of the reduced chi-square of {best.reduced:.3g} that it leaves, a further hypothesis would take "
+               f"{left:.1f}")
+    elif leaves_less(best, base, REMNANT):
+        why = (f"with it the known parameters still lie {best.strain:.2g} standard uncertainties (rms) from what is "
+               "known of them")
+    else:
+        why = (f"it leaves a reduced chi-square of {best.reduced:.3g}, more than noise and than "
+               f"{100 * REMNANT:.0f} % of what the known parameters left")
+    return f"That is not all: {why}. It is not accepted."
 
 
 def _closest(
