@@ -154,18 +154,32 @@ def test_a_change_of_a_few_cells_is_found_in_their_region(stated: Model, region:
 
 
 def test_the_evidence_is_that_of_a_normal_residual() -> None:
-    """Against the density of the residual itself, whose covariance holds the patterns."""
+    """Against the density of the residual itself, whose covariance holds the patterns, and noise of its size."""
     rng = np.random.default_rng(2)
     columns, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
     residual += columns @ np.array([1.0, -0.5, 0.0, 0.7])
 
     def twice_density(width: float) -> float:
-        covariance = np.eye(30) + width**2 * columns @ columns.T
+        covariance = np.mean(residual**2) * np.eye(30) + width**2 * columns @ columns.T
         return -float(residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(covariance)[1])
 
     exact = max(twice_density(width) for width in WIDTHS) - twice_density(0.0)
     assert evidence(columns, residual) == pytest.approx(exact, rel=1e-10)
     assert exact > 10.0
+
+
+def test_a_strong_residual_belongs_to_few_patterns_rather_than_to_many_that_follow_its_bends() -> None:
+    """A tangent, and what it leaves of an effect of a hundred sigmas: a third of that, bent away from it.
+
+    Ten patterns of another region happen to take a little more of it, and would be believed at noise of unit size.
+    """
+    rng = np.random.default_rng(4)
+    right, *bent = 1e3 * np.linalg.qr(rng.standard_normal((400, 12)))[0].T
+    residual = rng.standard_normal(400) + 0.1 * right + 0.033 * bent[-1]
+    follows = np.stack([0.3 * right + 0.1 * bent[-1], *(each + 0.2 * bent[-1] for each in bent[:-1])], axis=1)
+    few, many = (np.linalg.lstsq(columns, residual)[1][0] for columns in (right[:, None], follows))
+    assert many < few - 1000.0
+    assert evidence(right[:, None], residual) > evidence(follows, residual) > 100.0
 
 
 def test_the_map_adds_up_to_the_derivative_by_the_moduli(stated: Model) -> None:

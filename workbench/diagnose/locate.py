@@ -106,13 +106,16 @@ def _modes(seen: Seen, frequency: Real) -> Iterator[tuple[tuple[str, str, Hashab
 
 
 def evidence(columns: Real, residual: Real) -> float:
-    """Twice the logarithm of the evidence that a residual (m,) of unit noise holds a combination of columns (m, k).
+    """Twice the logarithm of the evidence that a residual (m,) holds a combination of columns (m, k).
 
-    Their amplitudes are independent and normal, of the one width that fits best; 0 where none is better than none.
+    Their amplitudes are independent and normal, of the one width that fits best; 0 where none is better than none. The
+    noise is of unit size, or of that of the residual where this is larger: a strong effect bends away from all
+    tangents, and no pattern is worth more for following it to the last bend.
     """
-    sizes, vectors = np.linalg.eigh(columns.T @ columns)
+    noise = max(1.0, float(residual @ residual) / residual.size)
+    sizes, vectors = np.linalg.eigh(columns.T @ columns / noise)
     kept = sizes > ROUNDING * max(sizes[-1], 1e-300)
-    along = (vectors[:, kept].T @ (columns.T @ residual)) ** 2 / sizes[kept]
+    along = (vectors[:, kept].T @ (columns.T @ residual) / noise) ** 2 / sizes[kept]
     ratio = np.outer(WIDTHS**2, sizes[kept])
     return float(max(0.0, np.max((along * ratio / (1.0 + ratio) - np.log1p(ratio)).sum(axis=1))))
 
