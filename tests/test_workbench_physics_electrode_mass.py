@@ -1,9 +1,11 @@
-"""The mass of the electrodes against the plate with a mass on either face."""
+"""Mass and stiffness of the electrodes against the plate with a mass on either face and films that are meshed."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,17 +13,21 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from skfem import Basis, ElementQuad2
 
+sys.path.insert(0, str(Path(__file__).resolve().parent / "benchmarks"))
+
+from concealed import media, solver
+
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
 from workbench.operators import FullOperators, assemble
-from workbench.physics.electrode_mass import ADMISSIBLE, SILVER_DENSITY, ElectrodeMass
+from workbench.physics.electrode_mass import ADMISSIBLE, POISSON, SILVER_DENSITY, SILVER_STIFFNESS, ElectrodeMass
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 
 RADIUS, THICKNESS = 0.1e-3, 2.02e-3
 TERM = ElectrodeMass("electrode_live", "electrode_ground", "transducer")
-MASS = "electrodes.surface_density"
+MASS, STIFFNESS = "electrodes.surface_density", "electrodes.specific_stiffness"
 
 Plate = tuple[FullOperators, dict[str, complex], Piezoelectric]
 
@@ -37,7 +43,8 @@ def plate(
     material = replace(material, c13=0.0, e31=0.0, e15=0.0, density=7862.0)
     chip = stacked([("transducer", THICKNESS, RADIUS, None)], band=(1e5, 4e6))
     bare = problem(uniform_mesh(chip, THICKNESS / 40), {"transducer": material}, chip.band)
-    return assemble(bare.mesh, (*bare.terms, TERM)), dict(bare.values), material
+    # Through its thickness alone, films are not stretched.
+    return assemble(bare.mesh, (*bare.terms, TERM)), {**bare.values, STIFFNESS: SILVER_STIFFNESS}, material
 
 
 def impedance(material: Piezoelectric, mass: float, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -97,18 +104,64 @@ def test_the_half_wave_falls_by_the_share_of_the_mass(thickness: float, plate: P
         assert shift == pytest.approx(-0.013, abs=5e-4)  # the figure for such a disc
 
 
-def test_both_components_move_the_mass_of_both_faces(small_disc: Problem) -> None:
-    # As a whole along z: the area of both faces. Stretched by u_r = r: the integral of r^2 over them.
+def test_both_components_move_the_mass_and_stretch_the_film_of_both_faces(small_disc: Problem) -> None:
+    # As a whole along z: the area of both faces. Stretched by u_r = r: the integral of r^2 over them, and of
+    # e_rr^2 + e_tt^2 + 2 nu e_rr e_tt = 2 (1 + nu).
     operators = assemble(small_disc.mesh, (*small_disc.terms, TERM))
     radius = 3e-3
+    area = np.pi * radius**2
     r = np.asarray(Basis(small_disc.mesh.mesh, ElementQuad2(), intorder=1).doflocs)[0]
-    for component, shape, expected in (("u_z", np.ones(r.size), np.pi * radius**2), ("u_r", r, np.pi * radius**4 / 2)):
+    for component, shape, moved, stretched in (
+        ("u_z", np.ones(r.size), area, 0.0), ("u_r", r, area * radius**2 / 2.0, 2.0 * (1.0 + POISSON) * area),
+    ):
         state = np.zeros((operators.size, 1), dtype=complex)
         numbers = operators.numbering[component]
         state[numbers[numbers >= 0], 0] = shape[numbers >= 0]
         forms = operators.quadratic(state, state)[0]
-        faces = [form for form, i in zip(forms, operators.integrals, strict=True) if MASS in i.coefficient.parameters]
-        assert faces == pytest.approx([expected, expected], rel=1e-12, abs=0.0)
+        own = [(form, i.coefficient.parameters) for form, i in zip(forms, operators.integrals, strict=True)]
+        for names, expected in (((MASS,), moved), ((MASS, STIFFNESS), stretched)):
+            faces = [form for form, parameters in own if parameters == names]
+            assert faces == pytest.approx([expected, expected], rel=1e-10, abs=1e-12 * area)
+
+
+def test_a_disc_with_films_has_the_spectrum_of_one_with_meshed_films(
+    stacked: Callable[..., Chip], uniform_mesh: Callable[[Chip, float], SectionMesh],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
+    radius, height, film = 5e-3, 1e-3, 2e-6
+    ceramic = reference_materials("free_disc_fitted_rho7500")["transducer"]
+    assert isinstance(ceramic, Piezoelectric)
+    # The first radial resonance, which mass lowers and stiffness raises, and its overtone.
+    frequency = np.concatenate([np.linspace(200e3, 300e3, 21), np.linspace(550e3, 700e3, 21)])
+    bare = problem(uniform_mesh(stacked([("transducer", height, radius, None)], band=(2e5, 7e5)), height / 6),
+                   {"transducer": ceramic}, (2e5, 7e5))
+    operators = assemble(bare.mesh, (*bare.terms, TERM))
+
+    young = SILVER_STIFFNESS * SILVER_DENSITY * (1.0 - POISSON**2)
+    silver = media.Solid.isotropic(SILVER_DENSITY, young / (3.0 * (1.0 - 2.0 * POISSON)),
+                                   young / (2.0 * (1.0 + POISSON)))
+    pzt = media.Piezo(ceramic.density, ceramic.c11, ceramic.c12, ceramic.c13, ceramic.c33, ceramic.c44, ceramic.e31,
+                      ceramic.e33, ceramic.e15, ceramic.eps11, ceramic.eps33)
+
+    def meshed(thickness: float) -> NDArray[np.complex128]:
+        boxes = [solver.Box(0.0, radius, thickness, thickness + height, pzt)]
+        if thickness:
+            boxes += [solver.Box(0.0, radius, low, low + thickness, silver) for low in (0.0, thickness + height)]
+        section = solver.Body(tuple(boxes), (thickness + height, 0.0, radius), (thickness, 0.0, radius))
+        return solver.spectrum(section, frequency, order=5, per_wavelength=1.6, tolerance=1e-6)
+
+    def changed(stiffness: float) -> NDArray[np.complex128]:
+        values = {**bare.values, MASS: film * SILVER_DENSITY, STIFFNESS: stiffness}
+        found = [solve_full(operators, frequency, {**values, MASS: mass}).impedance for mass in (values[MASS], 0.0)]
+        return np.asarray(np.log(np.conj(found[0] / found[1])))
+
+    exact = np.log(meshed(film) / meshed(0.0))
+    off, without = (float(np.linalg.norm(changed(s) - exact) / np.linalg.norm(exact)) for s in (SILVER_STIFFNESS, 0.0))
+    print(f"films of silver: off by {100 * off:.2f} % of what they do, by {100 * without:.0f} % as mere masses")
+    # Films as membranes in the middle of the face: film / height times small factors is left out.
+    assert off < 0.005
+    # Masses without stiffness would be off by more than all that films do.
+    assert without > 1.0
 
 
 def test_the_mass_loses_nothing_and_has_a_derivative(plate: Plate) -> None:
@@ -116,8 +169,8 @@ def test_the_mass_loses_nothing_and_has_a_derivative(plate: Plate) -> None:
     frequency = np.array([0.9e6, 1.3e6])
     mass, step = 0.1, 1e-4
     solution = solve_full(operators, frequency, values | {MASS: mass})
-    faces = [q for q, i in enumerate(operators.integrals) if i.coefficient.parameters == (MASS,)]
-    assert [operators.integrals[q].place for q in faces] == ["electrode_live", "electrode_ground"]
+    faces = [q for q, i in enumerate(operators.integrals) if MASS in i.coefficient.parameters]
+    assert [operators.integrals[q].place for q in faces] == ["electrode_live"] * 2 + ["electrode_ground"] * 2
     losses = solution.dissipation()
     assert not losses[:, faces].any()
     assert np.abs(losses.sum(axis=1) / solution.input_power() - 1.0).max() < 1e-10

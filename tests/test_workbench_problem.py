@@ -154,24 +154,25 @@ def test_values_are_changed_by_name_and_nothing_else_moves(filled: Problem) -> N
 
 def test_terms_are_added_with_their_values(filled: Problem) -> None:
     mass = electrode_mass.ElectrodeMass("electrode_live", "electrode_ground", "transducer")
-    name = "electrodes.surface_density"
-    added = filled.with_terms((mass,), {name: 0.1})
+    name, other = "electrodes.surface_density", "electrodes.specific_stiffness"
+    metal = {name: 0.1, other: 2e6}
+    added = filled.with_terms((mass,), metal)
     assert added.terms == (*filled.terms, mass)
-    assert added.values == {**filled.values, name: 0.1}
+    assert added.values == {**filled.values, **metal}
     assert (added.mesh, added.materials, added.band) == (filled.mesh, filled.materials, filled.band)
     # A parameter that two terms share comes once: the second term finds it there.
     again = electrode_mass.ElectrodeMass("electrode_ground", "electrode_live", "transducer")
     assert added.with_terms((again,), {}).values == added.values
     with pytest.raises(KeyError, match=rf"no value of {name}.*ElectrodeMass"):
-        filled.with_terms((mass,), {})
-    with pytest.raises(KeyError, match=rf"has the parameters electrodes\.mass; theirs: {name}"):
-        filled.with_terms((mass,), {name: 0.1, "electrodes.mass": 0.1})
+        filled.with_terms((mass,), {other: 2e6})
+    with pytest.raises(KeyError, match=rf"has the parameters electrodes\.mass; theirs: {other}, {name}"):
+        filled.with_terms((mass,), {**metal, "electrodes.mass": 0.1})
     with pytest.raises(ValueError, match=rf"values of {name} already"):
         added.with_terms((again,), {name: 0.2})
     with pytest.raises(ValueError, match=r"has the term ElectrodeMass.* already"):
         added.with_terms((mass,), {})
     with pytest.raises(ValueError, match=r"has the term ElectrodeMass.* already"):
-        filled.with_terms((mass, mass), {name: 0.1})
+        filled.with_terms((mass, mass), metal)
 
 
 def test_every_parameter_of_the_terms_has_a_value(filled: Problem) -> None:

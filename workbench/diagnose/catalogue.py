@@ -522,16 +522,18 @@ def transducer(device: Device) -> Iterator[Effect]:
     yield from _mistaken(device, "density of the transducer", TRANSDUCER, "mass", f"{name}.density",
                          _about(material.density, MISTAKEN_DENSITY, "kg/m^3"), "a wrong density")
 
-    mass = "electrodes.surface_density"
-    limits = {mass: electrode_mass.ADMISSIBLE["surface_density"]}
+    metal_limits = {f"electrodes.{key}": limit for key, limit in electrode_mass.ADMISSIBLE.items()}
+    # Grains of silver between those that hold together and those that do not.
+    metal_starts = dict(zip(metal_limits, (0.0, 0.4 * electrode_mass.SILVER_STIFFNESS), strict=True))
 
     def metal(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        return (electrode_mass.ElectrodeMass("electrode_live", "electrode_ground", TRANSDUCER),), {mass: 0.0}
+        return (electrode_mass.ElectrodeMass("electrode_live", "electrode_ground", TRANSDUCER),), metal_starts
 
     terms, values = _added(states, metal)
-    yield Effect("electrode mass", TRANSDUCER, "mass", "the metal on the faces has a mass",
-                 (Parameter(mass, 0.0, 0.0, limits[mass].highest, None, limits[mass].unit),), admissible=limits,
-                 terms=terms, values=values)
+    yield Effect("electrode mass", TRANSDUCER, "mass", "the metal on the faces has a mass, and a stiffness of its own",
+                 tuple(Parameter(n, metal_starts[n], 0.0, limit.highest, None, limit.unit)
+                       for n, limit in metal_limits.items()),
+                 admissible=metal_limits, terms=terms, values=values)
 
     rims = _rims(TRANSDUCER)
     depoled_limits = {f"{rim}.depoled_fraction": depoled.ADMISSIBLE["depoled_fraction"] for rim in rims}

@@ -1,4 +1,4 @@
-"""The mass of the metal on the two faces of the transducer."""
+"""The mass of the metal on the two faces of the transducer, and what it resists being stretched with."""
 
 from __future__ import annotations
 
@@ -10,25 +10,41 @@ from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
 #: Density of silver, kg/m^3 (CRC Handbook of Chemistry and Physics, 97th edition, section 4).
 SILVER_DENSITY = 10490.0
 
-#: Mass per area of one face.
+#: Poisson's ratio of silver (Kaye & Laby, Tables of Physical and Chemical Constants, section 2.2.2; gold 0.42, nickel
+#: 0.31): what little it matters, the stiffness makes up for.
+POISSON = 0.37
+
+#: E / ((1 - nu^2) rho) of solid silver, m^2/s^2: 82.7 GPa (ibid.).
+SILVER_STIFFNESS = 82.7e9 / (1.0 - POISSON**2) / SILVER_DENSITY
+
+#: Mass per area of one face, and stiffness of the metal by its density.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "surface_density": Admissible(
         0.01, 0.19, "kg/m^2",
         "from sputtered 0.05 um of chromium and 0.5 um of gold to twice the nominal 8.9 um of fired silver; nominal "
         "figures of Piezo Technologies, Tolerances and capabilities",
     ),
+    "specific_stiffness": Admissible(
+        0.0, 2.5e7, "m^2/s^2",
+        "from a film of grains that do not hold together to nickel (200 GPa, Kaye & Laby, section 2.2.2); solid silver "
+        "9.1e6",
+    ),
 }
 
 
 @dataclass(frozen=True)
 class ElectrodeMass(Term):
-    """Inertia of thin electrodes that follow the faces they lie on; their own stiffness is left out.
+    """Inertia of thin electrodes that follow the faces they lie on, and their stiffness as membranes.
 
-        - m w^2 u.v        on both electrodes, m = density times thickness of the metal
+        - m w^2 u.v + m s (e_rr(u) e_rr(v) + e_tt(u) e_tt(v) + nu (e_rr(u) e_tt(v) + e_tt(u) e_rr(v)))
 
-    A free plate of surface density M loses the share 2 m / M of the frequency of its half-wave thickness resonance
-    (Sauerbrey 1959, Z. Phys. 155, 206; both faces). Parameter ``electrodes.surface_density`` (kg/m^2; see
-    :data:`ADMISSIBLE`), the same on both.
+    on both electrodes, m = density times thickness of the metal, s = E / ((1 - nu^2) density) the square of the speed
+    at which a film of it carries extension. A free plate of surface density M loses the share 2 m / M of the frequency
+    of its half-wave thickness resonance (Sauerbrey 1959, Z. Phys. 155, 206; both faces), whatever s. A radial one, of
+    extensional speed c, loses about (m / M) (1 - s / c^2): solid silver gives back most of it.
+
+    Parameters ``electrodes.surface_density`` (m, kg/m^2) and ``electrodes.specific_stiffness`` (s, m^2/s^2), the same
+    on both; see :data:`ADMISSIBLE`.
     """
 
     live: str
@@ -36,6 +52,11 @@ class ElectrodeMass(Term):
     transducer: str
 
     def integrals(self) -> tuple[Integral, ...]:
-        coefficient = Monomial(-1.0, 2, (("electrodes.surface_density", 1),))
+        mass = ("electrodes.surface_density", 1)
+        inertia = Monomial(-1.0, 2, (mass,))
+        stretching = Monomial(1.0, 0, (mass, ("electrodes.specific_stiffness", 1)))
         motion = (Product("u_r", "u_r"), Product("u_z", "u_z"))
-        return tuple(Integral(coefficient, face, motion, self.transducer) for face in (self.live, self.ground))
+        stretch = (Product("strain_rr", "strain_rr"), Product("strain_tt", "strain_tt"),
+                   Product("strain_rr", "strain_tt", 2.0 * POISSON))
+        return tuple(Integral(coefficient, face, form, self.transducer) for face in (self.live, self.ground)
+                     for coefficient, form in ((inertia, motion), (stretching, stretch)))
