@@ -17,7 +17,7 @@ from scipy.special import jn_zeros, jv
 sys.path.insert(0, str(Path(__file__).resolve().parent / "benchmarks"))
 
 from concealed import solver, trial
-from concealed.design import random_design
+from concealed.design import draw, random_design
 from concealed.device import STATES, body, seen
 from concealed.mechanisms import CATALOGUED, MECHANISMS, OUTSIDE
 from concealed.media import VACUUM_PERMITTIVITY, Bubbles, Liquid, Medium, Piezo, Solid, Viscous
@@ -159,7 +159,7 @@ def test_detectability_is_what_no_parameter_imitates() -> None:
     tangents, noise = rng.standard_normal((50, 3)), 0.1
 
     def found(change: Real) -> float:
-        return trial.detectability(lambda moves: change - tangents @ moves, tangents, noise)
+        return trial.detectability(lambda moves: change - tangents @ moves, lambda _: tangents, 3, noise)
 
     # A parameter moved by its prior costs at most one standard deviation, however far the spectrum moves.
     assert found(tangents[:, 0]) < 1.0
@@ -170,16 +170,44 @@ def test_detectability_is_what_no_parameter_imitates() -> None:
 
 def test_an_imitation_is_found_where_tangents_do_not_reach() -> None:
     rng = np.random.default_rng(2)
-    tangents, noise = rng.standard_normal((50, 3)), 0.1
-    normal = np.linalg.svd(tangents, full_matrices=True)[0][:, 3]
+    first, noise = rng.standard_normal((50, 3)), 0.1
+    normal = np.linalg.svd(first, full_matrices=True)[0][:, 3]
 
     def spectrum(moves: Real) -> Real:
-        return np.asarray(tangents @ moves + 0.5 * moves[0] ** 2 * normal)
+        return np.asarray(first @ moves + 0.5 * moves[0] ** 2 * normal)
+
+    def tangents(moves: Real) -> Real:
+        return first + np.outer(moves[0] * normal, [1.0, 0.0, 0.0])
 
     concealed = spectrum(np.array([1.0, 0.0, 0.0]))
     # The tangents leave half of the normal, five standard deviations; the parameter itself costs one.
-    assert trial.detectability(lambda moves: concealed - tangents @ moves, tangents, noise) > 5.0
-    assert trial.detectability(lambda moves: concealed - spectrum(moves), tangents, noise) < 1.1
+    assert trial.detectability(lambda moves: concealed - first @ moves, lambda _: first, 3, noise) > 5.0
+    assert trial.detectability(lambda moves: concealed - spectrum(moves), tangents, 3, noise) < 1.0
+
+
+@pytest.mark.slow
+def test_what_known_parameters_do_is_imitated_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solver, "CELLS", 1.0)
+    design = random_design(np.random.default_rng(4), points=41)
+    plain, priors = draw(np.random.default_rng(5), design), design.prior
+    device = trial.Device(design)
+    state = next(s for s in STATES if s.filling == "disc")
+    moved = {**plain, **{name: plain[name] + 1.5 * priors[name] for name in ("pzt/trial.c33", "transducer.thickness")}}
+
+    def at(moves: Real) -> dict[str, float]:
+        return {**plain, **{name: plain[name] + move * prior
+                            for move, (name, prior) in zip(moves.tolist(), priors.items(), strict=True)}}
+
+    def change(moves: Real) -> Real:
+        log = np.log(device.spectrum(moved, {}, state) / device.spectrum(at(moves), {}, state))
+        return np.concatenate([log.real, log.imag])
+
+    whole = float(np.linalg.norm(change(np.zeros(len(priors))))) / design.noise
+    left = trial.detectability(change, lambda moves: device.tangents(at(moves), {}, state), len(priors), design.noise)
+    print(f"thickness and stiffness: {whole:.0f} standard deviations, {left:.2f} of them left")
+    assert whole > 200.0
+    # Moved back by their priors, they cost no more than that.
+    assert left < 1.5 * np.sqrt(2.0)
 
 
 def test_there_are_enough_mechanisms() -> None:

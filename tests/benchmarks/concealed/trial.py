@@ -15,6 +15,7 @@ from concealed.device import EPOXY, GEL, GLASS, PIEZO_CONSTANTS, PLA, PZT, STATE
 from concealed.mechanisms import CATALOGUED, MECHANISMS, NONE, OUTSIDE, Effect
 from concealed.solver import Block, Body, Grid, Model, Reduced, assemble, grid, impedance, project, reduce
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from workbench.spectrum import Origin, Spectrum, write_csv
@@ -25,9 +26,12 @@ Complex = NDArray[np.complex128]
 #: Order of the elements, and how far the reduced model may be off, relative to Z (noise is ten times that or more).
 ORDER, TOLERANCE = 5, 3e-4
 
-#: An imitation takes at most so many steps, until one promises less than this square of a standard deviation, and goes
-#: no further than so many uncertainties of any parameter.
-IMITATED, SETTLED, REACH = 5, 1.0, 10.0
+#: An imitation takes at most so many steps, until one changes less than this share of the square of what is left; the
+#: first of them goes no further than so many uncertainties.
+IMITATED, SETTLED, REACH = 8, 1e-2, 10.0
+
+#: Step of the differences for tangents, in prior uncertainties: small, lest lines of the grid pass one another.
+STEP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -85,19 +89,22 @@ class Device:
         own = np.conj(self.solved(values, defects, state).reduced.impedance(self.design.frequency))
         return seen(values, defects, state, self.design.frequency, own)
 
-    def tangents(self, values: Values, state: State) -> Real:
+    def tangents(self, values: Values, defects: Values, state: State) -> Real:
         """(2 n, parameters) change of the real and imaginary part of ln Z by one prior standard uncertainty each."""
-        base = self.solved(values, {}, state)
-        frequency, reference = self.design.frequency, self.spectrum(values, {}, state)
+        base = self.solved(values, defects, state)
+        frequency = self.design.frequency
+
+        def beside(name: str, shift: float) -> Complex:
+            moved = {**values, name: values[name] + shift}
+            own = base.reduced.impedance(frequency)
+            if not name.startswith("bench."):
+                own = _impedance_beside(base, body(moved, defects, state), frequency)
+            return seen(moved, defects, state, frequency, np.conj(own))
+
         columns = []
         for name, prior in self.design.prior.items():
-            step = 0.02 * prior
-            moved = {**values, name: values[name] + step}
-            if name.startswith("bench."):
-                own = np.conj(base.reduced.impedance(frequency))
-            else:
-                own = np.conj(_impedance_beside(base, body(moved, {}, state), frequency))
-            change = np.log(seen(moved, {}, state, frequency, own) / reference) * (prior / step)
+            # To one side alone they would be off by a standard deviation, where an imitation is of thousands.
+            change = np.log(beside(name, STEP * prior) / beside(name, -STEP * prior)) / (2.0 * STEP)
             columns.append(np.concatenate([change.real, change.imag]))
         return np.array(columns).T
 
@@ -131,26 +138,24 @@ def _moved(old: Block, new: Block, projected: Mapping[str, Real], basis: Real) -
     return {name: matrix + change[name] for name, matrix in projected.items()}
 
 
-def detectability(change: Callable[[Real], Real], tangents: Real, noise: float) -> float:
-    """Length (standard deviations) of what is left of a change of ln Z when parameters with unit priors imitate it as
-    well as they can: `change` (m,) is what is left of it where these have moved by their argument (p,), and `tangents`
-    (m, p) their effects. It is found by steps along the tangents, of which the first one tells what a linear device
-    would leave."""
-    columns = tangents / noise
-    gram = columns.T @ columns + np.eye(columns.shape[1])
-    moves = np.zeros(columns.shape[1])
-    lengths = []
-    for number in range(IMITATED):
-        left = change(moves) / noise
-        lengths.append(float(left @ left + moves @ moves))
-        part = columns.T @ left - moves
-        step = np.linalg.solve(gram, part)
-        if number == 0:
-            lengths.append(lengths[0] - float(part @ step))
-        if float(part @ step) < SETTLED or np.abs(moves + step).max() > REACH:
-            break
-        moves = moves + step
-    return math.sqrt(max(min(lengths), 0.0))
+def detectability(
+    change: Callable[[Real], Real], tangents: Callable[[Real], Real], parameters: int, noise: float
+) -> float:
+    """Length (standard deviations) of what is left of a change of ln Z when `parameters` p with unit priors imitate it
+    as well as they can: `change` (m,) is what is left of it where these have moved by their argument (p,), and
+    `tangents` (m, p) their effects there. Never more than what a linear device would leave."""
+    def slopes(moves: Real) -> Real:
+        return np.concatenate([-tangents(moves) / noise, np.eye(parameters)])
+
+    def lengths(moves: Real) -> Real:
+        return np.concatenate([change(moves) / noise, moves])
+
+    rest = np.zeros(parameters)
+    whole, steep = lengths(rest), slopes(rest)
+    linear = whole - steep @ np.linalg.lstsq(steep, whole)[0]
+    imitated = least_squares(lengths, rest, lambda moves: slopes(moves) if moves.any() else steep, x_scale=REACH,
+                             ftol=SETTLED, max_nfev=IMITATED)
+    return min(float(np.linalg.norm(linear)), float(np.linalg.norm(imitated.fun)))
 
 
 def make_trial(seed: int, mechanism: str | tuple[str, ...], folder: Path, *, points: int = 161) -> Truth:
@@ -195,22 +200,26 @@ def _measured(
         return (), 0.0
     fitted = [state for state in STATES if not state.held_out]
     noise = device.design.noise
-    # States that differ in the drive alone are one body for the tangents.
-    found = {filling: device.tangents(plain, next(s for s in fitted if s.filling == filling))
-             for filling in dict.fromkeys(s.filling for s in fitted)}
-    tangents = np.concatenate([found[state.filling] for state in fitted])
 
     def against(others: tuple[Effect, ...]) -> float:
         values, defects = _hidden(plain, others)
         priors = device.design.prior
 
+        def moved(moves: Real) -> Values:
+            return {**values, **{name: values[name] + float(move) * prior
+                                 for move, (name, prior) in zip(moves, priors.items(), strict=True)}}
+
         def change(moves: Real) -> Real:
-            moved = {**values, **{name: values[name] + float(move) * prior
-                                  for move, (name, prior) in zip(moves, priors.items(), strict=True)}}
-            logs = [np.log(spectra[s.name] / device.spectrum(moved, defects, s)) for s in fitted]
+            logs = [np.log(spectra[s.name] / device.spectrum(moved(moves), defects, s)) for s in fitted]
             return np.concatenate([part for log in logs for part in (log.real, log.imag)])
 
-        return detectability(change, tangents, noise)
+        def tangents(moves: Real) -> Real:
+            # States that differ in the drive alone are one body for the tangents.
+            found = {filling: device.tangents(moved(moves), defects, next(s for s in fitted if s.filling == filling))
+                     for filling in dict.fromkeys(s.filling for s in fitted)}
+            return np.concatenate([found[state.filling] for state in fitted])
+
+        return detectability(change, tangents, len(priors), noise)
 
     def imitated(effect: Effect) -> float:
         # Tangents do not reach far. What only moves a known parameter is that parameter, at the price of its prior.
