@@ -18,7 +18,7 @@ import pytest
 from workbench.cli import main
 from workbench.diagnose.campaign import read_campaign
 from workbench.diagnose.device import Model, model
-from workbench.diagnose.locate import WIDTHS, changes, evidence, located
+from workbench.diagnose.locate import MODE, WIDTHS, changes, evidence, located
 from workbench.diagnose.refit import UNNEEDED
 from workbench.diagnose.score import Tangents
 from workbench.fit.joint import Search
@@ -151,6 +151,31 @@ def test_a_change_of_a_few_cells_is_found_in_their_region(stated: Model, region:
     nothing = located(stated, x, deviation, replace(tangents, left=tangents.projected(noise)), ())
     # Noise alone: the widths were chosen by it, which is worth a sigma or two.
     assert nothing[0][2] < 3.0
+
+
+def test_a_mode_besides_is_found_in_the_transducer(stated: Model) -> None:
+    """One in every body, somewhere else in each and sharper than the points are dense, at 12 sigmas in all."""
+    x = np.array([p.start for p in stated.parameters])
+    free, lifted = stated.free(())
+    search = Search(stated.fitted, free=free, lifted=lifted)
+    here = search.evaluate(x, stated.deviations())
+    hidden, start = np.zeros(here.vector.size), 0
+    for k, state in enumerate(stated.campaign.fitted):
+        frequency = state.measured.frequency
+        # Those of one device: the free disc, the empty chip, and all in which it is filled.
+        ratio = frequency / (frequency[0] + (0.41 + 0.17 * min(k, 2)) * np.ptp(frequency))
+        slope = -stated.fitted.predict(x, k)[0] * 1j * ratio / (1.0 - ratio**2 + 1j * ratio / 250.0) / state.noise
+        hidden[start : start + 2 * frequency.size] = np.concatenate([slope.real, slope.imag])
+        start += 2 * frequency.size
+    tangents = Tangents.at(search, here)
+    hidden = tangents.projected(hidden)
+    noise = tangents.projected(np.random.default_rng(3).standard_normal(hidden.size))
+    found = located(stated, x, stated.deviations(), replace(
+        tangents, left=noise + 12.0 * hidden / np.linalg.norm(hidden)), ())
+    print(found[:3])
+    assert found[0][:2] == ("transducer", MODE)
+    # What it costs to look for it anywhere: an octave of half widths, twice a logarithm of some 500, in each body.
+    assert 9.0 < found[0][2] < 13.0
 
 
 def test_the_evidence_is_that_of_a_normal_residual() -> None:

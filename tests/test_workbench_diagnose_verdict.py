@@ -15,7 +15,7 @@ from workbench.diagnose.score import Score
 
 def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: float = 1.0) -> Any:
     return SimpleNamespace(reduced=reduced, good=good, chi_square=chi_square, strain=strain, correlation=1.0,
-                           cost_of_freedom=0.0)
+                           cost_of_freedom=0.0, evidence=chi_square)
 
 
 def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
@@ -48,8 +48,7 @@ def test_the_best_single_is_looked_for_in_other_basins_where_it_still_hints_at_s
 ) -> None:
     """Before the base is asked for where it led: from a wrong basin no way leads to the base's right one."""
     base, second, hopped = fit(1.5, chi_square=1500.0), fit(1.5, chi_square=1499.0), fit(1.0, True, 1000.0)
-    for each in (best, second, hopped):
-        each.evidence, each.x = each.chi_square, np.zeros(1)
+    best.x = np.zeros(1)
     monkeypatch.setattr(verdict, "_further", lambda *_of: [score(42.0)])
     monkeypatch.setattr(verdict, "gathered_elsewhere", lambda _model, of, _x: hopped if of is best else None)
     monkeypatch.setattr(verdict, "gather", lambda _model, of, _scores: of)
@@ -74,6 +73,16 @@ def test_nothing_else_may_take_much_of_what_an_explanation_leaves(
     base: Any, best: Any, left: float, complete: bool
 ) -> None:
     assert verdict._complete(base, best, left) == complete
+
+
+def test_a_mode_besides_outdoes_an_effect_that_explains_less() -> None:
+    base, best = fit(1.2, chi_square=1200.0), fit(1.1, True, 1180.0)
+    mode = ("transducer", "mode", 6.0)
+    assert verdict._besides(base, best, (mode, ("bond", "loss", 5.0)))
+    # Its square must be ahead of the gain of 20 by 6; patterns of other kinds are what an effect looks like.
+    assert not verdict._besides(base, best, (("transducer", "mode", 5.0), ("bond", "loss", 5.0)))
+    assert not verdict._besides(base, best, (("bond", "loss", 7.0), mode))
+    assert not verdict._besides(base, best, ())
 
 
 @pytest.mark.parametrize(("gain", "numbers", "correlation", "hint"), [

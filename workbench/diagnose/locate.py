@@ -7,17 +7,18 @@ projected out, and the width is that of the largest likelihood of the residual w
 region that needs larger or more intricate patterns is worth less for it. The patches are the same in all states, so
 that what acts in the filled states alone sits in the cavity.
 
-A mode that the axisymmetric model does not have is a resonance of its own in the transducer's admittance; it is looked
-for at any frequency and quality, in every state.
+A mode that the axisymmetric model does not have is a resonance of its own in the transducer's admittance: one in every
+state, those of one body together, at any frequency and of any quality.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from geometry.names import TRANSDUCER, whole
 from workbench.diagnose.device import Model
@@ -34,8 +35,8 @@ Place = tuple[str, str, float]
 #: Patches of a region: along its radius and along its height.
 RADIAL, AXIAL = 8, 2
 
-#: Frequencies and qualities of the modes that are looked for, and what their kind is called.
-MODES, QUALITIES = 40, (60.0, 150.0, 400.0)
+#: Qualities of the modes that are looked for, every half width, and what their kind is called.
+QUALITIES = (60.0, 150.0, 400.0)
 MODE = "mode"
 
 #: Widths of the distribution of changes that are tried, relative.
@@ -56,15 +57,12 @@ def located(
     At x (p,), on bases about it; `scores` are asked of regions without cells (the bench). The square of the standard
     deviations is twice the logarithm of the evidence.
     """
-    columns: dict[tuple[str, str, Hashable], Real] = {}
-    start = 0
-    for seen, recording, spread in zip(cell_changes(model, x), model.fitted.recordings, deviation, strict=True):
-        frequency = recording.measured.frequency
-        rows = slice(start, start + 2 * frequency.size)
-        start = rows.stop
-        for key, slope in (*_patterns(seen), *_modes(seen, frequency)):
+    columns: dict[tuple[str, str, int], Real] = {}
+    states = _rows(model, x, deviation)
+    for state in states:
+        for key, slope in _patterns(state.seen):
             column = columns.setdefault(key, np.zeros(tangents.left.size))
-            column[rows] += np.concatenate([(slope / spread).real, (slope / spread).imag])
+            column[state.rows] += state.weighted(slope)
     keys, projected = list(columns), tangents.projected(np.stack(list(columns.values()), axis=1))
 
     def sigmas(place: str, *kinds: str) -> float:
@@ -74,7 +72,7 @@ def located(
     found: dict[str, tuple[float, str]] = {}
     for region in dict.fromkeys(region for region, _, _ in keys):
         found[region] = (sigmas(region, *KINDS), max(KINDS, key=lambda kind: sigmas(region, kind)))
-    found[TRANSDUCER] = max(found[TRANSDUCER], (sigmas(TRANSDUCER, MODE), MODE))
+    found[TRANSDUCER] = max(found[TRANSDUCER], (float(np.sqrt(_modes(states, tangents))), MODE))
     for region in dict.fromkeys(s.effect.region for s in scores if s.effect.region not in found):
         own = [s for s in scores if s.effect.region == region]
         unit = [column / max(np.linalg.norm(column), 1e-300) for s in own for column in s.tangent.T]
@@ -84,7 +82,31 @@ def located(
     return tuple((region, kind, size) for region, (size, kind) in ranked)
 
 
-def _patterns(seen: Seen) -> Iterator[tuple[tuple[str, str, Hashable], Complex]]:
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A state as predicted, its rows among the data, and its frequency (n,) and standard deviations."""
+
+    seen: Seen
+    rows: slice
+    frequency: Real
+    spread: Real | float
+
+    def weighted(self, slope: Complex) -> Real:
+        """(2 n, ...) change of the data, in standard deviations, by what changes ln Z by `slope` (n, ...)."""
+        spread = np.reshape(self.spread, (-1, *[1] * (slope.ndim - 1)))
+        return np.concatenate([(slope / spread).real, (slope / spread).imag])
+
+
+def _rows(model: Model, x: Real, deviation: Sequence[Real | float]) -> list[_State]:
+    found, start = [], 0
+    for seen, recording, spread in zip(cell_changes(model, x), model.fitted.recordings, deviation, strict=True):
+        frequency = recording.measured.frequency
+        found.append(_State(seen, slice(start, start + 2 * frequency.size), frequency, spread))
+        start += 2 * frequency.size
+    return found
+
+
+def _patterns(seen: Seen) -> Iterator[tuple[tuple[str, str, int], Complex]]:
     """What every patch of a state may be, and d ln Z (n,) by that."""
     for region, patch in _patches(seen.operators):
         cells = np.asarray(seen.operators.mesh.mesh.subdomains[region])
@@ -94,15 +116,31 @@ def _patterns(seen: Seen) -> Iterator[tuple[tuple[str, str, Hashable], Complex]]
                 yield (region, kind, int(number)), np.conj(turn * slopes)
 
 
-def _modes(seen: Seen, frequency: Real) -> Iterator[tuple[tuple[str, str, Hashable], Complex]]:
-    """Modes that a state, and those with the same solution, may have besides, and d ln Z (n,) by them."""
-    for centre in np.linspace(frequency[0], frequency[-1], MODES):
-        for quality in QUALITIES:
-            width = 1j * frequency * centre / quality
-            # d ln Z = -Z dY, in units of the band's mean admittance.
-            slope = -seen.impedance / np.mean(np.abs(seen.impedance)) * width / (centre**2 - frequency**2 + width)
-            for turn in (1.0, 1j):
-                yield (TRANSDUCER, MODE, (id(seen.slopes), centre, quality, turn)), turn * slope
+def _modes(states: Sequence[_State], tangents: Tangents) -> float:
+    """Twice the logarithm of the evidence for a mode besides in every body, each quality and each place as likely."""
+    bodies: dict[int, list[_State]] = {}
+    for state in states:
+        bodies.setdefault(id(state.seen.slopes), []).append(state)
+    found = np.zeros(WIDTHS.size)
+    for body in bodies.values():
+        found += logsumexp([_mode(body, quality, tangents) for quality in QUALITIES], axis=0) - np.log(len(QUALITIES))
+    return max(0.0, 2.0 * float(found.max()))
+
+
+def _mode(body: Sequence[_State], quality: float, tangents: Tangents) -> Real:
+    """Logarithm of the evidence for a mode of that quality in states of one body, for every one of the widths."""
+    low, high = body[0].frequency[0], body[0].frequency[-1]
+    centre = np.geomspace(low, high, 1 + int(np.ceil(2.0 * quality * np.log(high / low))))
+    columns = np.zeros((tangents.left.size, 2, centre.size))
+    for state in body:
+        frequency, impedance = state.frequency[:, None], state.seen.impedance[:, None]
+        width = 1j * frequency * centre / quality
+        # d ln Z = -Z dY, in units of the band's mean admittance.
+        slope = -impedance / np.mean(np.abs(impedance)) * width / (centre**2 - frequency**2 + width)
+        columns[state.rows] = np.stack([state.weighted(slope), state.weighted(1j * slope)], axis=1)
+    projected = tangents.projected(columns.reshape(tangents.left.size, -1)).reshape(columns.shape)
+    found = _by_width(np.moveaxis(projected, -1, 0), tangents.left)
+    return np.asarray(logsumexp(0.5 * found, axis=1) - np.log(centre.size))
 
 
 def evidence(columns: Real, residual: Real) -> float:
@@ -112,12 +150,18 @@ def evidence(columns: Real, residual: Real) -> float:
     noise is of unit size, or of that of the residual where this is larger: a strong effect bends away from all
     tangents, and no pattern is worth more for following it to the last bend.
     """
+    return max(0.0, float(_by_width(columns, residual).max()))
+
+
+def _by_width(columns: Real, residual: Real) -> Real:
+    """(widths, ...) the same of columns (..., m, k) for every width of the distribution."""
     noise = max(1.0, float(residual @ residual) / residual.size)
-    sizes, vectors = np.linalg.eigh(columns.T @ columns / noise)
-    kept = sizes > ROUNDING * max(sizes[-1], 1e-300)
-    along = (vectors[:, kept].T @ (columns.T @ residual) / noise) ** 2 / sizes[kept]
-    ratio = np.outer(WIDTHS**2, sizes[kept])
-    return float(max(0.0, np.max((along * ratio / (1.0 + ratio) - np.log1p(ratio)).sum(axis=1))))
+    turned = np.swapaxes(columns, -1, -2)
+    sizes, vectors = np.linalg.eigh(turned @ columns / noise)
+    kept = sizes > ROUNDING * np.maximum(sizes[..., -1:], 1e-300)
+    along = np.einsum("...ij,...i->...j", vectors, turned @ residual / noise) ** 2 / np.where(kept, sizes, np.inf)
+    ratio = np.multiply.outer(WIDTHS**2, np.where(kept, sizes, 0.0))
+    return np.asarray((along * ratio / (1.0 + ratio) - np.log1p(ratio)).sum(axis=-1))
 
 
 def _patches(operators: FullOperators) -> list[tuple[str, NDArray[np.int64]]]:

@@ -14,7 +14,7 @@ from workbench.diagnose.belong import check_assignment, cleared, each_alone
 from workbench.diagnose.campaign import Campaign
 from workbench.diagnose.catalogue import Effect
 from workbench.diagnose.device import Model
-from workbench.diagnose.locate import Place, located
+from workbench.diagnose.locate import MODE, Place, located
 from workbench.diagnose.refit import (
     GOOD_STATE,
     TRUSTED,
@@ -172,8 +172,9 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
             # The bases are those of the places that were looked at: those of the best fit again.
             singles = _settled(model, singles)
     singles = _hopped(model, base, singles, progress)
-    if singles and gain(base, singles[0]) > NEAR * ACCEPTED:
-        other = without(model, base, singles[0])
+    best = _best(base, singles)
+    if _in_question(base, best):
+        other = without(model, base, best)
         if gain(base, other) > ACCEPTED and leaves_less(other, base, HALF):
             progress("another basin", 0.65)
             base, scores, location, singles = _asked(model, gather(model, other), other.x, progress)
@@ -181,8 +182,8 @@ def diagnose(model: Model, *, progress: Progress = lambda _text, _share: None) -
     pairs: list[Refit] = []
     held_before = predicted(model, base)
     weighed = [(base, held_before)]
-    best = min([base, *singles], key=lambda f: f.evidence)
-    if gain(base, best) > NEAR * ACCEPTED:
+    best = _best(base, singles)
+    if _in_question(base, best):
         if not _complete(base, best, _left(best, _further(model, best))):
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
@@ -234,6 +235,16 @@ def gain(base: Refit, fit: Refit) -> float:
     return _fall(base, fit) - fit.cost_of_freedom + base.cost_of_freedom
 
 
+def _best(base: Refit, fits: Sequence[Refit]) -> Refit:
+    """The fit of the best evidence, which the base may be."""
+    return min([base, *fits], key=lambda f: f.evidence)
+
+
+def _in_question(base: Refit, fit: Refit) -> bool:
+    """Whether the evidence of a fit comes near to what an effect is accepted for (:data:`NEAR`)."""
+    return gain(base, fit) > NEAR * ACCEPTED
+
+
 def _fall(base: Refit, fit: Refit) -> float:
     """By how much the chi-square of a fit is below that of the base, for points that are independent."""
     return (base.chi_square - fit.chi_square) / fit.correlation
@@ -264,6 +275,11 @@ def _left(fit: Refit, further: Sequence[Score], pairs: Sequence[Refit] = ()) -> 
 def _explains(base: Refit, fit: Refit) -> bool:
     """Whether a fit leaves nothing but noise, or next to nothing of what the base leaves, with the known as known."""
     return fit.good or (leaves_less(fit, base, REMNANT) and fit.strain < max(STRAY, REMNANT * base.strain))
+
+
+def _besides(base: Refit, fit: Refit, location: Sequence[Place]) -> bool:
+    """Whether the evidence for a mode that the model does not have is the best there is, and better than a fit's."""
+    return any(kind == MODE and sigmas**2 > gain(base, fit) + RIVAL for _, kind, sigmas in location[:1])
 
 
 def _complete(base: Refit, fit: Refit, left: float) -> bool:
@@ -298,12 +314,10 @@ def _with(fits: Sequence[Refit], old: Refit, new: Refit) -> list[Refit]:
 
 
 def _hopped(model: Model, base: Refit, singles: Sequence[Refit], progress: Progress) -> list[Refit]:
-    """`singles`, best first; that one from another basin where it explains and what it leaves still hints at something.
-    """
+    """`singles`, best first; the best from another basin where it explains and yet leaves a hint at something more."""
     singles = sorted(singles, key=lambda f: f.evidence)
-    if not singles or gain(base, best := singles[0]) <= NEAR * ACCEPTED:
-        return singles
-    if not _explains(base, best) or _quiet(best, _further(model, best)):
+    best = _best(base, singles)
+    if not (_in_question(base, best) and _explains(base, best)) or _quiet(best, _further(model, best)):
         return singles
     progress("other basins", 0.65)
     # The bases are those of the basins that were looked at: those of the best fit again.
@@ -355,8 +369,8 @@ def _near(
         result = refit(model, (scored.effect,), base.x, [scored])
         if result is not None:
             found.append(result)
-    best = min([base, *found], key=lambda f: f.evidence)
-    if gain(base, best) > NEAR * ACCEPTED:
+    best = _best(base, found)
+    if _in_question(base, best):
         progress(f"neighbourhood of {best.name}", 0.6)
         found = _settled(model, found)
     return base, scores, location, found
@@ -390,7 +404,8 @@ def _judged(
     complete = _complete(base, best, left)
     held = _held(model, held_after)
     worse = held - _held(model, held_before)
-    accepted = found and complete and worse < RIVAL
+    outdone = found and _besides(base, best, location)
+    accepted = found and complete and worse < RIVAL and not outdone
     findings = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}."]
     if found:
         findings.append(_closest(base, best, gained, held_before, held_after))
@@ -403,6 +418,9 @@ def _judged(
         if worse >= RIVAL:
             findings.append(f"It predicts the states held out worse than the known parameters alone, by a chi-square "
                             f"of {worse:.1f}: it is not accepted.")
+        if outdone:
+            findings.append("A resonance of the transducer that the model does not have explains more: it is not "
+                            "accepted.")
     chosen = best if accepted else base
     strayed = tuple((name, shift) for name, shift in sorted(chosen.shifts.items(), key=lambda item: -abs(item[1]))
                     if abs(shift) > STRAYED)
