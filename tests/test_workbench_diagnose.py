@@ -159,11 +159,12 @@ def test_a_mode_besides_is_found_in_the_transducer(stated: Model) -> None:
     free, lifted = stated.free(())
     search = Search(stated.fitted, free=free, lifted=lifted)
     here = search.evaluate(x, stated.deviations())
-    hidden, start = np.zeros(here.vector.size), 0
+    hidden, start, own = np.zeros(here.vector.size), 0, dict[str, float]()
     for k, state in enumerate(stated.campaign.fitted):
         frequency = state.measured.frequency
         # Those of one device: the free disc, the empty chip, and all in which it is filled.
-        ratio = frequency / (frequency[0] + (0.41 + 0.17 * min(k, 2)) * np.ptp(frequency))
+        own[state.name] = frequency[0] + (0.41 + 0.17 * min(k, 2)) * np.ptp(frequency)
+        ratio = frequency / own[state.name]
         slope = -stated.fitted.predict(x, k)[0] * 1j * ratio / (1.0 - ratio**2 + 1j * ratio / 250.0) / state.noise
         hidden[start : start + 2 * frequency.size] = np.concatenate([slope.real, slope.imag])
         start += 2 * frequency.size
@@ -175,7 +176,11 @@ def test_a_mode_besides_is_found_in_the_transducer(stated: Model) -> None:
     print(found[:3])
     assert found[0][:2] == ("transducer", MODE)
     # What it costs to look for it anywhere: an octave of half widths, twice a logarithm of some 500, in each body.
-    assert 9.0 < found[0][2] < 13.0
+    assert 9.0 < found[0].sigmas < 13.0
+    assert found[0].modes
+    for mode in found[0].modes:
+        names, _, where = mode.partition(": ")
+        assert float(where.split()[0]) == pytest.approx(own[names.split(", ")[0]] / 1e3, rel=2e-3)
 
 
 def test_the_evidence_is_that_of_a_normal_residual() -> None:

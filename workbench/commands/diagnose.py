@@ -70,7 +70,7 @@ def record(found: Diagnosis) -> dict[str, Any]:
             for i, p in enumerate(found.model.parameters[:found.model.known]) if p.name in found.best.shifts],
         "rivals": [{"effects": [e.name for e in r.refit.effects], "behind": r.behind,
                     "parameters": {n: list(v) for n, v in intervals(r.refit).items()}} for r in found.rivals],
-        "location": [{"region": region, "kind": kind, "sigmas": sigmas} for region, kind, sigmas in found.location],
+        "location": [place._asdict() for place in found.location],
         "before": {s.name: _state(s, state) for s, state in zip(found.nominal, found.campaign.fitted, strict=True)},
         "known_parameters_only": {
             s.name: _state(s, state) for s, state in zip(found.base.states, found.campaign.fitted, strict=True)},
@@ -206,5 +206,6 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
 
 
 def _location(found: Diagnosis) -> Table:
-    return Table(("region", "kind", "sigmas"), tuple(
-        (region, kind, f"{sigmas:.1f}") for region, kind, sigmas in found.location[:LISTED] if np.isfinite(sigmas)))
+    return Table(("region", "kind", "sigmas", "where"), tuple(
+        (place.region, place.kind, f"{place.sigmas:.1f}", "; ".join(place.modes))
+        for place in found.location[:LISTED] if np.isfinite(place.sigmas)))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,6 @@ from workbench.solve import Solution
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Place = tuple[str, str, float]
 
 #: Patches of a region: along its radius and along its height.
 RADIAL, AXIAL = 8, 2
@@ -49,10 +49,22 @@ ROUNDING = 1e-14
 KINDS = {"stiffness": (0, 1.0 + 0j), "mass": (1, 1.0 + 0j), "loss": (0, -1j)}
 
 
+class Place(NamedTuple):
+    """A region, the kind that explains most there, and how much it explains in all, in standard deviations.
+
+    Of a mode, which: its frequency and quality in every state in which there is evidence for one.
+    """
+
+    region: str
+    kind: str
+    sigmas: float
+    modes: tuple[str, ...] = ()
+
+
 def located(
     model: Model, x: Real, deviation: Sequence[Real | float], tangents: Tangents, scores: Sequence[Score]
 ) -> tuple[Place, ...]:
-    """Regions with the kind that explains most there, and how much in all, in standard deviations; best first.
+    """The regions, best first.
 
     At x (p,), on bases about it; `scores` are asked of regions without cells (the bench). The square of the standard
     deviations is twice the logarithm of the evidence.
@@ -69,23 +81,22 @@ def located(
         chosen = [k for k, (region, kind, _) in enumerate(keys) if region == place and kind in kinds]
         return float(np.sqrt(evidence(projected[:, chosen], tangents.left)))
 
-    found: dict[str, tuple[float, str]] = {}
-    for region in dict.fromkeys(region for region, _, _ in keys):
-        found[region] = (sigmas(region, *KINDS), max(KINDS, key=lambda kind: sigmas(region, kind)))
-    found[TRANSDUCER] = max(found[TRANSDUCER], (float(np.sqrt(_modes(states, tangents))), MODE))
+    found = {region: Place(region, max(KINDS, key=lambda kind: sigmas(region, kind)), sigmas(region, *KINDS))
+             for region in dict.fromkeys(region for region, _, _ in keys)}
+    found[TRANSDUCER] = max(found[TRANSDUCER], _modes(states, tangents), key=lambda place: place.sigmas)
     for region in dict.fromkeys(s.effect.region for s in scores if s.effect.region not in found):
         own = [s for s in scores if s.effect.region == region]
         unit = [column / max(np.linalg.norm(column), 1e-300) for s in own for column in s.tangent.T]
-        found[region] = (float(np.sqrt(evidence(tangents.projected(np.stack(unit, axis=1)), tangents.left))),
-                         max(own, key=lambda s: s.gain).effect.kind)
-    ranked = sorted(found.items(), key=lambda item: -item[1][0])
-    return tuple((region, kind, size) for region, (size, kind) in ranked)
+        found[region] = Place(region, max(own, key=lambda s: s.gain).effect.kind,
+                              float(np.sqrt(evidence(tangents.projected(np.stack(unit, axis=1)), tangents.left))))
+    return tuple(sorted(found.values(), key=lambda place: -place.sigmas))
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A state as predicted, its rows among the data, and its frequency (n,) and standard deviations."""
+    """A state as predicted, its name, its rows among the data, its frequency (n,) and its standard deviations."""
 
+    name: str
     seen: Seen
     rows: slice
     frequency: Real
@@ -101,7 +112,7 @@ def _rows(model: Model, x: Real, deviation: Sequence[Real | float]) -> list[_Sta
     found, start = [], 0
     for seen, recording, spread in zip(cell_changes(model, x), model.fitted.recordings, deviation, strict=True):
         frequency = recording.measured.frequency
-        found.append(_State(seen, slice(start, start + 2 * frequency.size), frequency, spread))
+        found.append(_State(recording.name, seen, slice(start, start + 2 * frequency.size), frequency, spread))
         start += 2 * frequency.size
     return found
 
@@ -116,19 +127,26 @@ def _patterns(seen: Seen) -> Iterator[tuple[tuple[str, str, int], Complex]]:
                 yield (region, kind, int(number)), np.conj(turn * slopes)
 
 
-def _modes(states: Sequence[_State], tangents: Tangents) -> float:
-    """Twice the logarithm of the evidence for a mode besides in every body, each quality and each place as likely."""
+def _modes(states: Sequence[_State], tangents: Tangents) -> Place:
+    """The transducer with a mode besides in every body, each quality and each place as likely."""
     bodies: dict[int, list[_State]] = {}
     for state in states:
         bodies.setdefault(id(state.seen.slopes), []).append(state)
-    found = np.zeros(WIDTHS.size)
-    for body in bodies.values():
-        found += logsumexp([_mode(body, quality, tangents) for quality in QUALITIES], axis=0) - np.log(len(QUALITIES))
-    return max(0.0, 2.0 * float(found.max()))
+    tried = [[(quality, *_mode(body, quality, tangents)) for quality in QUALITIES] for body in bodies.values()]
+    worth = [logsumexp([logsumexp(found, axis=1) - np.log(centre.size * len(QUALITIES)) for _, centre, found in each],
+                       axis=0) for each in tried]
+    width = int(np.argmax(np.sum(worth, axis=0)))
+    modes = []
+    for body, each, gained in zip(bodies.values(), tried, worth, strict=True):
+        quality, centre, found = max(each, key=lambda mode: mode[2][width].max())
+        if gained[width] > 0.0:
+            modes.append(f"{', '.join(state.name for state in body)}: {centre[np.argmax(found[width])] / 1e3:.1f} kHz, "
+                         f"Q about {quality:.0f}")
+    return Place(TRANSDUCER, MODE, float(np.sqrt(max(0.0, 2.0 * np.sum(worth, axis=0)[width]))), tuple(modes))
 
 
-def _mode(body: Sequence[_State], quality: float, tangents: Tangents) -> Real:
-    """Logarithm of the evidence for a mode of that quality in states of one body, for every one of the widths."""
+def _mode(body: Sequence[_State], quality: float, tangents: Tangents) -> tuple[Real, Real]:
+    """Frequencies (k,) in Hz, and the logarithm of the evidence (widths, k) for a mode there in states of one body."""
     low, high = body[0].frequency[0], body[0].frequency[-1]
     centre = np.geomspace(low, high, 1 + int(np.ceil(2.0 * quality * np.log(high / low))))
     columns = np.zeros((tangents.left.size, 2, centre.size))
@@ -139,8 +157,7 @@ def _mode(body: Sequence[_State], quality: float, tangents: Tangents) -> Real:
         slope = -impedance / np.mean(np.abs(impedance)) * width / (centre**2 - frequency**2 + width)
         columns[state.rows] = np.stack([state.weighted(slope), state.weighted(1j * slope)], axis=1)
     projected = tangents.projected(columns.reshape(tangents.left.size, -1)).reshape(columns.shape)
-    found = _by_width(np.moveaxis(projected, -1, 0), tangents.left)
-    return np.asarray(logsumexp(0.5 * found, axis=1) - np.log(centre.size))
+    return centre, 0.5 * _by_width(np.moveaxis(projected, -1, 0), tangents.left)
 
 
 def evidence(columns: Real, residual: Real) -> float:

@@ -114,7 +114,7 @@ class Diagnosis:
 
     ``nominal`` the states as stated, ``base`` after the known parameters were fitted, ``best`` with the accepted
     effects (the base itself if none); ``scores`` of all hypotheses at the base; ``singles`` and ``pairs`` refitted;
-    ``location`` (region, kind, sigmas) ranked, where much is missing with regions last that the known parameters
+    ``location`` ranked, where much is missing with regions last that the known parameters
     explain alone (`belong.cleared`); ``held_before`` and ``held_after`` the states held out, by the base and by
     ``best``; ``next_measurement`` in words; ``findings`` plain statements.
     """
@@ -213,7 +213,7 @@ def _asked(
         progress("strong effects", 0.2)
         clear, alone = cleared(model)
         location, singles = afar(model, base, end, alone)
-        location = tuple(sorted(location, key=lambda place: place[0] in clear))
+        location = tuple(sorted(location, key=lambda place: place.region in clear))
     if any(_explains(base, fit) for fit in singles):
         return base, _scores(model, base), location, singles
     base, scores, near, more = _near(model, base, progress)
@@ -279,7 +279,7 @@ def _explains(base: Refit, fit: Refit) -> bool:
 
 def _besides(base: Refit, fit: Refit, location: Sequence[Place]) -> bool:
     """Whether the evidence for a mode that the model does not have is the best there is, and better than a fit's."""
-    return any(kind == MODE and sigmas**2 > gain(base, fit) + RIVAL for _, kind, sigmas in location[:1])
+    return any(place.kind == MODE and place.sigmas**2 > gain(base, fit) + RIVAL for place in location[:1])
 
 
 def _complete(base: Refit, fit: Refit, left: float) -> bool:
@@ -529,9 +529,10 @@ def _statements(
     if ended := best.at_bounds:
         result.append(f"At a bound of what it may be, with a value and an error of little worth: {', '.join(ended)}.")
     if verdict == "unexplained" and location:
-        region, kind, sigmas = location[0]
-        result.append(f"Nothing of the catalogue explains all that is left; most of it looks like {kind} in {region} "
-                      f"({sigmas:.1f} sigmas).")
+        place = location[0]
+        where = f", {'; '.join(place.modes)}" if place.modes else ""
+        result.append(f"Nothing of the catalogue explains all that is left; most of it looks like {place.kind} in "
+                      f"{place.region} ({place.sigmas:.1f} sigmas{where}).")
     if verdict == "below_detection":
         result.append("There is a hint, and not enough to name a cause.")
     correlated = [f"{s.name} ({s.correlation:.1f})" for s in best.states if s.correlation > CORRELATED]
