@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.diagnose import refit, verdict
+from workbench.diagnose.locate import MODE, Place
 from workbench.diagnose.score import Score
 
 
@@ -77,12 +78,15 @@ def test_nothing_else_may_take_much_of_what_an_explanation_leaves(
 
 def test_a_mode_besides_outdoes_an_effect_that_explains_less() -> None:
     base, best = fit(1.2, chi_square=1200.0), fit(1.1, True, 1180.0)
-    mode = ("transducer", "mode", 6.0)
-    assert verdict._besides(base, best, (mode, ("bond", "loss", 5.0)))
+    mode, loss = Place("transducer", MODE, 6.0), Place("bond", "loss", 5.0)
+    assert verdict._besides(base, best, (mode, loss))
     # Its square must be ahead of the gain of 20 by 6; patterns of other kinds are what an effect looks like.
-    assert not verdict._besides(base, best, (("transducer", "mode", 5.0), ("bond", "loss", 5.0)))
-    assert not verdict._besides(base, best, (("bond", "loss", 7.0), mode))
+    assert not verdict._besides(base, best, (mode._replace(sigmas=5.0), loss))
+    assert not verdict._besides(base, best, (loss._replace(sigmas=7.0), mode))
     assert not verdict._besides(base, best, ())
+    # A third of both is 12 and 7.
+    best.correlation = 3.0
+    assert not verdict._besides(base, best, (mode, loss))
 
 
 @pytest.mark.parametrize(("gain", "numbers", "correlation", "hint"), [

@@ -278,8 +278,12 @@ def _explains(base: Refit, fit: Refit) -> bool:
 
 
 def _besides(base: Refit, fit: Refit, location: Sequence[Place]) -> bool:
-    """Whether the evidence for a mode that the model does not have is the best there is, and better than a fit's."""
-    return any(place.kind == MODE and place.sigmas**2 > gain(base, fit) + RIVAL for place in location[:1])
+    """Whether the evidence for a mode that the model does not have is the best there is, and better than a fit's.
+
+    Of residuals that go together under that fit so many points count as one for both.
+    """
+    return any(place.kind == MODE and place.sigmas**2 / fit.correlation > gain(base, fit) + RIVAL
+               for place in location[:1])
 
 
 def _complete(base: Refit, fit: Refit, left: float) -> bool:
