@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.optimize import newton
-from scipy.special import jn_zeros, jv
-
-sys.path.insert(0, str(Path(__file__).resolve().parent / "benchmarks"))
-
 from concealed import solver, trial
 from concealed.design import draw, random_design
 from concealed.device import STATES, body, seen
 from concealed.mechanisms import CATALOGUED, MECHANISMS, OUTSIDE
 from concealed.media import VACUUM_PERMITTIVITY, Bubbles, Liquid, Medium, Piezo, Solid, Viscous
 from concealed.solver import Body, Box, Model, assemble, grid, spectrum, system
+from numpy.typing import NDArray
+from scipy.optimize import newton
+from scipy.special import jn_zeros, jv
 
 from workbench.spectrum import Spectrum
 

@@ -70,7 +70,7 @@ def located(
     deviations is twice the logarithm of the evidence.
     """
     columns: dict[tuple[str, str, int], Real] = {}
-    states = _rows(model, x, deviation)
+    states = _predicted(model, x, deviation)
     for state in states:
         for key, slope in _patterns(state.seen):
             column = columns.setdefault(key, np.zeros(tangents.left.size))
@@ -108,7 +108,7 @@ class _State:
         return np.concatenate([(slope / spread).real, (slope / spread).imag])
 
 
-def _rows(model: Model, x: Real, deviation: Sequence[Real | float]) -> list[_State]:
+def _predicted(model: Model, x: Real, deviation: Sequence[Real | float]) -> list[_State]:
     found, start = [], 0
     for seen, recording, spread in zip(cell_changes(model, x), model.fitted.recordings, deviation, strict=True):
         frequency = recording.measured.frequency
@@ -135,14 +135,15 @@ def _modes(states: Sequence[_State], tangents: Tangents) -> Place:
     tried = [[(quality, *_mode(body, quality, tangents)) for quality in QUALITIES] for body in bodies.values()]
     worth = [logsumexp([logsumexp(found, axis=1) - np.log(centre.size * len(QUALITIES)) for _, centre, found in each],
                        axis=0) for each in tried]
-    width = int(np.argmax(np.sum(worth, axis=0)))
+    whole = np.sum(worth, axis=0)
+    width = int(np.argmax(whole))
     modes = []
     for body, each, gained in zip(bodies.values(), tried, worth, strict=True):
         quality, centre, found = max(each, key=lambda mode: mode[2][width].max())
         if gained[width] > 0.0:
             modes.append(f"{', '.join(state.name for state in body)}: {centre[np.argmax(found[width])] / 1e3:.1f} kHz, "
                          f"Q about {quality:.0f}")
-    return Place(TRANSDUCER, MODE, float(np.sqrt(max(0.0, 2.0 * np.sum(worth, axis=0)[width]))), tuple(modes))
+    return Place(TRANSDUCER, MODE, float(np.sqrt(max(0.0, 2.0 * whole[width]))), tuple(modes))
 
 
 def _mode(body: Sequence[_State], quality: float, tangents: Tangents) -> tuple[Real, Real]:
@@ -171,7 +172,7 @@ def evidence(columns: Real, residual: Real) -> float:
 
 
 def _by_width(columns: Real, residual: Real) -> Real:
-    """(widths, ...) the same of columns (..., m, k) for every width of the distribution."""
+    """Twice the logarithm of that evidence (widths, ...) for every one of the widths, of columns (..., m, k)."""
     noise = max(1.0, float(residual @ residual) / residual.size)
     turned = np.swapaxes(columns, -1, -2)
     sizes, vectors = np.linalg.eigh(turned @ columns / noise)

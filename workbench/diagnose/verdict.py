@@ -114,9 +114,9 @@ class Diagnosis:
 
     ``nominal`` the states as stated, ``base`` after the known parameters were fitted, ``best`` with the accepted
     effects (the base itself if none); ``scores`` of all hypotheses at the base; ``singles`` and ``pairs`` refitted;
-    ``location`` ranked, where much is missing with regions last that the known parameters
-    explain alone (`belong.cleared`); ``held_before`` and ``held_after`` the states held out, by the base and by
-    ``best``; ``next_measurement`` in words; ``findings`` plain statements.
+    ``location`` ranked, where much is missing with regions last that the known parameters explain alone
+    (`belong.cleared`); ``held_before`` and ``held_after`` the states held out, by the base and by ``best``;
+    ``next_measurement`` in words; ``findings`` plain statements.
     """
 
     campaign: Campaign

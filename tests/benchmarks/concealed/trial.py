@@ -93,12 +93,12 @@ class Device:
         """(2 n, parameters) change of the real and imaginary part of ln Z by one prior standard uncertainty each."""
         base = self.solved(values, defects, state)
         frequency = self.design.frequency
+        unmoved = base.reduced.impedance(frequency)
 
         def beside(name: str, shift: float) -> Complex:
             moved = {**values, name: values[name] + shift}
-            own = base.reduced.impedance(frequency)
-            if not name.startswith("bench."):
-                own = _impedance_beside(base, body(moved, defects, state), frequency)
+            other = body(moved, defects, state)
+            own = unmoved if other == base.body else _impedance_beside(base, other, frequency)
             return seen(moved, defects, state, frequency, np.conj(own))
 
         columns = []
@@ -111,8 +111,6 @@ class Device:
 
 def _impedance_beside(base: Solved, other: Body, frequency: Real) -> Complex:
     """Impedance of a body changed a little, on the basis of the one solved: exact to the second order in the change."""
-    if other == base.body:
-        return base.reduced.impedance(frequency)
     cells = grid(other, float(frequency[-1]), counts=base.cells.counts)
     renamed = dict(zip(base.cells.media, cells.media, strict=True))
     blocks = [(renamed.get(medium, medium), projected) for medium, projected in base.reduced.blocks]  # type: ignore[arg-type]
