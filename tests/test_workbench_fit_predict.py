@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import workbench.solve
 from geometry.chip import Chip
+from geometry.mesh import MeshError
 from geometry.stretch import stretch
 from materials.kinds import Material
 from workbench.fit.predict import REACH, Predictor, _Expansion, _Part, moved_chip
@@ -177,7 +178,7 @@ def test_settling_before_anything_is_known_does_nothing(stack: Problem) -> None:
 # Dimensions
 
 
-THICKNESS = "transducer.thickness"
+THICKNESS, RADIUS = "transducer.thickness", "transducer.radius"
 
 
 def everything(expansion: _Expansion) -> _Part:
@@ -185,7 +186,7 @@ def everything(expansion: _Expansion) -> _Part:
     return expansion.part(every, every)
 
 
-@pytest.mark.parametrize("name", [THICKNESS, "transducer.radius", "couplant.thickness"])
+@pytest.mark.parametrize("name", [THICKNESS, RADIUS, "couplant.thickness"])
 def test_the_expansion_in_a_dimension_leaves_out_the_cube(stack: Problem, chip: Chip, name: str) -> None:
     predictor = Predictor(stack, GRID, chip=chip, dimensions=(name,), tolerance=TOLERANCE)
     predictor({})
@@ -212,9 +213,9 @@ def test_the_expansion_in_a_dimension_leaves_out_the_cube(stack: Problem, chip: 
 
 
 def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip) -> None:
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, "transducer.radius"), tolerance=TOLERANCE)
+    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, RADIUS), tolerance=TOLERANCE)
     predictor({})
-    for lengths in ({THICKNESS: 1.9e-3}, {THICKNESS: 2.1e-3, "transducer.radius": 2.9e-3}):
+    for lengths in ({THICKNESS: 1.9e-3}, {THICKNESS: 2.1e-3, RADIUS: 2.9e-3}):
         assert off(predictor, {}, lengths) < OPTIMISM * TOLERANCE
     assert predictor({}, lengths).dimensions == lengths
     # Also where the basis is good enough, which is to say always.
@@ -222,7 +223,7 @@ def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip
     solves = predictor.solves
     for thickness, centre, parabola in ((2.09e-3, 2.1e-3, True), (2.04e-3, 2.04e-3, False), (2.045e-3, 2.04e-3, False),
                                         (2.06e-3, 2.04e-3, True), (2.02e-3, 2.04e-3, True), (1.9e-3, 1.9e-3, False)):
-        predictor({}, {THICKNESS: thickness, "transducer.radius": 2.9e-3})
+        predictor({}, {THICKNESS: thickness, RADIUS: 2.9e-3})
         assert predictor._expansion is not None
         assert predictor._expansion.centre == pytest.approx([centre, 2.9e-3])
         assert bool(predictor._expansion.second) == parabola
@@ -230,10 +231,37 @@ def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip
         # within two the cube, times the quality.
         there = projected(predictor._expansion.model, predictor._operators(np.array([thickness, 2.9e-3])))
         exact = np.conj(there.solve(GRID, stack.values).impedance)
-        error = np.abs(predictor({}, {THICKNESS: thickness, "transducer.radius": 2.9e-3}).impedance / exact - 1.0).max()
+        error = np.abs(predictor({}, {THICKNESS: thickness, RADIUS: 2.9e-3}).impedance / exact - 1.0).max()
         print(f"{thickness:g} about {centre:g}: {error:.1e}")
         assert error < 1e-3
     assert predictor.solves == solves
+
+
+def test_breaks_that_are_close_may_be_neared_and_not_passed(
+    stacked: Callable[..., Chip], filling: dict[str, Material], meshed: Callable[..., Problem]
+) -> None:
+    chip = stacked([("transducer", 2e-3, 3e-3, None), ("couplant", 50e-6, 2.96e-3, None),
+                    ("substrate", 1e-3, 3.5e-3, None)], band=(300e3, 450e3))
+    predictor = Predictor(meshed(chip, filling, elements_per_wavelength=2.0), GRID, chip=chip,
+                          dimensions=(THICKNESS, RADIUS), tolerance=TOLERANCE)
+    for radius in (3e-3, 2.97e-3, 2.961e-3):
+        assert off(predictor, {}, {RADIUS: radius}) < OPTIMISM * TOLERANCE
+    predictor.tolerance = np.inf
+    for radius, centre in ((2.9611e-3, 2.961e-3), (2.975e-3, 2.975e-3), (2.97e-3, 2.975e-3), (3.02e-3, 3.02e-3),
+                           (2.961e-3, 2.961e-3)):
+        found = predictor({}, {RADIUS: radius}).impedance
+        expansion = predictor._expansion
+        assert expansion is not None
+        assert expansion.centre[1] == centre
+        there = projected(expansion.model, predictor._operators(np.array([2e-3, radius])))
+        error = np.abs(found / np.conj(there.solve(GRID, predictor.problem.values).impedance) - 1.0).max()
+        print(f"{radius:g} about {centre:g}: {error:.1e}")
+        # As where there is room.
+        assert error < 1e-3
+    # 2.9599 mm is near enough for any expansion.
+    for passed in (2.96e-3, 2.9599e-3, 3.51e-3):
+        with pytest.raises(MeshError, match=r"the stretch would change|lies between other breaks"):
+            predictor({}, {RADIUS: passed})
 
 
 def test_a_narrowed_basis_follows_the_same_dimensions(stack: Problem, chip: Chip) -> None:
@@ -284,11 +312,11 @@ def test_a_stretched_mesh_predicts_what_a_new_one_does(
 
 
 def test_the_slope_by_a_dimension_is_that_of_full_solves(stack: Problem, chip: Chip) -> None:
-    names = (THICKNESS, "transducer.radius")
+    names = (THICKNESS, RADIUS)
     predictor = Predictor(stack, GRID, chip=chip, dimensions=names, tolerance=1e-10)
-    centre, few = {THICKNESS: 2e-3, "transducer.radius": 3e-3}, SOME[::2]
+    centre, few = {THICKNESS: 2e-3, RADIUS: 3e-3}, SOME[::2]
     predictor({}, centre)
-    for lengths in (centre, {THICKNESS: 2.006e-3, "transducer.radius": 2.99e-3}):
+    for lengths in (centre, {THICKNESS: 2.006e-3, RADIUS: 2.99e-3}):
         prediction = predictor({}, lengths)
         for name in names:
             step = 1e-5 * lengths[name]
@@ -303,7 +331,7 @@ def test_the_slope_by_a_dimension_is_that_of_full_solves(stack: Problem, chip: C
 
 
 def test_the_slope_of_the_expansion_is_its_own_derivative(stack: Problem, chip: Chip) -> None:
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, "transducer.radius"), tolerance=TOLERANCE)
+    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, RADIUS), tolerance=TOLERANCE)
     predictor({})
     expansion = predictor._expansion
     assert expansion is not None
@@ -333,16 +361,16 @@ def test_dimensions_need_a_chip(stack: Problem) -> None:
 
 
 def test_radii_of_one_length_move_together(chip: Chip, small_chip: Chip) -> None:
-    moved = moved_chip(chip, ("transducer.radius", THICKNESS), np.array([3.1e-3, 2.1e-3]))
+    moved = moved_chip(chip, (RADIUS, THICKNESS), np.array([3.1e-3, 2.1e-3]))
     lengths = {name: d.value for name, d in moved.dimensions().items()}
-    assert lengths == {THICKNESS: 2.1e-3, "transducer.radius": 3.1e-3, "couplant.thickness": 5e-5,
+    assert lengths == {THICKNESS: 2.1e-3, RADIUS: 3.1e-3, "couplant.thickness": 5e-5,
                        "couplant.radius": 3.1e-3, "substrate.thickness": 1e-3, "substrate.radius": 3.5e-3}
     # The cavity's radius is of another length, and two lengths named are two lengths.
     wider = moved_chip(small_chip, ("substrate.radius",), np.array([3.6e-3])).dimensions()
     assert [wider[f"{r}.radius"].value for r in ("substrate", "sidewall", "bond", "superstrate")] == [3.6e-3] * 4
-    assert (wider["cavity.radius"].value, wider["transducer.radius"].value) == (1.5e-3, 3e-3)
-    both = moved_chip(chip, ("transducer.radius", "couplant.radius"), np.array([3.1e-3, 2.9e-3])).dimensions()
-    assert (both["transducer.radius"].value, both["couplant.radius"].value) == (3.1e-3, 2.9e-3)
+    assert (wider["cavity.radius"].value, wider[RADIUS].value) == (1.5e-3, 3e-3)
+    both = moved_chip(chip, (RADIUS, "couplant.radius"), np.array([3.1e-3, 2.9e-3])).dimensions()
+    assert (both[RADIUS].value, both["couplant.radius"].value) == (3.1e-3, 2.9e-3)
     # Thicknesses are nobody's but their own.
     thick = moved_chip(small_chip, ("superstrate.thickness",), np.array([1.1e-3])).dimensions()
     assert thick["substrate.thickness"].value == 0.85e-3

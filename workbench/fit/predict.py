@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import SAME_LENGTH, Chip
-from geometry.mesh import SectionMesh
+from geometry.mesh import MeshError, SectionMesh
 from geometry.stretch import stretch
+from inputs import InputError
 from workbench.operators import FullOperators, assemble, coefficients, combined, frequency_groups
 from workbench.physics.term import Integral
 from workbench.problem import Problem
@@ -33,12 +34,12 @@ Integers = NDArray[np.int64]
 #: Reach, relative, of the quadratic expansion of the reduced matrices in a dimension: what it leaves out is the cube.
 REACH = 5e-3
 
-#: Reach of the same expansion where bases are not enriched on the way: what it leaves out there is small beside what
-#: the basis does.
-FAR = 0.02
+#: So many times as far it serves where bases are not enriched on the way: what it leaves out there is small beside
+#: what the basis does.
+FAR = 4.0
 
-#: Step, relative, of a derivative by a dimension where that is all there is: its own error is as small.
-SHORT = 1e-4
+#: Step, in reaches, of a derivative by a dimension where that is all there is: its own error is as small.
+SHORT = 0.02
 
 #: Vectors from each factorisation: for the first model, and when it is enriched, where less is new.
 FIRST_DEPTH, DEPTH = 12, 6
@@ -163,11 +164,11 @@ class _Expansion:
         place = {term: index for index, term in enumerate(self.terms)}
         found: dict[int, dict[int, Real]] = {q: {} for q in every}  # of an integral, the derivatives by some terms
         if not self.second:
-            for i, step in enumerate(SHORT * self.centre):
+            for i, step in enumerate(SHORT * self.reach):
                 for q, by in change(every, (i, step)).items():
                     found[q][place[i,]] = by / step
         else:
-            steps = REACH * self.centre
+            steps = self.reach
             plus = [change(every, (i, step)) for i, step in enumerate(steps)]
             for i, step in enumerate(steps):
                 minus = change(every, (i, -step))
@@ -183,6 +184,28 @@ class _Expansion:
         nothing = np.zeros((0, rank + self.model.sketch.shape[1], rank))
         return {q: _Change(np.array(list(by), dtype=int), np.stack(list(by.values())) if by else nothing)
                 for q, by in found.items()}
+
+    @cached_property
+    def reach(self) -> Real:
+        """How far (d,) the quadratic expansion serves in each dimension: :data:`REACH`, or less where breaks are close.
+
+        At :data:`FAR` times as much, half of what lies between two breaks is left; what they bound changes as one over
+        that. So no expansion serves where breaks have changed places, though two radii move.
+        """
+        def open_to(i: int, step: float) -> bool:
+            lengths = self.centre.copy()
+            lengths[i] += step
+            try:
+                self._mesh(lengths)
+            except (InputError, MeshError):
+                return False
+            return True
+
+        reach = REACH * self.centre
+        for i in range(reach.size):
+            while not all(open_to(i, side * 2.0 * FAR * reach[i]) for side in (-1.0, 1.0)):
+                reach[i] *= 0.8
+        return reach
 
     @property
     def terms(self) -> list[tuple[int, ...]]:
@@ -417,8 +440,8 @@ class Predictor:
 
     def _reaching(self, expansion: _Expansion, lengths: Real) -> _Expansion:
         """An expansion, on the same basis, that serves these lengths."""
-        farthest = float(np.abs(lengths / expansion.centre - 1.0).max(initial=0.0))
-        serves = FAR if expansion.second and not self.enriching else REACH
+        farthest = float((np.abs(lengths - expansion.centre) / expansion.reach).max(initial=0.0))
+        serves = FAR if expansion.second and not self.enriching else 1.0
         if farthest <= serves:
             return expansion
         if farthest <= FAR and not self.enriching:
