@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import CAVITY_LAYERS
 
 from workbench.cli import main
 from workbench.spectrum import Spectrum, write_csv
@@ -22,26 +23,7 @@ density = "7500 kg/m^3"
 thickness = "2 mm"
 radius = "3 mm"
 electrodes = { live = "top" }
-
-[[layers]]
-role = "substrate"
-material = "pla"
-thickness = "0.85 mm"
-radius = "3 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla"
-thickness = "0.72 mm"
-radius = "3 mm"
-cavity_radius = "1.5 mm"
-
-[[layers]]
-role = "superstrate"
-material = "pmma"
-thickness = "1 mm"
-radius = "3 mm"
-
+""" + CAVITY_LAYERS + """
 [states.filled]
 cavity = "water"
 temperature = "20 degC"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import CAVITY_LAYERS, DISC, check_report, standard_json
 
 from geometry.chip import read_chip
 from materials import Fit, Material, Recording, Registry, Value, fitted, save, user_folder
@@ -21,37 +21,7 @@ from workbench.readers import read
 from workbench.simulate import simulate as simulate_state
 from workbench.spectrum import Spectrum, write_csv
 
-DISC = """
-[chip]
-name = "small disc"
-band = ["300 kHz", "450 kHz"]
-
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_initial"
-thickness = "2 mm"
-radius = "3 mm"
-"""
-CELL = DISC.replace("small disc", "small cell") + """
-[[layers]]
-role = "substrate"
-material = "pla"
-thickness = "0.85 mm"
-radius = "3 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla"
-thickness = "0.72 mm"
-radius = "3 mm"
-cavity_radius = "1.5 mm"
-
-[[layers]]
-role = "superstrate"
-material = "pmma"
-thickness = "1 mm"
-radius = "3 mm"
-
+CELL = DISC.replace("small disc", "small cell") + CAVITY_LAYERS + """
 [states.empty]
 cavity = "vacuum"
 
@@ -89,23 +59,6 @@ def _own_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the pictures of fields, for tests of something else."""
     monkeypatch.setattr("workbench.render.gallery.draw_state", lambda *_, **__: [])
-
-
-def standard_json(path: Path) -> Any:
-    def refuse(text: str) -> None:
-        raise AssertionError(f"{text} is not JSON")
-
-    return json.loads(path.read_text(), parse_constant=refuse)
-
-
-def check_report(path: Path) -> str:
-    """The text of a report that needs nothing but itself."""
-    text = path.read_text()
-    assert not re.search(r"(?:https?:)?//", re.sub(r"base64,[^\"]*", "", text))
-    assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="?([^" >]+)', text))
-    assert "<script" not in text
-    assert "<link" not in text
-    return text
 
 
 def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -> None:

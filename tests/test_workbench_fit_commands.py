@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from support import DISC, STACK, check_report, standard_json
 
 from geometry.chip import read_chip
 from materials import Registry
@@ -20,31 +19,6 @@ from workbench.problem import build
 from workbench.reduce import reduce
 from workbench.spectrum import Spectrum, write_csv
 
-DISC = """
-[chip]
-name = "small disc"
-band = ["300 kHz", "450 kHz"]
-
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_initial"
-density = "7500 kg/m^3"
-thickness = { value = "2 mm", tolerance = "10 um" }
-radius = "3 mm"
-"""
-STACK = DISC.replace("small disc", "small stack") + """
-[[layers]]
-role = "couplant"
-material = "coupling_gel"
-thickness = "50 um"
-radius = "3 mm"
-
-[[layers]]
-role = "sample"
-material = "pla"
-thickness = "1 mm"
-radius = "3 mm"
-"""
 MATERIAL = "pzt4/acevedo_2026_initial"
 SMALL = ["--elements-per-wavelength", "3", "--tries", "0"]
 
@@ -80,20 +54,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fit(folder: Path, *more: str, out: Path, kind: str = "pzt", recording: str = "disc.csv") -> int:
     return main(["fit", kind, str(folder / recording), "--chip", str(folder / f"{more[0]}.toml"), *SMALL, *more[1:],
                  "-o", str(out)])
-
-
-def standard_json(path: Path) -> Any:
-    def refuse(text: str) -> None:
-        raise AssertionError(f"{text} is not JSON")
-
-    return json.loads(path.read_text(), parse_constant=refuse)
-
-
-def check_report(path: Path) -> str:
-    text = path.read_text()
-    assert not re.search(r"(?:https?:)?//", re.sub(r"base64,[^\"]*", "", text))
-    assert all(one.startswith("data:image/png;base64,") for one in re.findall(r'src="?([^" >]+)', text))
-    return text
 
 
 def test_a_transducer_is_fitted_reported_and_saved(

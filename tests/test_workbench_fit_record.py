@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import DISC, STACK
 
 from geometry.chip import Chip, read_chip
 from inputs import InputError
@@ -27,31 +28,6 @@ from workbench.problem import build, chip_materials
 from workbench.reduce import reduce
 from workbench.spectrum import Origin, Spectrum, write_csv
 
-DISC = """
-[chip]
-name = "small disc"
-band = ["300 kHz", "450 kHz"]
-
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_initial"
-density = "7500 kg/m^3"
-thickness = { value = "2 mm", tolerance = "10 um" }
-radius = "3 mm"
-"""
-STACK = DISC + """
-[[layers]]
-role = "couplant"
-material = "coupling_gel"
-thickness = "50 um"
-radius = "3 mm"
-
-[[layers]]
-role = "sample"
-material = "pla"
-thickness = "1 mm"
-radius = "3 mm"
-"""
 MATERIAL = "pzt4/acevedo_2026_initial"
 DATE = datetime(2026, 11, 21, 14, 40, tzinfo=UTC)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from support import Wire
 
 from inputs import InputError
 from workbench.instruments import feeltech
@@ -13,31 +14,6 @@ from workbench.instruments.feeltech import AMPLITUDE, FREQUENCY, MODEL, FeelTech
 from workbench.instruments.instrument import GeneratorSettings, InstrumentError, Silence
 from workbench.instruments.simulated_generator import LONGEST, SimulatedGenerator
 from workbench.instruments.transport import Link
-
-
-class Wire:
-    """The simulated generator without a terminal between, and all that was written to it."""
-
-    name = "wire"
-
-    def __init__(self, respond: Callable[[bytes], bytes]) -> None:
-        self.respond = respond
-        self.written: list[bytes] = []
-        self.waiting = b""
-
-    def write(self, data: bytes) -> None:
-        self.written.append(data)
-        self.waiting += self.respond(data.removesuffix(b"\n"))
-
-    def read(self, timeout: float) -> bytes:
-        data, self.waiting = self.waiting, b""
-        return data
-
-    def discard(self) -> None:
-        self.waiting = b""
-
-    def close(self) -> None:
-        pass
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support import Wire
 
 from inputs import InputError
 from workbench.instruments import tektronix
@@ -21,31 +22,6 @@ TONES = {1: Tone(0.7 * np.exp(0.3j), 1e6), 2: Tone(0.03 * np.exp(-0.4j), 1e6)}
 #: A reply of a real TDS2024C.
 CAPTURED = ('1;8;BIN;RI;MSB;2500;"Ch1, DC coupling, 2.0E-1 V/div, 5.0E-7 s/div, 2500 points, Sample mode";Y;2.0E-9;0;'
             '-2.5E-6;"s";8.0E-3;0.0E0;5.0E1;"Volts"')
-
-
-class Wire:
-    """The simulated oscilloscope without a terminal between."""
-
-    name = "wire"
-
-    def __init__(self, respond: Callable[[bytes], bytes]) -> None:
-        self.respond = respond
-        self.written: list[bytes] = []
-        self.waiting = b""
-
-    def write(self, data: bytes) -> None:
-        self.written.append(data.removesuffix(b"\n"))
-        self.waiting += self.respond(self.written[-1])
-
-    def read(self, timeout: float) -> bytes:
-        data, self.waiting = self.waiting, b""
-        return data
-
-    def discard(self) -> None:
-        self.waiting = b""
-
-    def close(self) -> None:
-        pass
 
 
 @pytest.fixture
@@ -258,7 +234,7 @@ def test_nothing_is_set_before_the_identification(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(tektronix, "open_port", lambda _name, baud, timeout: wire)
     with pytest.raises(InstrumentError, match=r"expected TDS 2014B; 'TEKTRONIX,TDS 2024B,.*another model"):
         open_tektronix(replace(SETTINGS, model="TDS 2014B"))
-    assert wire.written == [b"*IDN?"]
+    assert wire.written == [b"*IDN?\n"]
 
 
 def test_opening_asks_for_everything_the_records_need(monkeypatch: pytest.MonkeyPatch, wire: Wire) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import jv, yv
 from skfem import Basis, ElementQuad2
+from support import Held, plate_below_a_layer
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
@@ -18,7 +19,6 @@ from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from workbench.operators import assemble
 from workbench.physics import electrodes, piezoelectric, solid
 from workbench.physics.anisotropy import ADMISSIBLE, TransverseIsotropy
-from workbench.physics.term import Condition, Term
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 
@@ -27,17 +27,6 @@ TERM = TransverseIsotropy("substrate", "pla")
 
 def excesses(axial: complex = 0.0, shear: complex = 0.0, lateral: complex = 0.0) -> dict[str, complex]:
     return {"pla.axial_excess": axial, "pla.shear_excess": shear, "pla.lateral_excess": lateral}
-
-
-@dataclass(frozen=True)
-class Held(Term):
-    """A component is zero on a boundary; for these tests only."""
-
-    component: str
-    boundary: str
-
-    def conditions(self) -> tuple[Condition, ...]:
-        return (Condition(self.component, self.boundary),)
 
 
 def test_the_energy_is_that_of_the_stiffness_matrix(filled: Problem) -> None:
@@ -69,23 +58,7 @@ POLYMER = IsotropicSolid(name="pla", density=1130.0, bulk_modulus=2 / 3 * (1.6e9
 
 
 def impedance(material: Piezoelectric, stiffness: complex) -> NDArray[np.complex128]:
-    """Z (e^{-i w t}) of the plate below a layer of longitudinal modulus `stiffness`, free above.
-
-    u = A sin k z + B cos k z from the plate's middle; the layer pulls with c k_s tan(k_s d) u.
-    """
-    permittivity = material.absolute_eps33
-    h = material.e33 / permittivity
-    stiffened = material.c33 + material.e33**2 / permittivity
-    found = []
-    for omega in 2.0 * np.pi * FREQUENCY:
-        k, beyond = omega * np.sqrt(material.density / stiffened), omega * np.sqrt(POLYMER.density / stiffness)
-        pull = stiffness * beyond * np.tan(beyond * SAMPLE)
-        s, c = np.sin(0.5 * k * DISC), np.cos(0.5 * k * DISC)
-        matrix = np.array([[stiffened * k * c - pull * s, -stiffened * k * s - pull * c],
-                           [stiffened * k * c, stiffened * k * s]])
-        a, _ = np.linalg.solve(matrix, [h, h])
-        found.append((DISC / permittivity - 2.0 * h * a * s) / (-1j * omega * np.pi * RADIUS**2))
-    return np.array(found)
+    return plate_below_a_layer(material, DISC, POLYMER, SAMPLE, RADIUS, FREQUENCY, stiffness)
 
 
 @pytest.mark.parametrize("excess", [0.2, -0.15])

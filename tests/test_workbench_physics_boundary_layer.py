@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, root
 from scipy.special import jn_zeros, jv, jve, jvp, yv, yvp
 from skfem import Basis, ElementQuad2
+from support import Held
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
@@ -21,7 +22,7 @@ from materials.registry import Registry
 from workbench.operators import FullOperators, assemble, coefficients
 from workbench.physics import boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.boundary_layer import ThermalBoundaryLayer, ViscousBoundaryLayer
-from workbench.physics.term import Condition, Term
+from workbench.physics.term import Term
 from workbench.problem import Problem
 from workbench.reduce import reduce
 from workbench.solve import System, solve_full
@@ -32,17 +33,6 @@ Complex = NDArray[np.complex128]
 WATER: dict[str, complex] = {"water.density": 997.0, "water.sound_speed": 1497.0, "water.shear_viscosity": 0.890e-3}
 RADIUS, HEIGHT, OUTER = 1e-3, 0.4e-3, 1.38e-3
 STEEL: dict[str, complex] = {"steel.bulk_modulus": 160e9, "steel.shear_modulus": 80e9, "steel.density": 7800.0}
-
-
-@dataclass(frozen=True)
-class Held(Term):
-    """A component is zero on a boundary; for these tests only."""
-
-    component: str
-    boundary: str
-
-    def conditions(self) -> tuple[Condition, ...]:
-        return (Condition(self.component, self.boundary),)
 
 
 def layer_thickness(omega: complex, values: Mapping[str, complex] = WATER) -> complex:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import root
 from scipy.special import jv, jvp, yv, yvp
 from skfem import Basis, ElementQuad2
+from support import Held
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
@@ -20,24 +21,12 @@ from materials.registry import Registry
 from workbench.operators import FullOperators, assemble
 from workbench.physics import electrodes, piezoelectric, solid
 from workbench.physics.surface_load import ADMISSIBLE, SurfaceLoad
-from workbench.physics.term import Condition, Term
 from workbench.problem import Problem, problem
 from workbench.solve import System, solve_full
 
 RADIUS, THICKNESS = 0.1e-3, 2e-3
 BELOW = SurfaceLoad("electrode_ground", "transducer", "below")
 ABOVE = SurfaceLoad("electrode_live", "transducer", "above")
-
-
-@dataclass(frozen=True)
-class Held(Term):
-    """A component is zero on a boundary; for these tests only."""
-
-    component: str
-    boundary: str
-
-    def conditions(self) -> tuple[Condition, ...]:
-        return (Condition(self.component, self.boundary),)
 
 
 def loads(below: complex, above: complex, *, tangential: complex = 0.0) -> dict[str, complex]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,8 +14,8 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
 from materials.registry import Registry
-from workbench.operators import assemble
-from workbench.problem import Problem, model, problem
+from workbench.operators import FullOperators, assemble
+from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 
 RADIUS, THICKNESS = 1e-3, 2e-3
@@ -122,43 +122,42 @@ def test_a_disc_held_by_its_own_stiffness_has_the_clamped_capacitance(small_disc
 SHORT_CIRCUIT_MODES = (61.46, 72.66, 123.98, 126.09, 150.63, 161.49, 185.75, 201.75, 223.78)
 
 
+Modes = Callable[..., tuple[FullOperators, Mapping[str, complex], NDArray[np.float64]]]
+
+
 @pytest.fixture(scope="module")
-def pzt5a_disc(stacked: Callable[..., Chip]) -> Chip:
-    return stacked([("transducer", 10e-3, 12.5e-3, None)], band=(40e3, 230e3))
+def pzt5a_modes(
+    stacked: Callable[..., Chip], uniform_mesh: Callable[[Chip, float], SectionMesh],
+    modes: Callable[..., NDArray[np.float64]], rows: Callable[..., NDArray[np.int64]],
+) -> Modes:
+    """Operators, values and short-circuit modes (Hz) of that disc, by the length (m) of its elements."""
+    chip = stacked([("transducer", 10e-3, 12.5e-3, None)], band=(40e3, 230e3))
+
+    def found(edge: float, *, near: float = 140e3, count: int = 14) -> tuple[
+            FullOperators, Mapping[str, complex], NDArray[np.float64]]:
+        disc = problem(uniform_mesh(chip, edge), {"transducer": Registry().load("pzt5a/freefem_2020")}, chip.band)
+        operators = assemble(disc.mesh, disc.terms)
+        unknowns = rows(operators, "transducer", "u_r", "u_z", "phi")
+        frequency = modes(operators, disc.values, unknowns, near=near, count=count)
+        return operators, disc.values, frequency[(frequency > 1e3) & (frequency < 230e3)]
+
+    return found
 
 
-def test_a_pzt5a_disc_has_the_published_short_circuit_modes(
-    pzt5a_disc: Chip,
-    uniform_mesh: Callable[[Chip, float], SectionMesh],
-    modes: Callable[..., NDArray[np.float64]],
-    rows: Callable[..., NDArray[np.int64]],
-) -> None:
-    material = Registry().load("pzt5a/freefem_2020")
-    disc = problem(uniform_mesh(pzt5a_disc, 0.7e-3), {"transducer": material}, pzt5a_disc.band)
-    operators = assemble(disc.mesh, disc.terms)
-    found = modes(operators, disc.values, rows(operators, "transducer", "u_r", "u_z", "phi"), near=140e3, count=14)
-    found = found[(found > 1e3) & (found < 230e3)]
+def test_a_pzt5a_disc_has_the_published_short_circuit_modes(pzt5a_modes: Modes) -> None:
+    _, _, found = pzt5a_modes(0.7e-3)
     print("PZT-5A modes (kHz):", np.round(1e-3 * found, 3).tolist())
     # They are printed to 10 Hz, and were computed with elements of 0.5 mm: 1e-4 covers both.
     assert np.abs(1e-3 * found[: len(SHORT_CIRCUIT_MODES)] / SHORT_CIRCUIT_MODES - 1.0).max() < 1e-4
 
 
-def test_the_short_circuit_modes_are_the_poles_of_the_admittance(
-    pzt5a_disc: Chip,
-    uniform_mesh: Callable[[Chip, float], SectionMesh],
-    modes: Callable[..., NDArray[np.float64]],
-    rows: Callable[..., NDArray[np.int64]],
-) -> None:
-    material = Registry().load("pzt5a/freefem_2020")
-    disc = problem(uniform_mesh(pzt5a_disc, 2.5e-3), {"transducer": material}, pzt5a_disc.band)
-    operators = assemble(disc.mesh, disc.terms)
-    found = modes(operators, disc.values, rows(operators, "transducer", "u_r", "u_z", "phi"), near=140e3, count=14)
-    found = found[(found > 1e3) & (found < 230e3)]
+def test_the_short_circuit_modes_are_the_poles_of_the_admittance(pzt5a_modes: Modes) -> None:
+    operators, values, found = pzt5a_modes(2.5e-3)
     poles = []
     for mode in found:
         # Near a pole B = a / (f - f_p) + b: 1 / B changes sign there; three points give a, b and f_p.
         f = mode * np.array([1.0 - 1e-4, 1.0 + 0.5e-4, 1.0 + 1e-4])
-        susceptance = solve_full(operators, f, disc.values).admittance.imag
+        susceptance = solve_full(operators, f, values).admittance.imag
         if susceptance[0] * susceptance[2] < 0.0:  # else odd in z: the voltage does not drive it
             poles.append(_pole(f, susceptance) / mode - 1.0)
     print(f"poles of Y: {len(poles)} of {found.size} modes, relative difference {np.abs(poles).max():.1e}")
@@ -175,22 +174,8 @@ def _pole(f: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     return float(f[1] * (1.0 + p))
 
 
-def test_the_modes_of_the_disc_converge(
-    pzt5a_disc: Chip,
-    uniform_mesh: Callable[[Chip, float], SectionMesh],
-    modes: Callable[..., NDArray[np.float64]],
-    rows: Callable[..., NDArray[np.int64]],
-) -> None:
-    material = Registry().load("pzt5a/freefem_2020")
-    terms = None
-    found = []
-    for edge in (5e-3, 2.5e-3, 1.25e-3, 0.625e-3):
-        mesh = uniform_mesh(pzt5a_disc, edge)
-        terms = model(mesh, {"transducer": material})
-        operators = assemble(mesh, terms)
-        values = problem(mesh, {"transducer": material}, pzt5a_disc.band).values
-        some = modes(operators, values, rows(operators, "transducer", "u_r", "u_z", "phi"), near=90e3, count=6)
-        found.append(some[some > 1e3][:2])
+def test_the_modes_of_the_disc_converge(pzt5a_modes: Modes) -> None:
+    found = [pzt5a_modes(edge, near=90e3, count=6)[2][:2] for edge in (5e-3, 2.5e-3, 1.25e-3, 0.625e-3)]
     errors = np.abs(np.array(found[:-1]) / found[-1] - 1.0)
     order = np.log2(errors[:-1] / errors[1:])
     print("order of the modes of the disc:", np.round(order, 2).tolist())

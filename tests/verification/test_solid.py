@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import j0, j1, jn_zeros
+from support import Held
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from workbench.operators import FullOperators, assemble
 from workbench.physics import electrodes, piezoelectric, solid
-from workbench.physics.term import Condition, Term
+from workbench.physics.term import Term
 
 BULK, SHEAR, DENSITY = 3.6e9, 1.1e9, 1150.0
-
-
-@dataclass(frozen=True)
-class Clamp(Term):
-    """A displacement component held at zero on a boundary; for these tests only."""
-
-    component: str
-    boundary: str
-
-    def conditions(self) -> tuple[Condition, ...]:
-        return (Condition(self.component, self.boundary),)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +33,7 @@ def solid_modes(
     values: dict[str, complex] = {f"pzt.{n}": v for n, v in pzt.parameters().items()}  # type: ignore[attr-defined]
 
     def found(
-        radius: float, thickness: float, edge: float, *, near: float, bulk: float = BULK, clamps: tuple[Clamp, ...] = ()
+        radius: float, thickness: float, edge: float, *, near: float, bulk: float = BULK, clamps: tuple[Held, ...] = ()
     ) -> NDArray[np.float64]:
         chip = stacked([("transducer", thickness, radius, None), ("couplant", thickness, radius, None),
                         ("sample", thickness, radius, None), ("superstrate", thickness, radius, None)], band=(1e5, 1e6))
@@ -61,8 +50,8 @@ def solid_modes(
 
 RADIUS = 4e-3
 #: Both faces slide, or only the rim does.
-FACES = (Clamp("u_z", "couplant|sample"), Clamp("u_z", "sample|superstrate"))
-RIM = (Clamp("u_r", "sample|outside"),)
+FACES = (Held("u_z", "couplant|sample"), Held("u_z", "sample|superstrate"))
+RIM = (Held("u_r", "sample|outside"),)
 
 
 def plane_strain_frequency() -> float:
@@ -113,7 +102,7 @@ def test_a_plate_without_poissons_ratio_vibrates_through_its_thickness(
     # which take away the modes of bending.
     thickness = 1e-3
     exact = np.sqrt(2.0 * SHEAR / DENSITY) / (2.0 * thickness)
-    clamps = (Clamp("u_r", "couplant|sample"), Clamp("u_r", "sample|superstrate"), *RIM)
+    clamps = (Held("u_r", "couplant|sample"), Held("u_r", "sample|superstrate"), *RIM)
     found = solid_modes(1e-3, thickness, 0.125e-3, near=exact, bulk=2.0 * SHEAR / 3.0, clamps=clamps)
     # (k h)^4 / 720 of 8 biquadratic elements on half a wave, halved for the frequency.
     assert np.abs(found / exact - 1.0).min() < 2e-5

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.render.canvas import SIGNED_COLOURS, new_figure, save
-from workbench.render.plots import LINE_COLOURS, SpectrumLike, tidy
+from workbench.render.plots import LINE_COLOURS, SpectrumLike, save_impedance, tidy
 
 Real = NDArray[np.float64]
 
@@ -241,19 +241,7 @@ def draw_gel_study(
     if resonance is not None:
         for axes in (magnitude, phase):
             axes.axvline(resonance / 1e6, color="#666666", linestyle=":", linewidth=1.0)
-    magnitude.set_yscale("log")
-    magnitude.set_ylabel("|Z| (Ω)")
-    magnitude.set_title(title)
-    magnitude.legend(frameon=False)
-    phase.set_ylabel("phase of Z (°)")
-    phase.set_ylim(-100.0, 100.0)
-    phase.set_yticks([-90, -45, 0, 45, 90])
-    phase.set_xlabel("frequency (MHz)")
-    for axes in (magnitude, phase):
-        tidy(axes, both=True)
-    figure.align_ylabels()
-    figure.tight_layout()
-    return save(figure, path)
+    return save_impedance(figure, magnitude, phase, path, title=title)
 
 
 def draw_batch(

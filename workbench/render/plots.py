@@ -15,6 +15,7 @@ from workbench.render.canvas import new_figure, prefixed, role_colour, save, typ
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Distinct in hue and in grey, and to colour-blind eyes (Okabe & Ito 2008).
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -54,6 +55,11 @@ def draw_spectra(
                  if label in measured else {"linestyle": "-", "linewidth": 1.5, "zorder": 2})
         magnitude.plot(megahertz, np.abs(impedance), color=colour, label=label, **style)
         phase.plot(megahertz, np.degrees(np.angle(impedance)), color=colour, **style)
+    return save_impedance(figure, magnitude, phase, path, title=title)
+
+
+def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, title: str) -> Path:
+    """Label what shows |Z| (logarithmic) and its phase over MHz, one above the other, and write `path`."""
     magnitude.set_yscale("log")
     magnitude.set_ylabel("|Z| (Ω)")
     magnitude.set_title(title)

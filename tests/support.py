@@ -1,0 +1,143 @@
+"""What several test files need that is not a fixture: chip files, checks of what is written, terms of a test alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from materials.kinds import IsotropicSolid, Piezoelectric
+from workbench.physics.term import Condition, Term
+
+#: A transducer the size of a pea, as a chip file.
+DISC = """
+[chip]
+name = "small disc"
+band = ["300 kHz", "450 kHz"]
+
+[[layers]]
+role = "transducer"
+material = "pzt4/acevedo_2026_initial"
+density = "7500 kg/m^3"
+thickness = { value = "2 mm", tolerance = "10 um" }
+radius = "3 mm"
+"""
+#: The same with a printed sample on it.
+STACK = DISC.replace("small disc", "small stack") + """
+[[layers]]
+role = "couplant"
+material = "coupling_gel"
+thickness = "50 um"
+radius = "3 mm"
+
+[[layers]]
+role = "sample"
+material = "pla"
+thickness = "1 mm"
+radius = "3 mm"
+"""
+#: What turns a transducer into a chip with a cavity.
+CAVITY_LAYERS = """
+[[layers]]
+role = "substrate"
+material = "pla"
+thickness = "0.85 mm"
+radius = "3 mm"
+
+[[layers]]
+role = "sidewall"
+material = "pla"
+thickness = "0.72 mm"
+radius = "3 mm"
+cavity_radius = "1.5 mm"
+
+[[layers]]
+role = "superstrate"
+material = "pmma"
+thickness = "1 mm"
+radius = "3 mm"
+"""
+
+
+def standard_json(path: Path) -> Any:
+    """What a file holds, which may be no NaN or Infinity."""
+    def refuse(text: str) -> None:
+        raise AssertionError(f"{text} is not JSON")
+
+    return json.loads(path.read_text(), parse_constant=refuse)
+
+
+def check_report(path: Path) -> str:
+    """The text of a report that needs nothing but itself."""
+    text = path.read_text()
+    assert not re.search(r"(?:https?:)?//", re.sub(r"base64,[^\"]*", "", text))
+    assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="?([^" >]+)', text))
+    assert "<script" not in text
+    assert "<link" not in text
+    return text
+
+
+@dataclass(frozen=True)
+class Held(Term):
+    """A component is zero on a boundary."""
+
+    component: str
+    boundary: str
+
+    def conditions(self) -> tuple[Condition, ...]:
+        return (Condition(self.component, self.boundary),)
+
+
+def plate_below_a_layer(
+    plate: Piezoelectric, thickness: float, layer: IsotropicSolid, depth: float, radius: float,
+    frequency: NDArray[np.float64], stiffness: complex | NDArray[np.complex128],
+) -> NDArray[np.complex128]:
+    """Z (e^{-i w t}), (n,), of a plate that vibrates along z alone, below a layer of its own longitudinal modulus.
+
+    `stiffness` is that modulus, one or at every frequency (n,) in Hz. u = A sin k z + B cos k z from the plate's
+    middle; the layer, free above, pulls with c k_s tan(k_s d) u.
+    """
+    permittivity = plate.absolute_eps33
+    h = plate.e33 / permittivity
+    stiffened = plate.c33 + plate.e33**2 / permittivity
+    found = []
+    for omega, own in np.broadcast(2.0 * np.pi * frequency, stiffness):
+        k, beyond = omega * np.sqrt(plate.density / stiffened), omega * np.sqrt(layer.density / own)
+        pull = own * beyond * np.tan(beyond * depth)
+        s, c = np.sin(0.5 * k * thickness), np.cos(0.5 * k * thickness)
+        matrix = np.array([[stiffened * k * c - pull * s, -stiffened * k * s - pull * c],
+                           [stiffened * k * c, stiffened * k * s]])
+        a, _ = np.linalg.solve(matrix, [h, h])
+        found.append((thickness / permittivity - 2.0 * h * a * s) / (-1j * omega * np.pi * radius**2))
+    return np.array(found)
+
+
+class Wire:
+    """A simulated instrument without a terminal between, and the lines that were written to it."""
+
+    name = "wire"
+
+    def __init__(self, respond: Callable[[bytes], bytes]) -> None:
+        self.respond = respond
+        self.written: list[bytes] = []
+        self.waiting = b""
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+        self.waiting += self.respond(data.removesuffix(b"\n"))
+
+    def read(self, timeout: float) -> bytes:
+        data, self.waiting = self.waiting, b""
+        return data
+
+    def discard(self) -> None:
+        self.waiting = b""
+
+    def close(self) -> None:
+        pass
