@@ -459,10 +459,6 @@ class FullOperators:
             parts.append((np.where(rows < 0, self.size, rows), shape))
         return parts
 
-    def reduced(self, basis: Real) -> ReducedOperators:
-        """The same model on the columns of `basis` (size, n), the last of which alone has unit electrode voltage."""
-        return ReducedOperators(self.integrals, self.project(basis))
-
     def matrix(self, constants: Complex) -> NDArray[np.complex128]:
         """The stored entries of sum_q constants_q A_q on :attr:`pattern`: (number of entries,) complex."""
         entries = np.zeros(self.pattern.nnz, dtype=complex)
