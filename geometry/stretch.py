@@ -6,6 +6,7 @@ dimension of the chip becomes a parameter like a modulus: no remeshing, and node
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -37,6 +38,21 @@ def stretch(mesh: SectionMesh, target: Chip | Section) -> SectionMesh:
         ]
     )
     return replace(mesh, mesh=replace(mesh.mesh, doflocs=moved), section=section)
+
+
+def between(chip: Chip, name: str) -> tuple[float, float]:
+    """The lengths (m) on both sides of a dimension of `chip` that no :func:`stretch` takes it past.
+
+    For a radius those of the next breaks of the section; else, and where there is none, zero and infinity. All radii
+    of the same length are taken to change together.
+
+    Raises:
+        KeyError: the chip has no dimension of that name.
+    """
+    value = chip.dimensions()[name].value
+    breaks = cut_section(chip).r_breaks if name.endswith("radius") else (0.0,)
+    return (max(b for b in breaks if b < value - SAME_LENGTH),
+            min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))
 
 
 def velocity(mesh: SectionMesh, chip: Chip, name: str, *together: str) -> NDArray[np.float64]:

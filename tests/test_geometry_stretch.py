@@ -1,5 +1,6 @@
 """A mesh moved with the dimensions of its chip."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from geometry.chip import Chip, Dimension, ElectrodeDisc, read_chip
 from geometry.mesh import MeshError, MeshSize, SectionMesh, mesh_section
 from geometry.section import cut_section
-from geometry.stretch import stretch, velocity
+from geometry.stretch import between, stretch, velocity
 from inputs import InputError
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
@@ -85,6 +86,19 @@ def test_a_stretch_that_would_change_the_topology_is_refused() -> None:
     lid = mesh_section(overhanging, MeshSize(dict.fromkeys(CHIP.regions, 9e3), 1e6))
     with pytest.raises(MeshError, match="between other breaks"):
         stretch(lid, scaled(CHIP, dict.fromkeys(WALLS[:-1], 1.1)))
+
+
+@pytest.mark.parametrize("names", [RIMS, ["cavity.radius"], WALLS, ["bond.thickness"]])
+def test_a_length_stretches_up_to_its_neighbours_and_no_further(names: list[str]) -> None:
+    low, high = between(CHIP, names[0])
+    assert low < CHIP.dimensions()[names[0]].value < high
+    assert math.isfinite(high) == (names in (RIMS, ["cavity.radius"]))
+    step = 0.1 * (CHIP.dimensions()[names[0]].value - low)
+    for inside, outside in ((low + step, low - step), (min(high - step, 1.0), high + step)):
+        stretch(MESH, CHIP.with_dimensions(dict.fromkeys(names, inside)))
+        if math.isfinite(outside):
+            with pytest.raises((MeshError, InputError)):
+                stretch(MESH, CHIP.with_dimensions(dict.fromkeys(names, outside)))
 
 
 def test_a_stretch_onto_a_section_of_other_names_electrodes_or_layers_is_refused() -> None:

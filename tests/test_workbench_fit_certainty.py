@@ -266,7 +266,7 @@ def test_the_profile_of_a_linear_parameter_is_the_quadratic(
 def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     level = 0.1
     # The data want gain = 0.03, a standard error and more above what is admitted.
-    held = (free("gain", high=0.01), free("phase"), free("delay"))
+    held = (replace(free("gain", high=0.01), beyond="short of another"), free("phase"), free("delay"))
     search = made(small_disc, bench, bench(np.array([0.03, 0.0, 0.0]))[0], held, monkeypatch)
     minimum = search.minimise(np.array([-0.5, 0.0, 0.0]), [level], tolerance=1e-10)
     gain, phase, _ = judge(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=True).estimates
@@ -278,7 +278,7 @@ def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem, monkeyp
     exact = 0.03 - np.sqrt(CHI_SQUARE * level**2 / 60.0 + 0.02**2)
     assert gain.low == pytest.approx(exact, abs=0.05 * (0.01 - exact))
     findings = judge(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False).findings
-    assert "bench.gain is held by upper bound 0.01." in findings
+    assert "bench.gain is held by upper bound 0.01, short of another." in findings
 
 
 def test_what_only_their_sum_changes_is_a_direction(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -169,6 +169,14 @@ def test_a_dimension_without_tolerance_was_measured_somehow(chip: Chip) -> None:
     assert wide.low == pytest.approx(5e-6, rel=1e-9)  # a length stays one
 
 
+def test_a_radius_stops_short_of_the_next(chip: Chip) -> None:
+    wider = replace(chip.layers[2], radius=Dimension(3.05e-3))
+    found = dimension_parameter(replace(chip, layers=(*chip.layers[:2], wider)), "transducer.radius")
+    assert (found.low, found.high) == pytest.approx((3e-3 - 150e-6, 3e-3 + 45e-6), rel=1e-12)
+    assert "another radius" in found.beyond
+    assert dimension_parameter(chip, "transducer.radius").beyond == ""
+
+
 def test_a_dimension_stated_as_exact_is_answered_in_the_users_words(chip: Chip) -> None:
     exact = replace(chip.layers[1], thickness=Dimension(50e-6, 0.0))
     with pytest.raises(InputError):

@@ -16,7 +16,7 @@ from materials.kinds import Fluid
 from workbench.diagnose.campaign import Campaign, unit_of, value_of
 from workbench.diagnose.catalogue import Device, Effect, effects, mistaken_length
 from workbench.fit.objective import Objective, Recording
-from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter
+from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter, stretchable
 from workbench.layers import layered
 from workbench.problem import Problem, build, with_boundary_layers
 
@@ -109,7 +109,7 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
     if name.rpartition(".")[2] in LENGTHS:
         limit = mistaken_length(name, value)
         low, high = min(limit.lowest, value - 5.0 * error), max(limit.highest, value + 5.0 * error)
-        return Parameter(name, value, max(low, 0.05 * value), high, error, unit)
+        return Parameter(name, value, *stretchable([s.chip for s in campaign.states], name, low, high), error, unit)
     material = name.removesuffix(LOSS).rpartition(".")[0]
     problem = next(p for p in problems if f"{material}.{_coefficient(name)}" in p.values)
     if any(isinstance(m, Fluid) and m.name == material for m in problem.materials.values()):

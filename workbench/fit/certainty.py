@@ -328,7 +328,7 @@ def profile(
                 trial = bound - sign * 1e-6 * (search.high[index] - search.low[index])
             try:
                 height, other = rise(float(trial), x)
-            except ValueError:  # no admissible point with the parameter there
+            except (ValueError, MeshError):  # no admissible point with the parameter there, or no chip
                 height, other = np.inf, x
             if height > CHI_SQUARE:
                 outside = float(trial)
@@ -468,7 +468,8 @@ def _statements(search: Search, estimates: Sequence[Fitted], undetermined: Seque
     result = []
     for found in estimates:
         if found.at_bound:
-            result.append(f"{found.parameter.name} is held by {found.at_bound}.")
+            beyond = found.parameter.beyond if "bound" in found.at_bound else ""
+            result.append(f"{found.parameter.name} is held by {found.at_bound}{beyond and f', {beyond}'}.")
         if not found.determined:
             result.append(f"{found.parameter.name} is not determined by these data: its interval is that of the prior "
                           f"narrowed to {100 * found.narrowing:.0f} %.")

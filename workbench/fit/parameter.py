@@ -10,12 +10,13 @@ Names say what they are:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geometry.chip import Chip
+from geometry.stretch import between
 from inputs import InputError, nearest_names
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
@@ -42,6 +43,10 @@ POLYMER_LOSS_REACH = 0.3
 
 #: Standard uncertainty of a dimension without a stated tolerance, relative.
 MEASURED = 0.005
+
+#: A length keeps this share of the way to where it would vanish, or meet another (`geometry.stretch`).
+KEPT = 0.1
+BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,8 @@ class Parameter:
 
     ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
     beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``,
-    the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures.
+    the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. ``beyond``
+    tells what to do about a bound that does not come from what is known.
     """
 
     name: str
@@ -95,6 +101,7 @@ class Parameter:
     unit: str
     recordings: tuple[str, ...] = ()
     relative: bool = False
+    beyond: str = ""
 
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:
@@ -200,6 +207,8 @@ def _loss(name: str, coefficient: str, value: complex, material: Material, unit:
 def dimension_parameter(chip: Chip, name: str) -> Parameter:
     """A dimension of a chip: within three tolerances of its value, the tolerance read as the limits of a uniform law.
 
+    A radius does not reach the next one.
+
     Raises:
         InputError: the chip has no such dimension, or states it as exact.
     """
@@ -212,8 +221,22 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
         raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
                          "free")
     prior = MEASURED * found.value if found.tolerance is None else found.tolerance / np.sqrt(3.0)
-    reach = min(max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value), 0.9 * found.value)
-    return Parameter(name, found.value, found.value - reach, found.value + reach, float(prior), "m")
+    reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value)
+    wanted = found.value - reach, found.value + reach
+    low, high = stretchable([chip], name, *wanted)
+    beyond = BEYOND if name.endswith("radius") and (low, high) != wanted else ""
+    return Parameter(name, found.value, low, high, float(prior), "m", beyond=beyond)
+
+
+def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
+    """What is left of the bounds (m) of a dimension where the meshes of those `chips` that have it keep their topology.
+    """
+    for chip in chips:
+        if name in chip.dimensions():
+            value, (before, behind) = chip.dimensions()[name].value, between(chip, name)
+            low = max(low, value - (1.0 - KEPT) * (value - before))
+            high = min(high, value + (1.0 - KEPT) * (behind - value))
+    return low, high
 
 
 def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
