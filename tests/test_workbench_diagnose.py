@@ -66,7 +66,9 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
     assert known["thermal boundary layer", "filled"] < known["viscous boundary layer", "filled"]
     assert {p.name for p in (tmp_path / "out").glob("where_*.png")} == {
         "where_stiffness.png", "where_mass.png", "where_loss.png"}
-    assert "softening with the drive" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "softening with the drive" in report
+    assert all(unit in report for unit in ("GPa", "mm", "kg/m^3"))
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ from workbench.diagnose.element_map import element_map, largest
 from workbench.diagnose.refit import StateFit
 from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, gain, intervals, known_physics
 from workbench.fit.objective import log_ratio
+from workbench.fit.parameter import shown_factor, shown_unit
 from workbench.merit import Figures
 from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report
 from workbench.spectrum import Origin, Spectrum
@@ -167,10 +168,11 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         for s in found.scores[:LISTED]))
     refits = Table(("hypothesis", "fall of chi-square", "evidence", "reduced chi-square", "parameters"), tuple(
         (f.name, f"{found.base.chi_square - f.chi_square:.1f}", f"{gain(found.base, f):.1f}",
-         f"{f.reduced:.3f}", "; ".join(f"{n} = {v:.4g}" for n, v in f.estimate.items()))
+         f"{f.reduced:.3f}", f.in_words())
         for f in (*found.singles, *found.pairs)))
-    moved = Table(("known parameter", "stated", "fitted", "sigmas"), tuple(
-        (p.name, f"{p.start:.5g}", f"{found.best.x[i]:.5g}", f"{found.best.shifts.get(p.name, 0.0):+.2f}")
+    moved = Table(("known parameter", "stated", "fitted", "unit", "sigmas"), tuple(
+        (p.name, *(number(value * shown_factor(p.unit), 5) for value in (p.start, found.best.x[i])),
+         shown_unit(p.unit), f"{found.best.shifts.get(p.name, 0.0):+.2f}")
         for i, p in enumerate(found.model.parameters[:found.model.known])))
     pictures = []
     for fit, before, state in zip(found.best.states, found.nominal, found.campaign.fitted, strict=True):

@@ -23,8 +23,6 @@ from workbench.commands.fit_job import (
     parameter_table,
     run_job,
     shown,
-    shown_factor,
-    shown_unit,
 )
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.fit.batch import (
@@ -38,6 +36,7 @@ from workbench.fit.batch import (
     summarise,
     summary_record,
 )
+from workbench.fit.parameter import shown_factor, shown_unit
 from workbench.fit.prepare import DEFAULT
 from workbench.fit.record import refusals
 from workbench.report import Block, Note, Picture, Table, number, write_json, write_report

@@ -24,6 +24,7 @@ from workbench.fit.batch import Job, Member, Settings, content_key, finished
 from workbench.fit.certainty import Fitted
 from workbench.fit.gel import PUBLISHED, GelCase, gel_study, with_gel
 from workbench.fit.joint import FitResult, fit
+from workbench.fit.parameter import shown_factor, shown_unit
 from workbench.fit.prepare import Prepared, free_region, material_starts, prepare, together, with_material
 from workbench.fit.record import (
     Source,
@@ -42,9 +43,6 @@ from workbench.spectrum import write_csv
 
 #: Called with what is being done and the share of it that is done.
 Progress = Callable[[str, float], None]
-
-#: Units in which numbers are shown, and their factor from SI.
-SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9), "1": ("", 1.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,16 +185,6 @@ def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[st
     if high > low:
         digits = max(digits, math.ceil(math.log10(max(abs(value), abs(low), abs(high)) / (high - low))) + 2)
     return shown(value, unit, digits=digits), f"{shown(low, unit, digits=digits)} to {shown(high, unit, digits=digits)}"
-
-
-def shown_unit(unit: str) -> str:
-    """The unit in which numbers of an SI unit are shown."""
-    return SHOWN.get(unit, (unit, 1.0))[0]
-
-
-def shown_factor(unit: str) -> float:
-    """What brings numbers of an SI unit into the one they are shown in."""
-    return SHOWN.get(unit, (unit, 1.0))[1]
 
 
 def short_name(estimate: Fitted, prepared: Prepared) -> str:

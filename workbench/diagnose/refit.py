@@ -22,6 +22,7 @@ from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
 from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
 from workbench.fit.objective import Objective
+from workbench.fit.parameter import shown_factor, with_unit
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -194,6 +195,15 @@ class Refit:
         value, error = self.estimate[name], self.error[name]
         known = self.search.parameters[index]
         return (float(max(value - DEVIATIONS * error, known.low)), float(min(value + DEVIATIONS * error, known.high)))
+
+    def in_words(self) -> str:
+        """The parameters with their 95 % intervals, in the units they are shown in."""
+        unit = {p.name: p.unit for p in self.search.parameters}
+        said = []
+        for name, value in self.estimate.items():
+            low, high = shown_factor(unit[name]) * np.array(self.interval(name))
+            said.append(f"{name} = {with_unit(value, unit[name])} ({low:.4g} to {high:.4g})")
+        return "; ".join(said)
 
 
 def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:

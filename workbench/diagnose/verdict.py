@@ -501,12 +501,10 @@ def _closest(
     base: Refit, best: Refit, gained: float, held_before: Sequence[StateFit], held_after: Sequence[StateFit]
 ) -> str:
     """What the best hypothesis does, with figures."""
-    numbers = "; ".join(f"{name} = {value:.4g} ({best.interval(name)[0]:.4g} to {best.interval(name)[1]:.4g})"
-                        for name, value in best.estimate.items())
     held = "; ".join(f"{after.name}, held out, from {before.reduced:.3g} to {after.reduced:.3g}"
                      for before, after in zip(held_before, held_after, strict=True))
     return (f"{best.name} brings it from {base.reduced:.3g} to {best.reduced:.3g}{', ' if held else ''}{held}, an "
-            f"evidence of {gained:.1f} (twice the logarithm of the odds): {numbers}.")
+            f"evidence of {gained:.1f} (twice the logarithm of the odds): {best.in_words()}.")
 
 
 def _inexact(model: Model, fit: Refit) -> str:

@@ -83,6 +83,10 @@ UNITS: Mapping[str, str] = {
 }
 
 
+#: Units in which numbers are shown, and their factor from SI.
+SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9), "1": ("", 1.0)}
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A real number a fit may move.
@@ -306,6 +310,21 @@ def placed(values: Mapping[str, complex], numbers: Mapping[str, float]) -> dict[
         old = complex(result[key])
         result[key] = complex(old.real, number) if name.endswith(LOSS) else complex(number, old.imag)
     return result
+
+
+def shown_unit(unit: str) -> str:
+    """The unit in which numbers of an SI unit are shown."""
+    return SHOWN.get(unit, (unit, 1.0))[0]
+
+
+def shown_factor(unit: str) -> float:
+    """What brings numbers of an SI unit into the one they are shown in."""
+    return SHOWN.get(unit, (unit, 1.0))[1]
+
+
+def with_unit(value: float, unit: str) -> str:
+    """A number of an SI unit in words."""
+    return f"{value * shown_factor(unit):.4g} {shown_unit(unit)}".rstrip()
 
 
 def started_at(parameter: Parameter, start: float) -> Parameter:
