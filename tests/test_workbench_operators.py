@@ -91,7 +91,7 @@ def test_reduced_operators_answer_like_the_full_ones(
 ) -> None:
     monkeypatch.setattr("workbench.operators.PRODUCTS", at_once)
     reduced = ReducedOperators(filled_operators.integrals, filled_operators.project(columns))
-    assert reduced.size == 3
+    assert (reduced.size, reduced.integrals) == (3, filled_operators.integrals)
     weights = np.random.default_rng(3).standard_normal((3, 4)).astype(np.complex128)
     states = (columns @ weights).astype(np.complex128)
     expected = filled_operators.quadratic(states, states)

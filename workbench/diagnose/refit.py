@@ -22,7 +22,7 @@ from workbench.fit.certainty import DEVIATIONS, correlation_length
 from workbench.fit.constrained import Minimum
 from workbench.fit.joint import EXPLORATION, NO_END, Search, Weighted
 from workbench.fit.objective import Objective
-from workbench.fit.parameter import shown_factor, with_unit
+from workbench.fit.parameter import shown_factor, shown_unit
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -198,11 +198,12 @@ class Refit:
 
     def in_words(self) -> str:
         """The parameters with their 95 % intervals, in the units they are shown in."""
-        unit = {p.name: p.unit for p in self.search.parameters}
+        units = {p.name: p.unit for p in self.search.parameters}
         said = []
-        for name, value in self.estimate.items():
-            low, high = shown_factor(unit[name]) * np.array(self.interval(name))
-            said.append(f"{name} = {with_unit(value, unit[name])} ({low:.4g} to {high:.4g})")
+        for name, estimate in self.estimate.items():
+            unit = units[name]
+            value, low, high = shown_factor(unit) * np.array([estimate, *self.interval(name)])
+            said.append(f"{name} = {value:.4g} {shown_unit(unit)}".rstrip() + f" ({low:.4g} to {high:.4g})")
         return "; ".join(said)
 
 

@@ -233,11 +233,11 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
 
 
 def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
-    """What is left of the bounds (m) of a dimension where the meshes of those `chips` that have it keep their topology.
-    """
+    """What is left of bounds (m) where the meshes of those `chips` that have the dimension keep their topology."""
     for chip in chips:
-        if name in chip.dimensions():
-            value, (before, behind) = chip.dimensions()[name].value, between(chip, name)
+        known = chip.dimensions()
+        if name in known:
+            value, (before, behind) = known[name].value, between(chip, name)
             low = max(low, value - (1.0 - KEPT) * (value - before))
             high = min(high, value + (1.0 - KEPT) * (behind - value))
     return low, high
@@ -320,11 +320,6 @@ def shown_unit(unit: str) -> str:
 def shown_factor(unit: str) -> float:
     """What brings numbers of an SI unit into the one they are shown in."""
     return SHOWN.get(unit, (unit, 1.0))[1]
-
-
-def with_unit(value: float, unit: str) -> str:
-    """A number of an SI unit in words."""
-    return f"{value * shown_factor(unit):.4g} {shown_unit(unit)}".rstrip()
 
 
 def started_at(parameter: Parameter, start: float) -> Parameter:
