@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Dispersion, DispersiveLaw, Integral, Product, Term
+from workbench.physics.term import Admissible, Dispersion, DispersiveLaw, Integral, Monomial, Product, Term
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -35,20 +35,24 @@ class CouplantShear(Term):
 
         S (s_1 . t_1 + s_2 . t_2) - X (s_1 . t_2 + s_2 . t_1)        s = u_t - grad_t p / (rho w^2), t likewise of v, q
         S = G k cot(k d),  X = G k / sin(k d),  k^2 = rho w^2 / G,  G = G' - i w eta          over the walls 1 and 2
+        + 2 G (v_t . grad_t u_n + u_t . grad_t v_n)       on both walls, n out of the layer
+        - 4/3 i w eta / (rho c^2)^2 p q                   in the layer
 
     next to `fluid.Fluid` and `fluid.SolidFluidContact` on both, e^{-i w t}. grad_t p / (rho w^2) is the displacement of
     the inviscid fluid; what the walls' own displacement differs from it, s, is shear, G s'' + rho w^2 s = 0 between
     s_1 and s_2. Its tractions on the walls are -(S s_1 - X s_2) and -(S s_2 - X s_1), and the flux it carries along the
-    layer follows by symmetry. A layer much thicker than |1 / k| is `boundary_layer.ViscousBoundaryLayer` on either
-    wall; one much thinner a spring of G / d between them. It holds where the layer is thin against the wavelength of
-    sound and its walls move evenly over d; the viscous part of the normal traction, w eta / (rho c^2) of it, is left
-    out.
+    layer follows by symmetry. Walls that tilt shear the layer too: the displacement of the inviscid fluid has no curl,
+    so that its traction is -2 G grad_t u_n, by symmetry a couple on the walls; without it a layer that turns as a whole
+    would resist. Where the layer is squeezed G adds 4/3 of itself to its modulus; of G' the stated speed of sound holds
+    that. A layer much thicker than |1 / k| is `boundary_layer.ViscousBoundaryLayer` on either wall; one much thinner a
+    spring of G / d between them, in G d (|u_2 - u_1| / d + grad_t u_z)^2. It holds where the layer is thin against the
+    wavelength of sound; at its rim, over a width of d, it is as the inviscid one.
 
     The viscosity is given by its root since thick layers feel that: the term vanishes with a finite slope by
     ``<material>.gel_viscosity_root`` (Pa^0.5 s^0.5), eta its square. By ``.gel_shear_modulus`` (Pa) the slope is finite
     where there is some viscosity, and not a number where there is none. See :data:`ADMISSIBLE`; also
-    ``<material>.density`` and ``<region>.thickness`` (m). The walls are the boundaries `lower` and `upper` of the
-    region with the solids `below` and `above`.
+    ``<material>.density``, ``.sound_speed`` and ``<region>.thickness`` (m). The walls are the boundaries `lower` and
+    `upper` of the region, which are horizontal, with the solids `below` and `above`.
     """
 
     region: str
@@ -66,6 +70,9 @@ class CouplantShear(Term):
             return Integral(Dispersion(law, symbols), self.lower, products, self.below, self.region, self.upper,
                             self.above)
 
+        squeezed = ((f"{self.material}.gel_viscosity_root", 2.0), (f"{self.material}.density", -2.0),
+                    (f"{self.material}.sound_speed", -4.0))
+
         # The tangents of facing walls are opposite, which turns the sign of what couples them.
         return (
             of(_own, Product("u_t", "u_t"), Product("u_t_facing", "u_t_facing")),
@@ -74,6 +81,9 @@ class CouplantShear(Term):
             of(_across, Product("u_t", "u_t_facing", 2.0)),
             of(_across_once, Product("u_t", "grad_p_t_facing", -2.0), Product("u_t_facing", "grad_p_t", -2.0)),
             of(_across_twice, Product("grad_p_t", "grad_p_t_facing", 2.0)),
+            # u_n is -u_z below and u_z above.
+            of(_modulus, Product("u_t", "u_z_t", -4.0), Product("u_t_facing", "u_z_t_facing", 4.0)),
+            Integral(Monomial(-4j / 3.0, 1, squeezed), self.region, (Product("p", "p"),)),
         )
 
 
@@ -105,6 +115,14 @@ def _across_once(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mappin
 def _across_twice(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
     """X / (rho w^2)^2 and its derivatives."""
     return _of_pressure(omega, v, _across_once(omega, v))
+
+
+def _modulus(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """G and its derivatives."""
+    root = complex(v["root"])
+    one, nothing = np.ones(omega.shape, dtype=complex), np.zeros(omega.shape, dtype=complex)
+    viscous = np.asarray(-1j * root * omega, dtype=np.complex128)
+    return v["G"] + root * viscous, {"root": 2.0 * viscous, "G": one, "rho": nothing, "d": nothing}
 
 
 def _of_pressure(

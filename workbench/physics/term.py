@@ -48,8 +48,10 @@ _WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "grad_p_z": (("p", "d_z", ""),),
     "u_n": (("u_r", "value", "n_r"), ("u_z", "value", "n_z")),
     "u_t": (("u_r", "value", "t_r"), ("u_z", "value", "t_z")),
+    "u_z_t": (("u_z", "d_r", "t_r"), ("u_z", "d_z", "t_z")),
     "grad_p_t": (("p", "d_r", "t_r"), ("p", "d_z", "t_z")),
     "u_t_facing": (("u_r", "value_facing", "t_r_facing"), ("u_z", "value_facing", "t_z_facing")),
+    "u_z_t_facing": (("u_z", "d_r_facing", "t_r_facing"), ("u_z", "d_z_facing", "t_z_facing")),
     "grad_p_t_facing": (("p", "d_r_facing", "t_r_facing"), ("p", "d_z_facing", "t_z_facing")),
 }
 
