@@ -4,7 +4,8 @@ A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its regi
 ``_3``, ... appended when a role occurs again further up. The holes through the layers together are the region
 :data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
 ``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of
-these within one layer of the stack is ``<place>@<layer>`` (:func:`part`). No other name of a place exists anywhere.
+these within one layer of the stack is ``<place>@<layer>`` (:func:`part`), and a part of that within one column between
+two radii ``<place>@<layer>#<column>``. No other name of a place exists anywhere.
 """
 
 from __future__ import annotations
@@ -38,6 +39,10 @@ PART = "@"
 
 #: In place of a layer: the part of a boundary that lies in a plane of constant z.
 LEVEL = "level"
+
+#: Joins what a part is called and the column, between two radii, or the radius that a part of it is in:
+#: ``cavity@sidewall#0``.
+COLUMN = "#"
 
 #: What a state writes for a cavity with nothing in it: its walls are then traction-free.
 VACUUM = "vacuum"
@@ -74,6 +79,11 @@ def part(place: str, layer: str) -> str:
     return f"{place}{PART}{layer}"
 
 
+def across_columns(place: str) -> str:
+    """Name of the part of which `place` is one column, or `place` itself."""
+    return place.split(COLUMN)[0]
+
+
 def whole(place: str) -> str:
     """Name of the region or boundary of which `place` is a part, or `place` itself."""
-    return place.split(PART)[0]
+    return place.split(PART)[0].split(COLUMN)[0]

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import SAME_LENGTH, Chip
 from geometry.mesh import MeshError, SectionMesh
-from geometry.names import LEVEL, part
+from geometry.names import COLUMN, LEVEL, part
 from geometry.section import Section, cut_section
+
+#: A length that moves keeps this share of the way to where it would vanish, or meet another.
+KEPT = 0.1
 
 
 def stretch(mesh: SectionMesh, target: Chip | Section) -> SectionMesh:
@@ -94,30 +97,86 @@ def velocity(mesh: SectionMesh, chip: Chip, name: str, *together: str) -> NDArra
     )
 
 
-def split_by_layers(mesh: SectionMesh, chip: Chip) -> SectionMesh:
-    """The same mesh that also names the parts of every region and boundary within the layers of the stack.
+@dataclass(frozen=True)
+class Piece:
+    """A part of a region or boundary: its ``name`` on the mesh, the ``layer`` of the stack whose thickness it follows
+    ("" for what lies level), and the two radii (m) of the ``column`` it lies in (None for one that never moves; twice
+    the same for facets along z)."""
+
+    name: str
+    layer: str
+    column: tuple[float, float] | None
+
+
+def tied(chip: Chip) -> dict[str, str]:
+    """Every radius of `chip` by name, with the first name among those of the same length, which move together."""
+    known = {name: each.value for name, each in chip.dimensions().items() if name.endswith("radius")}
+    return {name: next(other for other, length in known.items() if abs(length - value) < SAME_LENGTH)
+            for name, value in known.items()}
+
+
+def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[SectionMesh, dict[str, list[Piece]]]:
+    """The same mesh that also names the parts of every region and boundary that follow a length of the chip.
 
     A region that spans several layers (a cavity through two) has a part for each; of a boundary, the facets along z
-    belong to the layer they stand in and all others to :data:`geometry.names.LEVEL`.
+    belong to the layer they stand in and all others to :data:`geometry.names.LEVEL`. Of these each column of the
+    section that one of the radii `moving` (m) bounds is a part again; so are facets along z at such a radius.
+
+    Returns:
+        the mesh, and the pieces of every place: of regions, boundaries and their parts by layers.
 
     Raises:
-        MeshError: `mesh` is not of this chip.
+        MeshError: `mesh` is not of this chip, or has no break at a radius.
     """
     if cut_section(chip) != mesh.section:
         raise MeshError(f"the mesh is not of chip {chip.name!r} with its present dimensions")
     levels = np.array([layer.z_bottom for layer in chip.layers[1:]])
     names = [layer.region for layer in chip.layers]
-    z = mesh.mesh.p[1]
+    breaks = np.array(mesh.section.r_breaks)
+    follows = np.array([any(abs(each - radius) < SAME_LENGTH for radius in moving) for each in breaks])
+    if follows.sum() != len(set(moving)):
+        raise MeshError(f"the section of {chip.name!r} has breaks at {breaks.tolist()} m, not at every one of "
+                        f"{list(moving)}")
+    lengths = [next((radius for radius in moving if abs(each - radius) < SAME_LENGTH), float(each)) for each in breaks]
+    r, z = mesh.mesh.p
     of_cell = np.searchsorted(levels, z[mesh.mesh.t].mean(axis=0))
-    ends = z[mesh.mesh.facets]
+    ends, radii = z[mesh.mesh.facets], r[mesh.mesh.facets]
     of_facet = np.where(ends[0] == ends[1], -1, np.searchsorted(levels, ends.mean(axis=0)))
+    # Numbers of columns; behind the last one, of radii; -1 for what never moves.
+    last = breaks.size - 1
+    inside = np.array([*(k if follows[k] or follows[k + 1] else -1 for k in range(last)),
+                       *(last + k if follows[k] else -1 for k in range(breaks.size))])
+    middle = np.searchsorted(breaks, r[mesh.mesh.t].mean(axis=0)) - 1
+    standing = np.searchsorted(breaks - 0.5 * SAME_LENGTH, radii[0]) - 1
+    column_of_cell = inside[middle]
+    column_of_facet = inside[np.where(radii[0] == radii[1], last + standing,
+                                      np.searchsorted(breaks, radii.mean(axis=0)) - 1)]
     regions, boundaries = dict(mesh.mesh.subdomains), dict(mesh.mesh.boundaries)
-    for places, layers in ((regions, of_cell), (boundaries, of_facet)):
+    pieces: dict[str, list[Piece]] = {}
+    for places, layers, columns in ((regions, of_cell, column_of_cell), (boundaries, of_facet, column_of_facet)):
         for place, indices in list(places.items()):
+            indices = np.asarray(indices)
+            found: list[Piece] = []
             for layer in np.unique(layers[indices]):
                 name = part(place, LEVEL if layer < 0 else names[layer])
-                places[name] = np.asarray(indices)[layers[indices] == layer]
-    return replace(mesh, mesh=mesh.mesh.with_subdomains(regions).with_boundaries(boundaries))
+                within = indices[layers[indices] == layer]
+                places[name] = within
+                own = []
+                for column in np.unique(columns[within]):
+                    piece = Piece(name, "" if layer < 0 else names[layer], None)
+                    if column >= 0:
+                        sides = ((lengths[column], lengths[column + 1]) if column < last
+                                 else (lengths[column - last],) * 2)
+                        piece = replace(piece, column=sides)
+                    if np.unique(columns[within]).size > 1:
+                        piece = replace(piece, name=f"{name}{COLUMN}{column}")
+                        places[piece.name] = within[columns[within] == column]
+                    own.append(piece)
+                pieces[name] = own
+                found += own
+            # What is in one part only is that part.
+            pieces[place] = [replace(found[0], name=place)] if len(found) == 1 else found
+    return replace(mesh, mesh=mesh.mesh.with_subdomains(regions).with_boundaries(boundaries)), pieces
 
 
 def _require_same_topology(old: Section, new: Section) -> None:

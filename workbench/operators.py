@@ -21,8 +21,9 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine, RefQuad
 
 from geometry.mesh import SectionMesh
-from geometry.names import whole
+from geometry.names import across_columns, whole
 from workbench.elements import Lagrange
+from workbench.factorisation import Factorisation, factorisation
 from workbench.physics.term import (
     COMPONENTS,
     FACING,
@@ -34,6 +35,7 @@ from workbench.physics.term import (
     Monomial,
     Part,
     Product,
+    Radial,
     Term,
     Values,
     factored,
@@ -94,14 +96,16 @@ def coefficients(integrals: tuple[Integral, ...], omega: Real, values: Values) -
 class Place:
     """A region or boundary with its basis functions tabulated at the quadrature points.
 
-    ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``shapes`` maps what
-    is taken of a basis function (``value``, ``d_r``, ``d_z``, ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is
-    set on boundaries. ``elements`` (ne,) are the mesh cells. Where another boundary faces it, its functions are among
-    the nb ones, ``shapes`` has what is taken of them under ``value_facing`` and so on, ``facing_normal`` its normal.
+    ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``radius`` (ne, nq)
+    the radii (m) of the points, ``shapes`` maps what is taken of a basis function (``value``, ``d_r``, ``d_z``,
+    ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells.
+    Where another boundary faces it, its functions are among the nb ones, ``shapes`` has what is taken of them under
+    ``value_facing`` and so on, ``facing_normal`` its normal.
     """
 
     dofs: NDArray[np.int64]
     weights: Real
+    radius: Real
     shapes: Mapping[str, Real]
     elements: NDArray[np.int64]
     normal: Real | None = None
@@ -110,8 +114,12 @@ class Place:
     def of(self, cells: slice) -> Place:
         """A part of the elements."""
         normals = [None if each is None else each[:, cells] for each in (self.normal, self.facing_normal)]
-        return Place(self.dofs[:, cells], self.weights[cells], {kind: s[cells] for kind, s in self.shapes.items()},
-                     self.elements[cells], *normals)
+        return Place(self.dofs[:, cells], self.weights[cells], self.radius[cells],
+                     {kind: s[cells] for kind, s in self.shapes.items()}, self.elements[cells], *normals)
+
+    def measure(self, radial: Radial | None) -> Real:
+        """The weights (ne, nq) with a further factor of the measure."""
+        return self.weights if radial is None else self.weights * radial(self.radius)
 
     def factor(self, name: str) -> Real:
         normal = self.facing_normal if name.endswith(FACING) else self.normal
@@ -150,7 +158,8 @@ def _touching(mesh: SectionMesh, facets: NDArray[np.int64], cells: NDArray[np.bo
 def _volume_place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | None) -> Place | None:
     region, beyond = integral.place, integral.beyond
     cells = np.asarray(mesh.mesh.subdomains[region])
-    whole = mesh.mesh.p[0, mesh.mesh.t[:, cells]].max()
+    # Of the whole region, of which this may be a column.
+    edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[across_columns(region)])]].max()
     if integral.skin:
         cells = _skin(mesh, cells, integral)
     if within is not None:
@@ -162,7 +171,7 @@ def _volume_place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool
     # The share of each cell's width that lies inside the radius from which on the place begins.
     if not 0.0 <= beyond < 1.0:
         raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
-    left_out = np.clip((beyond * whole - inner) / (outer - inner), 0.0, 1.0)
+    left_out = np.clip((beyond * edge - inner) / (outer - inner), 0.0, 1.0)
     if left_out.min() > 1.0 - SAME_SHAPE:
         return None
     # So many Gauss points integrate r times a product of two functions exactly: of order two nine.
@@ -191,7 +200,7 @@ def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> ND
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
     """Some cells, at local points (2, nq) of weights (nq,)."""
     dofs, shapes, r, (width, height) = _tabulated(mesh, cells, points)
-    return Place(dofs, 2.0 * np.pi * r * (width * height)[:, None] * weights, shapes, cells)
+    return Place(dofs, 2.0 * np.pi * r * (width * height)[:, None] * weights, r, shapes, cells)
 
 
 def _tabulated(
@@ -220,7 +229,8 @@ def _together(parts: Sequence[Place]) -> Place:
     shapes = {kind: np.concatenate([part.shapes[kind] for part in parts]) for kind in parts[0].shapes}
     normals = [part.normal for part in parts if part.normal is not None]
     return Place(np.concatenate([part.dofs for part in parts], axis=1),
-                 np.concatenate([part.weights for part in parts]), shapes,
+                 np.concatenate([part.weights for part in parts]),
+                 np.concatenate([part.radius for part in parts]), shapes,
                  np.concatenate([part.elements for part in parts]),
                  np.concatenate(normals, axis=1) if normals else None)
 
@@ -250,7 +260,8 @@ def _facing_place(near: Place, far: Place) -> Place:
     shapes = {kind: np.concatenate([s, np.zeros_like(far.shapes[kind])], axis=2) for kind, s in near.shapes.items()}
     shapes |= {kind + FACING: np.concatenate([np.zeros_like(near.shapes[kind]), s], axis=2)
                for kind, s in far.shapes.items()}
-    return Place(np.concatenate([near.dofs, far.dofs]), near.weights, shapes, near.elements, near.normal, far.normal)
+    return Place(np.concatenate([near.dofs, far.dofs]), near.weights, near.radius, shapes, near.elements, near.normal,
+                 far.normal)
 
 
 #: Of the sides of a cell in the order of the mesh: the local coordinate that is fixed there, where, and the normal.
@@ -272,13 +283,13 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
         dofs, shapes, r, size = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
         # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
         kept = np.flatnonzero(indices[:, fixed] == end * mesh.order)
-        parts.append(Place(dofs[kept], 2.0 * np.pi * r * size[1 - fixed][:, None] * weights,
+        parts.append(Place(dofs[kept], 2.0 * np.pi * r * size[1 - fixed][:, None] * weights, r,
                            {kind: s[:, :, kept] for kind, s in shapes.items()}, owners[chosen],
                            np.array(normal)[:, None, None] * outwards[chosen][:, None] * np.ones(r.shape)))
         order.append(chosen)
     whole, back = _together(parts), np.argsort(np.concatenate(order))
     assert whole.normal is not None
-    return Place(np.ascontiguousarray(whole.dofs[:, back]), whole.weights[back],
+    return Place(np.ascontiguousarray(whole.dofs[:, back]), whole.weights[back], whole.radius[back],
                  {kind: np.ascontiguousarray(s[back]) for kind, s in whole.shapes.items()}, owners,
                  whole.normal[:, back])
 
@@ -345,7 +356,8 @@ class FullOperators:
                     0.5 * p.weight * (lefts[p.row] * rights[p.column] + lefts[p.column] * rights[p.row])
                     for p in integral.products
                 )
-                result[self._index[id(integral)]] = np.einsum("eqn,eq->en", density, place.weights)
+                weights = place.measure(integral.radial)
+                result[self._index[id(integral)]] = np.einsum("eqn,eq->en", density, weights)
         return tuple(result[q] for q in range(len(self.integrals)))
 
     def of(self, integrals: NDArray[np.int64]) -> FullOperators:
@@ -397,22 +409,25 @@ class FullOperators:
         for place_name, place in places.items():
             group = self._by_place[place_name]
             used = _operators_of(group)
-            grams = {_pair(p): np.zeros((columns.shape[1], count)) for integral in group for p in integral.products}
+            grams = {(*_pair(p), integral.radial): np.zeros((columns.shape[1], count))
+                     for integral in group for p in integral.products}
             for start in range(0, len(place.weights), TOGETHER):
                 cells = place.of(slice(start, start + TOGETHER))
                 root = np.sqrt(cells.weights)[:, :, None]
                 seen = {name: (root * values).reshape(cells.weights.size, -1)
                         for name, values in self.evaluate(cells, used, columns).items()}
-                for (row, column), gram in grams.items():
+                for (row, column, radial), gram in grams.items():
                     one, other = seen[row], seen[column]
+                    if radial is not None:
+                        other = radial(cells.radius).reshape(-1, 1) * other
                     gram[:count] += one[:, :count].T @ other[:, :count]
                     below = one[:, count:].T @ other[:, :count]
-                    gram[count:] += below if one is other else 0.5 * (below + other[:, count:].T @ one[:, :count])
+                    gram[count:] += below if row == column else 0.5 * (below + other[:, count:].T @ one[:, :count])
             for gram in grams.values():
                 gram[:count] = 0.5 * (gram[:count] + gram[:count].T)
             for integral in group:
                 for p in integral.products:
-                    result[self._index[id(integral)]] += p.weight * grams[_pair(p)]
+                    result[self._index[id(integral)]] += p.weight * grams[*_pair(p), integral.radial]
         return result
 
     def images(self, state: Complex, constants: Complex) -> Complex:
@@ -428,17 +443,20 @@ class FullOperators:
             used = _operators_of(group)
             seen = self.evaluate(place, used, state[:, None])
             columns = np.concatenate([seen[name].reshape(-1, 1) for name in used], axis=1)
-            # What is tested with each operator, as a combination of the operators seen.
-            mixed = np.zeros((len(used), len(used), acting.size), dtype=complex)
+            # What is tested with each operator under each measure, as a combination of the operators seen.
+            mixed: dict[tuple[str, Radial | None], Complex] = {}
             for integral, weights in zip(group, of_group[:, acting], strict=True):
+                if not weights.any():
+                    continue
                 for p in integral.products:
                     for row, column in ((p.row, p.column), (p.column, p.row)):
-                        mixed[used.index(row), used.index(column)] += 0.5 * p.weight * weights
+                        key = row, integral.radial
+                        if key not in mixed:
+                            mixed[key] = np.zeros((len(used), acting.size), dtype=complex)
+                        mixed[key][used.index(column)] += 0.5 * p.weight * weights
             rows, forces = [], []
-            for name, combination in zip(used, mixed, strict=True):
-                if not combination.any():
-                    continue
-                flux = place.weights[:, :, None] * (columns @ combination).reshape(*place.weights.shape, -1)
+            for (name, radial), combination in mixed.items():
+                flux = place.measure(radial)[:, :, None] * (columns @ combination).reshape(*place.weights.shape, -1)
                 parts = np.concatenate([flux.real, flux.imag], axis=2)  # shapes are real, and so are these products
                 for unknowns, shape in self._test(name, place):
                     rows.append(unknowns)
@@ -461,34 +479,42 @@ class FullOperators:
 
     def matrix(self, constants: Complex) -> NDArray[np.complex128]:
         """The stored entries of sum_q constants_q A_q on :attr:`pattern`: (number of entries,) complex."""
-        entries = np.zeros(self.pattern.nnz, dtype=complex)
-        offset = 0
+        upper = np.zeros(self._pattern.upper, dtype=complex)
         for place_name, group in self._by_place.items():
-            place = self.places[place_name]
-            components = self._components(group)
-            nb, count = place.dofs.shape
-            shape = (count, len(components) * nb, len(components) * nb)
-            positions = self._positions[offset : offset + math.prod(shape)]
-            offset += positions.size
             kinds = self._kinds(group, constants)
             if not kinds:
                 continue
-            block = np.zeros(shape, dtype=complex)
-            for (a, b), weights in kinds.items():
-                self._add_block(block, place, components, a, b, weights)
-            flat, kept = block.ravel(), positions >= 0
-            for part, unit in ((flat.real, 1.0), (flat.imag, 1j)):
-                if part.any():
-                    entries += unit * np.bincount(positions[kept], part[kept], minlength=entries.size)
-        return entries
+            for block in self._blocks[place_name]:
+                weights = np.array([kinds.get(key, 0.0) for key in block.keys])
+                if weights.any():
+                    upper[block.positions] += combined(weights, block.entries)
+        return upper[self._pattern.mirror]
+
+    @property
+    def pattern(self) -> sparse.csc_matrix:
+        """The symmetric sparsity pattern (size, size) with all ones, sorted indices."""
+        return self._pattern.matrix
+
+    @cached_property
+    def free(self) -> Free:
+        """The part of :attr:`pattern` without the electrode, which every solve factorises."""
+        whole = self.pattern
+        column = np.repeat(np.arange(self.size, dtype=np.int32), np.diff(whole.indptr))
+        inside = (whole.indices < self.size - 1) & (column < self.size - 1)
+        entries = np.flatnonzero(inside)
+        rows, columns = whole.indices[entries], column[entries]
+        starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.size - 1))]).astype(np.int32)
+        pattern = sparse.csc_matrix((np.ones(entries.size, dtype=np.float32), rows, starts),
+                                    shape=(self.size - 1, self.size - 1))
+        return Free(pattern, entries, factorisation(pattern))
 
     def _components(self, group: Iterable[Integral]) -> list[str]:
         used = {part[0] for i in group for p in i.products for name in (p.row, p.column) for part in OPERATORS[name]}
         return [c for c in COMPONENTS if c in used]
 
-    def _kinds(self, group: list[Integral], constants: Complex) -> dict[tuple[Part, Part], complex]:
-        """Coefficient of every pair of operator parts: {(row part, column part): constant}, symmetrised."""
-        pairs: dict[tuple[Part, Part], complex] = {}
+    def _kinds(self, group: list[Integral], constants: Complex) -> dict[_Kind, complex]:
+        """Coefficient of every pair of operator parts under every measure; each pair counts once for both orders."""
+        pairs: dict[_Kind, complex] = {}
         for integral in group:
             constant = complex(constants[self._index[id(integral)]])
             if constant == 0.0:
@@ -496,31 +522,47 @@ class FullOperators:
             for p in integral.products:
                 for a in OPERATORS[p.row]:
                     for b in OPERATORS[p.column]:
-                        for key in ((a, b), (b, a)):
-                            pairs[key] = pairs.get(key, 0.0) + 0.5 * p.weight * constant
+                        key = (min(a, b), max(a, b), integral.radial)
+                        pairs[key] = pairs.get(key, 0.0) + p.weight * constant
         return pairs
 
-    def _add_block(
-        self,
-        block: Complex,
-        place: Place,
-        components: list[str],
-        a: Part,
-        b: Part,
-        constant: complex,
-    ) -> None:
-        weights = place.weights
-        for part in (a, b):
-            if part[2]:
-                weights = weights * place.factor(part[2])
-        nb = place.dofs.shape[0]
-        rows = slice(components.index(a[0]) * nb, (components.index(a[0]) + 1) * nb)
-        columns = slice(components.index(b[0]) * nb, (components.index(b[0]) + 1) * nb)
-        product = place.shapes[a[1]].transpose(0, 2, 1) @ (weights[:, :, None] * place.shapes[b[1]])
-        block[:, rows, columns] += constant * product
+    @cached_property
+    def _blocks(self) -> dict[str, list[_Block]]:
+        """The real matrices that :meth:`matrix` combines, by place: of every pair of parts under every measure."""
+        found: dict[str, list[_Block]] = {}
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            by_components: dict[tuple[str, str], list[_Kind]] = {}
+            kinds = {(min(a, b), max(a, b), integral.radial) for integral in group for p in integral.products
+                     for a in OPERATORS[p.row] for b in OPERATORS[p.column]}
+            for kind in sorted(kinds, key=repr):
+                by_components.setdefault((kind[0][0], kind[1][0]), []).append(kind)
+            found[place_name] = [self._block(place, pair, kinds) for pair, kinds in by_components.items()]
+        return found
+
+    def _block(self, place: Place, components: tuple[str, str], kinds: list[_Kind]) -> _Block:
+        rows, columns = (self.numbering[component][place.dofs].T for component in components)  # (ne, nb) each
+        rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
+        kept = ((rows >= 0) & (columns >= 0)).ravel()
+        positions, inverse = np.unique(self._pattern.position(rows.ravel()[kept], columns.ravel()[kept]),
+                                       return_inverse=True)
+        # What is off the diagonal of the whole is counted on both sides of it; unknowns may be shared (an electrode).
+        twice = np.where((rows != columns).ravel()[kept], 1.0, 2.0)
+        entries = np.empty((len(kinds), positions.size))
+        for k, (a, b, radial) in enumerate(kinds):
+            weights = place.measure(radial)
+            for part in (a, b):
+                if part[2]:
+                    weights = weights * place.factor(part[2])
+            product = place.shapes[a[1]].transpose(0, 2, 1) @ (weights[:, :, None] * place.shapes[b[1]])
+            if components[0] == components[1]:
+                # Its two triangles fall on one.
+                product = 0.5 * (product + product.transpose(0, 2, 1))
+            entries[k] = 0.5 * np.bincount(inverse, weights=product.ravel()[kept] * twice, minlength=positions.size)
+        return _Block(kinds, positions, entries)
 
     @cached_property
-    def _element_indices(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _pattern(self) -> _Pattern:
         rows, columns = [], []
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
@@ -528,29 +570,66 @@ class FullOperators:
             shape = (local.shape[0], local.shape[1], local.shape[1])
             rows.append(np.broadcast_to(local[:, :, None], shape).ravel())
             columns.append(np.broadcast_to(local[:, None, :], shape).ravel())
-        return np.concatenate(rows), np.concatenate(columns)
+        return _Pattern.of(np.concatenate(rows), np.concatenate(columns), self.size)
 
-    @cached_property
-    def pattern(self) -> sparse.csc_matrix:
-        """The symmetric sparsity pattern (size, size) with all ones, sorted indices."""
-        rows, columns = self._element_indices
-        kept = (rows >= 0) & (columns >= 0)
-        ones = np.ones(int(kept.sum()), dtype=np.float32)
-        pattern = sparse.coo_matrix((ones, (rows[kept], columns[kept])), shape=(self.size, self.size)).tocsc()
-        pattern.sort_indices()
-        return pattern
 
-    @cached_property
-    def _positions(self) -> NDArray[np.int64]:
-        """Place of every element entry among the stored entries of :attr:`pattern`, -1 where it is dropped."""
-        rows, columns = self._element_indices
-        pattern = self.pattern
-        stored = np.repeat(np.arange(self.size, dtype=np.int64), np.diff(pattern.indptr)) * self.size
-        stored += pattern.indices
-        wanted = columns.astype(np.int64) * self.size + rows
-        positions = np.searchsorted(stored, wanted)
-        positions[(rows < 0) | (columns < 0)] = -1
-        return positions
+@dataclass(frozen=True, eq=False)
+class Free:
+    """What is solved for when the voltage is given: ``pattern`` of the unknowns but the last, ``entries`` its places
+    among those of the whole, and the ``factorisation`` that knows the pattern."""
+
+    pattern: sparse.csc_matrix
+    entries: NDArray[np.int64]
+    factorisation: Factorisation
+
+
+#: Two parts of operators in order, and the further factor of the measure.
+_Kind = tuple[Part, Part, Radial | None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Real matrices (kinds, m) of pairs of parts at one place, by their ``positions`` (m,) in the upper triangle."""
+
+    keys: list[_Kind]
+    positions: NDArray[np.int64]
+    entries: Real
+
+
+@dataclass(frozen=True, eq=False)
+class _Pattern:
+    """A symmetric sparsity pattern: ``upper`` entries in its upper triangle, ``mirror`` which of them each stored is.
+
+    ``keys`` (upper,) are column * size + row, ascending.
+    """
+
+    matrix: sparse.csc_matrix
+    upper: int
+    mirror: NDArray[np.int64]
+    keys: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, rows: NDArray[np.int64], columns: NDArray[np.int64], size: int) -> _Pattern:
+        kept = (rows >= 0) & (columns >= 0) & (rows <= columns)
+        once = sparse.coo_matrix((np.ones(int(kept.sum()), dtype=np.float32), (rows[kept], columns[kept])),
+                                 shape=(size, size)).tocsc()
+        once.sort_indices()
+        row, column = once.indices.astype(np.int64), np.repeat(np.arange(size, dtype=np.int64), np.diff(once.indptr))
+        keys = column * size + row
+        number = np.arange(1, keys.size + 1)
+        off = row != column
+        both = sparse.coo_matrix((np.concatenate([number, number[off]]),
+                                  (np.concatenate([row, column[off]]), np.concatenate([column, row[off]]))),
+                                 shape=(size, size)).tocsc()
+        both.sort_indices()
+        mirror = both.data - 1
+        both.data = np.ones(mirror.size, dtype=np.float32)
+        return cls(both, int(keys.size), mirror, keys)
+
+    def position(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Where in the upper triangle entries (k,) belong, of either triangle."""
+        wanted = np.maximum(rows, columns).astype(np.int64) * self.matrix.shape[0] + np.minimum(rows, columns)
+        return np.searchsorted(self.keys, wanted)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,6 @@ A900: randomized residual-based error estimators for parametrized equations).
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,9 +30,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from workbench.operators import FullOperators, ReducedOperators, combined
+from workbench.operators import FullOperators, ReducedOperators
 from workbench.physics.term import Values
-from workbench.solve import NotConverged, Solution, System, one_thread, solve_dense, solve_reduced
+from workbench.solve import NotConverged, Solution, System, one_thread, solve_reduced
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -49,6 +48,9 @@ CORNER_DEPTH = 3
 
 #: A new vector whose part outside the basis is smaller than this (relative) adds nothing but rounding.
 DEPENDENT = 1e-9
+
+#: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows.
+FIRST, WATCHED = 4, 97
 
 #: Directions of the basis that the response at all frequencies uses less than this (relative) are dropped at the end.
 UNUSED = 1e-9
@@ -101,6 +103,24 @@ class ReducedModel:
         residual = np.einsum("nq,qkn->kn", solution.coefficients, applied, optimize=True)
         return estimated_error(residual, solution.charge)
 
+    def worst(self, frequencies: Real, values: Values) -> tuple[Solution, float, int]:
+        """The reduced solution, its largest estimated error, and the index of the frequency of that."""
+        solution = self.solve(frequencies, values)
+        estimate = self.error(solution)
+        index = int(np.argmax(estimate))
+        return solution, float(estimate[index]), index
+
+    def extended(self, states: Complex, unneeded: float = DEPENDENT) -> ReducedModel:
+        """The model that also spans `states` (size, n) of the full one, or differences of such, electrode included.
+
+        Of their directions those smaller than `unneeded`, relative to the largest, are left out. The basis goes on as
+        it is: what this model says at any parameters the new one says at least as well.
+        """
+        new = new_directions(self.basis, states, self.weights, unneeded)
+        basis = np.column_stack([self.basis[:, :-1], new, self.basis[:, -1:]])
+        matrices, sketch = _extended(self.full, basis, self.test, self)
+        return replace(self, operators=replace(self.operators, matrices=matrices), basis=basis, sketch=sketch)
+
     def of(self, integrals: NDArray[np.int64]) -> ReducedModel:
         """The same with some of the integrals (k,) only."""
         full = self.full.of(integrals)
@@ -120,7 +140,7 @@ def reduce(
     tolerance: float = 1e-5,
     tangents: tuple[str, ...] = (),
     start: ReducedModel | None = None,
-    first: int = 4,
+    first: int = FIRST,
     limit: int = 40,
     depth: int = DEPTH,
     confirmed: bool = True,
@@ -130,7 +150,7 @@ def reduce(
 
     Full solves are added where the estimate is largest, until it is within the tolerance everywhere. A full solve at
     the worst frequency then confirms it, unless `confirmed` is unset: the estimate is believed. With `start`, a model
-    made for other parameter values is enriched for these. The basis holds the derivatives of the states by the
+    made for other parameter values is extended for these. The basis holds the derivatives of the states by the
     parameters named in `tangents` too, so that it keeps serving when these change. Each factorisation gives `depth`
     vectors, tangents apart.
 
@@ -139,44 +159,67 @@ def reduce(
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    nodes = chebyshev(frequencies.size, first)[: max(limit - 1, 1)] if start is None else np.zeros(0, dtype=int)
-    known = 0 if start is None else start.solves
-    solves, largest = known, 0.0 if start is None else start.residual
+    watched = frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]
+    wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]] if start is None else np.zeros(0)
+    model, spent = start, 0
 
     def report() -> None:
         # How many solves it takes is not known beforehand; most models are done after six or seven.
         if progress is not None:
-            progress(1.0 - 0.7**solves)
+            progress(1.0 - 0.7**spent)
 
     with one_thread():
-        growing = _Growing(operators, values, frequencies, start)
-        for step in itertools.count():
-            report()
-            if step < nodes.size:
-                index, believed = int(nodes[step]), False
-            else:
-                charge, estimate = growing.respond()
-                index = int(np.argmax(estimate))
-                believed = bool(estimate[index] <= tolerance)
-                if believed and not confirmed:
-                    break
-                if solves - known >= limit:
-                    raise NotEnriched(float(estimate[index]), tolerance, solves)
-            states, residual = growing.system.krylov(float(frequencies[index]), depth, tangents=tangents)
-            solves, largest = solves + 1, max(largest, residual)
-            # What the last solve tells is always taken into the basis, also when it was only a confirmation.
-            growing.add(states)
-            if believed and abs(charge[index] / growing.charge(states[:, 0], index) - 1.0) <= tolerance:
+        system = System(operators, values)
+        while True:
+            if wanted.size:
+                found: list[Complex] = []
+                for frequency in wanted:
+                    states, residual = system.krylov(float(frequency), depth, tangents=tangents)
+                    spent += 1
+                    found.append(states)
+                    model = begun(system, frequencies, states[:, 0]) if model is None else model
+                    model = replace(model, solves=model.solves + 1, residual=max(model.residual, residual))
+                    report()
+                assert model is not None
+                model = model.extended(np.concatenate(found, axis=1))
+            assert model is not None
+            solution, estimate, index = model.worst(watched, values)
+            if estimate <= tolerance:
+                # All of them, once the fewer are within.
+                solution, estimate, index = model.worst(frequencies, values)
+            worst = float(solution.frequency[index])
+            believed = estimate <= tolerance
+            if believed and not confirmed:
                 break
-        # Directions for other parameter values are there to be used later.
-        if tangents:
-            basis = growing.basis
-            matrices, sketch = _extended(operators, basis, growing.test, start)
-        else:
-            basis = growing.compressed()
-            matrices, sketch = _extended(operators, basis, growing.test, None)
-    reduced = ReducedOperators(operators.integrals, matrices)
-    return ReducedModel(operators, reduced, basis, growing.weights, growing.test, sketch, solves, largest)
+            if spent >= limit:
+                raise NotEnriched(estimate, tolerance, model.solves)
+            if believed:
+                states, residual = system.krylov(worst, 1)
+                spent += 1
+                report()
+                off = abs(solution.charge[index] / system.charge(worst, states[:, 0]) - 1.0)
+                model = replace(model, solves=model.solves + 1, residual=max(model.residual, residual))
+                if off <= tolerance:
+                    break
+            wanted = np.array([worst])
+        # Directions for other parameter values are there to be used later; of the others those that nothing uses go.
+        if not tangents:
+            band = np.linspace(frequencies.min(), frequencies.max(), max(241, frequencies.size))
+            model, _ = narrowed(model, model.solve(band, values).states, UNUSED)
+    return model
+
+
+def begun(system: System, frequencies: Real, state: Complex) -> ReducedModel:
+    """The smallest model: of the real part of one full `state` (size,) alone, measured as suits these frequencies (Hz).
+
+    Raises:
+        NotConverged: an unknown has no energy.
+    """
+    weights, test = norms(system, frequencies)
+    basis = state.real[:, None].copy()
+    matrices, sketch = _extended(system.operators, basis, test, None)
+    return ReducedModel(system.operators, ReducedOperators(system.operators.integrals, matrices), basis, weights, test,
+                        sketch, 0, 0.0)
 
 
 def _extended(
@@ -200,85 +243,22 @@ def _extended(
     return matrices, sketch
 
 
-class _Growing:
-    """A basis that grows, projected on for one set of parameter values only, which is far cheaper than for all.
+def new_directions(basis: Real, states: Complex, weights: Real, unneeded: float = DEPENDENT) -> Real:
+    """What `states` (size, n) add to a basis (size, r) with its lift last: (size, k).
 
-    ``basis`` (size, r): columns orthonormal in the norm of ``weights``, then the lift, with unit electrode voltage.
-    ``projected`` (groups, r, r) and ``sketch`` (groups, PROJECTIONS, r) belong to the matrices of equal frequency
-    dependence (see `solve.System`); they are extended, never made again.
+    Their real and imaginary parts without their share of the lift, orthonormal in the norm of `weights` (size,).
     """
-
-    def __init__(self, operators: FullOperators, values: Values, frequencies: Real, start: ReducedModel | None) -> None:
-        self.system, self.frequencies = System(operators, values), frequencies
-        self.factors = self.system.factors(frequencies)
-        self.matrices = self.system.group_matrices()
-        size, groups = operators.size, len(self.matrices)
-        self.weights, self.test = norms(self.system, frequencies) if start is None else (start.weights, start.test)
-        self.basis = np.zeros((size, 0))
-        self.projected = np.zeros((groups, 0, 0), dtype=complex)
-        self.sketch = np.zeros((groups, PROJECTIONS, 0), dtype=complex)
-        if start is not None:
-            self.basis = start.basis
-            constants = self.system.constants
-            self.projected = np.stack([combined(each, start.operators.matrices) for each in constants])
-            self.sketch = np.stack([combined(each, start.sketch) for each in constants])
-
-    def add(self, states: Complex) -> None:
-        """Take the real and imaginary parts of `states` (size, n), the first at unit voltage, into the basis."""
-        if self.basis.shape[1] == 0:
-            self._extend(states[:, 0].real[:, None])
-        self._extend(new_directions(self.basis, states, self.weights))
-
-    def _extend(self, new: Real) -> None:
-        """Add columns before the last one (the lift), or the lift itself to an empty basis."""
-        old = self.basis
-        self.basis = np.column_stack([old[:, :-1], new, old[:, -1:]]) if old.shape[1] else new
-        order = np.concatenate([np.arange(old.shape[1] - 1), old.shape[1] + np.arange(new.shape[1]),
-                                [old.shape[1] - 1]]).astype(int) if old.shape[1] else np.arange(new.shape[1])
-        projected, sketch = [], []
-        for matrix, known, seen in zip(self.matrices, self.projected, self.sketch, strict=True):
-            image = matrix @ new
-            cross = old.T @ image
-            block = np.block([[known, cross], [cross.T, new.T @ image]])
-            projected.append(block[np.ix_(order, order)])
-            sketch.append(np.column_stack([seen, self.test.T @ image])[:, order])
-        self.projected, self.sketch = np.stack(projected), np.stack(sketch)
-
-    def respond(self) -> tuple[Complex, Real]:
-        """Charge (n,) for 1 V and its estimated relative error (n,) at all frequencies."""
-        states, _ = solve_dense(self.factors, self.projected)
-        whole = np.einsum("gn,gij,jn->in", self.factors, self.projected, states, optimize=True)
-        residual = np.einsum("gn,gkj,jn->kn", self.factors, self.sketch, states, optimize=True)
-        charge = -np.sum(states * whole, axis=0)
-        return charge, estimated_error(residual, charge)
-
-    def charge(self, state: Complex, index: int) -> complex:
-        """Charge of a full state at the frequency of that index."""
-        image = sum(h * (matrix @ state) for h, matrix in zip(self.factors[:, index], self.matrices, strict=True))
-        return -complex(state @ image)
-
-    def compressed(self) -> Real:
-        """The basis without the directions the response does not use anywhere in the band, lift last."""
-        band = np.linspace(self.frequencies.min(), self.frequencies.max(), max(241, self.frequencies.size))
-        states, _ = solve_dense(self.system.factors(band), self.projected)
-        return np.asarray(self.basis @ needed(states, UNUSED))
-
-
-def new_directions(basis: Real, states: Complex, weights: Real) -> Real:
-    """What `states` (size, n), the first at unit voltage, add to a basis (size, r) with its lift last: (size, k).
-
-    Their real and imaginary parts, orthonormal in the norm of `weights` (size,).
-    """
-    lift = basis[:, -1]
-    parts = [states[:, 0].real - lift, states[:, 0].imag, states[:, 1:].real, states[:, 1:].imag]
-    new = weights[:, None] * np.column_stack(parts)
+    apart = states - np.outer(basis[:, -1], states[-1])
+    new = weights[:, None] * np.column_stack([apart.real, apart.imag])
     length = np.linalg.norm(new, axis=0)
     new = new[:, length > 0.0] / length[length > 0.0]
     scaled = weights[:, None] * basis[:, :-1]
     for _ in range(2):
         new = new - scaled @ (scaled.T @ new)
     new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True)
-    return np.asarray(new[:, np.abs(np.diag(triangle)) > DEPENDENT] / weights[:, None])
+    new = new[:, np.abs(np.diag(triangle)) > unneeded]
+    new[-1] = 0.0
+    return np.asarray(new / weights[:, None])
 
 
 def spanned(states: Complex, tolerance: float) -> tuple[Real, Real]:

@@ -17,9 +17,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
 from threadpoolctl import ThreadpoolController
 
+from workbench.factorisation import Factorisation, SuperLU
 from workbench.operators import FullOperators, Operators, ReducedOperators, coefficients, combined, frequency_groups
 from workbench.physics.term import Formula, Integral, Monomial, Values
 
@@ -174,7 +174,7 @@ class Factor:
     """A factorised, symmetrically scaled system at one frequency, and what is needed to refine a solve."""
 
     frequency: float
-    matrix: sparse.csc_matrix
+    matrix: sparse.csr_matrix
     scale: Real
     solve_scaled: Callable[[Complex], Complex]
 
@@ -208,25 +208,33 @@ class System:
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
         self.constants = [c for _, c in frequency_groups(operators.integrals, np.ones(1), values)]
-        self._entries = [operators.matrix(constants) for constants in self.constants]
+        self._entries = np.stack([operators.matrix(constants) for constants in self.constants])
 
     def factors(self, frequencies: Real) -> Complex:
         """h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
         groups = frequency_groups(self.operators.integrals, 2.0 * np.pi * frequencies, self.values)
         return np.stack([h for h, _ in groups])
 
-    def group_matrices(self) -> list[sparse.csc_matrix]:
+    def group_matrices(self) -> list[sparse.csr_matrix]:
         """B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
         return [self._stored(entries) for entries in self._entries]
 
-    def matrix(self, frequency: float) -> sparse.csc_matrix:
+    def matrix(self, frequency: float) -> sparse.csr_matrix:
         """A(w) (size, size), complex symmetric, electrode included."""
-        factors = self.factors(np.array([frequency]))[:, 0]
-        return self._stored(sum(h * entries for h, entries in zip(factors, self._entries, strict=True)))
+        return self._stored(self._at(frequency))
 
-    def _stored(self, entries: Complex) -> sparse.csc_matrix:
+    def charge(self, frequency: float, state: Complex) -> complex:
+        """The charge -x^T A x of a state (size,)."""
+        return -complex(state @ (self.matrix(frequency) @ state))
+
+    def _at(self, frequency: float) -> Complex:
+        """The stored entries of A(w)."""
+        return np.asarray(self.factors(np.array([frequency]))[:, 0] @ self._entries)
+
+    def _stored(self, entries: Complex) -> sparse.csr_matrix:
+        # By rows or by columns is one for a symmetric matrix; by rows it is multiplied with faster.
         pattern = self.operators.pattern
-        return sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+        return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def solve(self, frequency: float) -> tuple[Complex, float]:
         """The state (size,) at unit electrode voltage, and its scaled residual."""
@@ -246,15 +254,18 @@ class System:
         Returns:
             (size, count + len(tangents)) the state first, and the scaled residual of the state itself.
         """
-        whole = self.matrix(frequency)
-        free = whole.shape[0] - 1
-        factor = factorise(whole[:free, :free], frequency)
-        electrode = np.asarray(whole[:free, free].toarray()).ravel()
+        entries = self._at(frequency)
+        whole = self._stored(entries)
+        free, inner = whole.shape[0] - 1, self.operators.free
+        held = sparse.csr_matrix((entries[inner.entries], inner.pattern.indices, inner.pattern.indptr),
+                                 shape=inner.pattern.shape)
+        factor = factorise(held, frequency, inner.factorisation)
+        electrode = (whole @ np.append(np.zeros(free), 1.0))[:free]
         x, residual = factor.solve(-electrode)
         states = np.zeros((free + 1, count + len(tangents)), dtype=complex)
         states[:, 0] = np.append(x, 1.0)
         if count > 1:
-            change = self.matrix(frequency * (1.0 + step)) - whole
+            change = self._stored(self._at(frequency * (1.0 + step)) - entries)
             vector = states[:, 0]
             directions = np.zeros((free, 0), dtype=complex)
             for k in range(1, count):
@@ -282,26 +293,28 @@ class System:
         return self.operators.images(state, slopes)
 
 
-def factorise(matrix: sparse.csc_matrix, frequency: float) -> Factor:
-    """Scale symmetrically to unit diagonal and factorise with SuperLU tuned for a symmetric pattern.
+def factorise(
+    matrix: sparse.csc_matrix | sparse.csr_matrix, frequency: float, factorisation: Factorisation | None = None
+) -> Factor:
+    """Scale a symmetric matrix (n, n) to unit diagonal and factorise it, with what knows its pattern if there is one.
 
     The diagonal scaling brings displacement, potential and pressure to one size; without it energy does not close.
+
+    Raises:
+        NotConverged: the matrix is singular.
     """
     diagonal = np.abs(matrix.diagonal())
     if not (diagonal > 0.0).all():
         raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex))
     scale = 1.0 / np.sqrt(diagonal)
-    columns = np.repeat(scale, np.diff(matrix.indptr))
-    scaled = sparse.csc_matrix((matrix.data * scale[matrix.indices] * columns, matrix.indices, matrix.indptr),
-                               shape=matrix.shape)
+    data = matrix.data * (scale[matrix.indices] * np.repeat(scale, np.diff(matrix.indptr)))
+    scaled = sparse.csr_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
     try:
         with one_thread():
-            factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+            solve = (SuperLU(matrix) if factorisation is None else factorisation)(data)
     except RuntimeError as error:
-        if "singular" not in str(error):
-            raise
         raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex)) from error
-    return Factor(frequency, scaled, scale, factor.solve)
+    return Factor(frequency, scaled, scale, solve)
 
 
 def sweep(operators: FullOperators, frequencies: Real, values: Values) -> Iterator[Solution]:

@@ -15,9 +15,9 @@ from geometry.section import Section
 from materials.kinds import Fluid
 from workbench.diagnose.campaign import Campaign, unit_of, value_of
 from workbench.diagnose.catalogue import Device, Effect, effects, mistaken_length
+from workbench.dimensions import flexible
 from workbench.fit.objective import Objective, Recording
 from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter, stretchable
-from workbench.layers import layered
 from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
@@ -82,7 +82,7 @@ def model(
                       if name not in problem.values}
             problem = problem.with_terms(effect.terms.get(state.name, ()), values)
         # One mesh for states of one chip, so that they share what is solved on it.
-        problem = layered(problem, state.chip)
+        problem = flexible(problem, state.chip)
         problem = replace(problem, mesh=meshes.setdefault(problem.mesh.section, problem.mesh))
         recordings[state.name] = Recording(state.name, problem, state.measured, state.chip)
     problems = [r.problem for r in recordings.values()]

@@ -59,23 +59,34 @@ _WRITTEN: Mapping[str, tuple[Part, ...]] = {
 FACING = "_facing"
 
 
-def parts_by_z(operator: str) -> tuple[str, str]:
-    """Names of what `operator` holds of derivatives along z, and of the rest; "" for a part that it does not have."""
-    steep, flat = _by_z(_WRITTEN[operator])
-    if not steep or not flat:
-        return (operator, "") if steep else ("", operator)
-    return f"{operator}, d_z", f"{operator}, no d_z"
+#: How often a part of an operator is differentiated along z and along r, and divided by r: each 0 or 1.
+Kind = tuple[int, int, int]
 
 
-def _by_z(parts: tuple[Part, ...]) -> tuple[tuple[Part, ...], tuple[Part, ...]]:
-    return tuple(p for p in parts if p[1] == "d_z"), tuple(p for p in parts if p[1] != "d_z")
+def _kind(part: Part, *, radially: bool) -> Kind:
+    taken = part[1].removesuffix(FACING)
+    return int(taken == "d_z"), int(radially and taken == "d_r"), int(radially and taken == "over_r")
 
 
-#: Every operator, those of :func:`parts_by_z` included.
+def parts_by_stretch(operator: str, *, radially: bool) -> Mapping[Kind, str]:
+    """Names of what `operator` holds of every kind of derivative; its own name where that is all of it.
+
+    What a stretch along z alone tells apart, or one along r too.
+    """
+    parts = _WRITTEN[operator]
+    kinds = {_kind(part, radially=radially): [each for each in parts if _kind(each, radially=radially)
+                                              == _kind(part, radially=radially)] for part in parts}
+    if len(kinds) == 1:
+        return dict.fromkeys(kinds, operator)
+    return {kind: f"{operator}, {'+'.join(sorted({part[1] for part in own}))}" for kind, own in kinds.items()}
+
+
+#: Every operator, those of :func:`parts_by_stretch` included.
 OPERATORS: Mapping[str, tuple[Part, ...]] = {
     **_WRITTEN,
-    **{name: part for operator, parts in _WRITTEN.items()
-       for name, part in zip(parts_by_z(operator), _by_z(parts), strict=True) if name},
+    **{name: tuple(part for part in parts if _kind(part, radially=radially) == kind)
+       for operator, parts in _WRITTEN.items() for radially in (False, True)
+       for kind, name in parts_by_stretch(operator, radially=radially).items() if name != operator},
 }
 
 Values = Mapping[str, complex]
@@ -211,28 +222,42 @@ class Dispersion:
         return self.law(np.asarray(omega, dtype=float), {s: complex(values[name]) for s, name in self.symbols})
 
 
+class Constant(Coefficient, Protocol):
+    """A coefficient that does not depend on frequency."""
+
+    def constant(self, values: Values) -> complex:
+        """Its value."""
+
+    def constant_derivative(self, values: Values, name: str) -> complex:
+        """Its derivative with respect to the complex parameter `name`."""
+
+
 @dataclass(frozen=True)
 class Times:
-    """The product of a coefficient and a monomial without a power of the frequency."""
+    """The product of a coefficient and one that does not depend on frequency."""
 
     first: Coefficient
-    second: Monomial
+    second: Constant
 
     @property
     def parameters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys((*self.first.parameters, *self.second.parameters)))
 
     def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
-        return self.first(omega, values) * self.second(omega, values)
+        return self.first(omega, values) * self.second.constant(values)
 
     def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
-        return (self.first.derivative(omega, values, name) * self.second(omega, values)
-                + self.first(omega, values) * self.second.derivative(omega, values, name))
+        result = np.zeros(np.shape(omega), dtype=complex)
+        if name in self.first.parameters:
+            result += self.first.derivative(omega, values, name) * self.second.constant(values)
+        if name in self.second.parameters:
+            result += self.first(omega, values) * self.second.constant_derivative(values, name)
+        return result
 
 
-def times(first: Coefficient, second: Monomial) -> Coefficient:
-    """The product of a coefficient and a monomial: a monomial where the first is one."""
-    if not isinstance(first, Monomial):
+def times(first: Coefficient, second: Constant) -> Coefficient:
+    """The product of a coefficient and one without frequency: a monomial where both are."""
+    if not isinstance(first, Monomial) or not isinstance(second, Monomial):
         return Times(first, second)
     factors: dict[str, float] = dict(first.factors)
     for name, exponent in second.factors:
@@ -243,9 +268,11 @@ def times(first: Coefficient, second: Monomial) -> Coefficient:
 
 def factored(coefficient: Coefficient, values: Values) -> tuple[Coefficient, complex]:
     """What of a coefficient depends on frequency, and a constant factor."""
-    if isinstance(coefficient, Times):
-        return coefficient.first, coefficient.second.constant(values)
-    return coefficient, 1.0 + 0.0j
+    factor = 1.0 + 0.0j
+    while isinstance(coefficient, Times):
+        factor *= coefficient.second.constant(values)
+        coefficient = coefficient.first
+    return coefficient, factor
 
 
 @dataclass(frozen=True)
@@ -268,6 +295,17 @@ class Product:
 
 
 @dataclass(frozen=True)
+class Radial:
+    """The factor r**power / (r + shift) of the measure, r (m) the radius on the mesh: what a stretch along r leaves."""
+
+    power: int
+    shift: float
+
+    def __call__(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(radius**self.power / (radius + self.shift))
+
+
+@dataclass(frozen=True)
 class Integral:
     """One g_q A_q: a coefficient, the region or boundary integrated over, and the quadratic form of A_q.
 
@@ -276,7 +314,7 @@ class Integral:
     taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` restricts a region to
     radii larger than that share of its outer one, also within an element. ``skin`` restricts it to the row of elements
     that takes so much of its thickness at its upper face, or, where it is negative, at its lower one; the mesh must
-    have that row (`geometry.mesh.MeshSize.skins`).
+    have that row (`geometry.mesh.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz.
     """
 
     coefficient: Coefficient
@@ -288,6 +326,7 @@ class Integral:
     facing_solid: str = ""
     beyond: float = 0.0
     skin: float = 0.0
+    radial: Radial | None = None
 
     @property
     def on_boundary(self) -> bool:

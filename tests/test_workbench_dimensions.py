@@ -1,4 +1,4 @@
-"""Thicknesses as parameters of the model: the same numbers as a stretched mesh, to rounding."""
+"""Lengths as parameters of the model: the same numbers as a stretched mesh, to rounding."""
 
 from pathlib import Path
 
@@ -9,8 +9,9 @@ from geometry.chip import Chip, read_chip
 from geometry.mesh import MeshError
 from geometry.names import LEVEL, outside, part
 from geometry.stretch import stretch
+from inputs import InputError
 from materials.registry import Registry
-from workbench.layers import layered
+from workbench.dimensions import flexible
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.surface_load import SurfaceLoad
@@ -61,6 +62,12 @@ cavity = "water"
 #: Two rings of different holes: the cavity spans two layers, and its boundary with the bond holds facets both ways.
 LONGER = {"couplant.thickness": 47e-6, "sidewall.thickness": 0.74e-3, "bond.thickness": 50e-6,
           "transducer.thickness": 1.98e-3}
+#: Both rings, and the two outer radii, which several layers share.
+WIDER = {"sidewall.cavity_radius": 1.6e-3, "bond.cavity_radius": 1.93e-3, "transducer.radius": 2.9e-3,
+         "substrate.radius": 3.65e-3}
+TIED = {"couplant.radius": "transducer.radius", "sidewall.radius": "substrate.radius",
+        "bond.radius": "substrate.radius",
+        "superstrate.radius": "substrate.radius"}
 FREQUENCIES = np.array([4.3e5, 5.2e5])
 
 
@@ -84,9 +91,9 @@ def problem(chip: Chip) -> Problem:
 def test_a_new_thickness_is_that_of_the_stretched_mesh(chip: Chip, problem: Problem) -> None:
     stretched = assemble(stretch(problem.mesh, chip.with_dimensions(LONGER)), problem.terms)
     expected = solve_full(stretched, FREQUENCIES, problem.values).impedance
-    flexible = layered(problem, chip)
-    values = {**flexible.values, **{name: complex(value) for name, value in LONGER.items()}}
-    found = solve_full(assemble(flexible.mesh, flexible.terms), FREQUENCIES, values).impedance
+    thick = flexible(problem, chip)
+    values = {**thick.values, **{name: complex(value) for name, value in LONGER.items()}}
+    found = solve_full(assemble(thick.mesh, thick.terms), FREQUENCIES, values).impedance
     # Two ways to the same matrices: what is left is rounding, which the resonances magnify.
     assert np.abs(found / expected - 1.0).max() < 1e-9
     # and the change is no small matter
@@ -94,31 +101,67 @@ def test_a_new_thickness_is_that_of_the_stretched_mesh(chip: Chip, problem: Prob
     assert np.abs(found / before - 1.0).max() > 0.03
 
 
-def test_the_gradient_by_a_thickness_is_that_of_differences(chip: Chip, problem: Problem) -> None:
-    flexible = layered(problem, chip)
-    operators = assemble(flexible.mesh, flexible.terms)
-    names = tuple(sorted(LONGER))
-    exact = solve_full(operators, FREQUENCIES, flexible.values).parameter_gradient(flexible.values, names)
+def test_new_radii_are_those_of_the_stretched_mesh(chip: Chip, problem: Problem) -> None:
+    lengths = {**LONGER, **WIDER}
+    moved = chip.with_dimensions({**lengths, **{name: WIDER[first] for name, first in TIED.items()}})
+    expected = solve_full(assemble(stretch(problem.mesh, moved), problem.terms), FREQUENCIES, problem.values).impedance
+    wide = flexible(problem, chip, tuple(WIDER))
+    operators = assemble(wide.mesh, wide.terms)
+    values = {**wide.values, **{name: complex(value) for name, value in lengths.items()}}
+    found = solve_full(operators, FREQUENCIES, values).impedance
+    # The hoop stiffness is interpolated to 1e-9, which the resonances magnify.
+    assert np.abs(found / expected - 1.0).max() < 1e-8
+    before = solve_full(assemble(problem.mesh, problem.terms), FREQUENCIES, problem.values).impedance
+    assert solve_full(operators, FREQUENCIES, wide.values).impedance == pytest.approx(before, rel=1e-8, abs=0.0)
+    thicker = {**wide.values, **{name: complex(value) for name, value in LONGER.items()}}
+    assert np.abs(found / solve_full(operators, FREQUENCIES, thicker).impedance - 1.0).max() > 0.03
+
+
+def test_radii_that_coincide_are_one_parameter(chip: Chip, problem: Problem) -> None:
+    alone = flexible(problem, chip, ("substrate.radius",))
+    for names in (("bond.radius",), ("superstrate.radius", "sidewall.radius", "substrate.radius", "bond.radius")):
+        together = flexible(problem, chip, names)
+        assert together.terms == alone.terms
+        assert together.values == alone.values
+
+
+@pytest.mark.parametrize(("radii", "message"), [
+    (("sidewall.height",), "sidewall.height"),
+    ({"bond.radius": (3.4e-3, 3.6e-3), "sidewall.radius": (3.3e-3, 3.6e-3)}, "one range for radii that coincide"),
+    ({"bond.radius": (3.6e-3, 3.7e-3)}, "a range that holds its length"),
+])
+def test_radii_that_contradict_each_other_are_refused(
+    chip: Chip, problem: Problem, radii: dict[str, tuple[float, float]], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        flexible(problem, chip, radii)
+
+
+def test_the_gradient_by_a_length_is_that_of_differences(chip: Chip, problem: Problem) -> None:
+    wide = flexible(problem, chip, tuple(WIDER))
+    operators = assemble(wide.mesh, wide.terms)
+    names = (*sorted(LONGER), *WIDER)
+    exact = solve_full(operators, FREQUENCIES, wide.values).parameter_gradient(wide.values, names)
     for column, name in enumerate(names):
-        step = 1e-5 * flexible.values[name]
+        step = 1e-5 * wide.values[name]
         ahead, behind = (
-            solve_full(operators, FREQUENCIES, {**flexible.values, name: flexible.values[name] + sign * step}).impedance
+            solve_full(operators, FREQUENCIES, {**wide.values, name: wide.values[name] + sign * step}).impedance
             for sign in (1.0, -1.0))
-        # Central differences: an error of the step squared, 1e-10, times the curvature in units of the thickness.
+        # Central differences: an error of the step squared, 1e-10, times the curvature in units of the length.
         assert exact[:, column] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-5, abs=0.0)
 
 
 def test_a_mesh_of_another_chip_is_refused(chip: Chip, problem: Problem) -> None:
     with pytest.raises(MeshError, match="not of chip"):
-        layered(problem, chip.with_dimensions({"bond.thickness": 70e-6}))
+        flexible(problem, chip.with_dimensions({"bond.thickness": 70e-6}))
 
 
 def test_a_term_on_a_part_of_a_boundary_stays_there(chip: Chip, problem: Problem) -> None:
     # The lid's outside is its top and its side: a load on what lies level is on the top alone.
     load = SurfaceLoad(part(outside("superstrate"), LEVEL), "superstrate", "load")
     values = {"load.normal_impedance": 1e5, "load.tangential_impedance": 0.0}
-    flexible = layered(problem.with_terms((load,), values), chip)
-    operators = assemble(flexible.mesh, flexible.terms)
+    loaded = flexible(problem.with_terms((load,), values), chip)
+    operators = assemble(loaded.mesh, loaded.terms)
     raised = np.zeros((operators.size, 1), dtype=complex)
     for component in ("u_r", "u_z"):
         numbers = operators.numbering[component]

@@ -1,0 +1,119 @@
+"""Sparse factorisations of complex-symmetric matrices of one pattern, one set of values after the other.
+
+What depends on the pattern alone (the ordering of the unknowns) is found once. SuperLU, which scipy brings, is the
+reference. Where `rslab` is installed its LDL^T is used instead: it keeps the symmetry, which halves the work, and its
+analysis of the pattern (`tests/benchmarks/factorisation.py` compares them on these meshes). Matrices come scaled to a
+diagonal of ones: without that SuperLU's symmetric mode takes a hundred times as long.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+Complex = NDArray[np.complex128]
+Integers = NDArray[np.int32]
+
+#: Names the factorisation to use; what is installed decides where it is not set.
+CHOICE = "WORKBENCH_FACTORISATION"
+
+
+class Factorisation(Protocol):
+    """A pattern, ready to be factorised with values after values."""
+
+    def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
+        """A function that solves with the matrix of these stored entries (nnz,): (n,) or (n, k) to the same shape.
+
+        Raises:
+            RuntimeError: the matrix is singular.
+        """
+
+
+class SuperLU:
+    """Threshold pivoting on the diagonal (0.01), in an order of minimum degree that the pattern alone decides."""
+
+    def __init__(self, pattern: sparse.csc_matrix) -> None:
+        self._pattern = pattern
+
+    def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
+        order, entries, indices, indptr = self._ordered
+        matrix = sparse.csc_matrix((data[entries], indices, indptr), shape=self._pattern.shape)
+        factor = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+
+        def solve(right: Complex) -> Complex:
+            result = np.empty(right.shape, dtype=complex)
+            result[order] = factor.solve(np.asfortranarray(right[order]))
+            return result
+
+        return solve
+
+    @cached_property
+    def _ordered(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Integers, Integers]:
+        """The order of elimination, and the pattern in it: which entry each stored one is, and where it stands."""
+        pattern = self._pattern
+        column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
+        # Values that need no pivots: a diagonal that outweighs its row.
+        dominant = np.where(pattern.indices == column, float(pattern.shape[0]), 1.0)
+        found = splu(sparse.csc_matrix((dominant, pattern.indices, pattern.indptr), shape=pattern.shape),
+                     permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        order = np.argsort(found.perm_c)
+        number = sparse.csc_matrix((np.arange(1, pattern.nnz + 1), pattern.indices, pattern.indptr),
+                                   shape=pattern.shape)
+        ordered = number[order][:, order].tocsc()
+        ordered.sort_indices()
+        return order, ordered.data - 1, ordered.indices, ordered.indptr
+
+
+class Ldlt:
+    """The LDL^T of `rslab`: Bunch-Kaufman pivots within supernodes, multifrontal."""
+
+    def __init__(self, pattern: sparse.csc_matrix) -> None:
+        import rslab
+
+        column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
+        self._lower = np.flatnonzero(pattern.indices >= column)
+        ones = sparse.csc_matrix((np.ones(pattern.nnz), pattern.indices, pattern.indptr), shape=pattern.shape)
+        self._analysis = rslab.analyze(ones, path="ldlt", ordering="amd")
+
+    def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
+        factor = self._analysis.factor(np.ascontiguousarray(data[self._lower]), threads=1)
+
+        def solve(right: Complex) -> Complex:
+            right = np.asarray(right, dtype=complex)
+            if right.ndim == 1:
+                return np.asarray(factor.solve(np.ascontiguousarray(right)))
+            return np.asarray(factor.solve_many(np.asfortranarray(right)))
+
+        return solve
+
+
+#: By the name of what they need.
+KNOWN: Mapping[str, Callable[[sparse.csc_matrix], Any]] = {"superlu": SuperLU, "rslab": Ldlt}
+
+
+def chosen() -> str:
+    """The name of the factorisation in use.
+
+    Raises:
+        ValueError: the environment asks for one that is not known.
+    """
+    name = os.environ.get(CHOICE)
+    if name is None:
+        return "rslab" if importlib.util.find_spec("rslab") else "superlu"
+    if name not in KNOWN:
+        raise ValueError(f"{CHOICE} is {name!r}; expected one of {', '.join(KNOWN)}")
+    return name
+
+
+def factorisation(pattern: sparse.csc_matrix) -> Factorisation:
+    """The factorisation in use for a symmetric pattern (n, n), both triangles stored, indices sorted."""
+    found: Factorisation = KNOWN[chosen()](pattern)
+    return found

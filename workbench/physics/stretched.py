@@ -1,0 +1,269 @@
+"""Lengths of a chip as parameters of the model, exactly: no remeshing, no new matrices when they change.
+
+A layer that grows from t0 to t stretches its elements along z by s = t / t0. In each integral over it, every derivative
+along z is then divided by s and the measure multiplied by s, so that the parts of a form with no, one and two such
+derivatives scale with s, 1 and 1 / s: three matrices with coefficients that are powers of t.
+
+A column of the section between the radii a and b, moved to A and B, stretches along r by s = (B - A) / (b - a), to
+R = A + s (r - a). Derivatives along r are divided by s, the measure r dr becomes R s dr, and u_r / r becomes u_r / R:
+
+    no u_r / r       R s = s^2 r + s (A - s a)         two matrices, of the measures r dr and dr, by s^-(derivatives)
+    one              s                                 one matrix
+    u_r^2 / r^2      s r / R = r / (r + d)             d = (b - a) / k - a,  k = B / A - 1
+
+The last is no finite sum; it is interpolated in k between Chebyshev's nodes, with an error below :data:`INTERPOLATION`
+(Trefethen 2013, Approximation Theory and Approximation Practice, theorem 8.2). On a boundary the same holds for its
+facets along r and along z each, those at a radius that moves having R / r for the measure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.physics.term import (
+    Coefficient,
+    Condition,
+    Constant,
+    Integral,
+    Kind,
+    Monomial,
+    Product,
+    Radial,
+    Term,
+    Values,
+    parts_by_stretch,
+    times,
+)
+
+#: Largest relative error of the interpolated hoop stiffness over the range of the radii.
+INTERPOLATION = 1e-9
+
+#: A product of operators by the kinds of both.
+Sorted = Iterator[tuple[Kind, Product]]
+
+
+@dataclass(frozen=True)
+class Radius:
+    """A radius of the section: its length on the mesh (m) and the parameter that moves it, "" if none does."""
+
+    nominal: float
+    parameter: str = ""
+
+    def at(self, values: Values) -> float:
+        return complex(values[self.parameter]).real if self.parameter else self.nominal
+
+
+@dataclass(frozen=True)
+class Column:
+    """What lies between two radii, `ratios` the nodes of k = outer / inner - 1; none where it begins at the axis."""
+
+    inner: Radius
+    outer: Radius
+    ratios: tuple[float, ...] = ()
+
+    @classmethod
+    def between(cls, inner: Radius, outer: Radius, ranges: Mapping[str, tuple[float, float]]) -> Column:
+        """The column for radii within `ranges` (m), by parameter."""
+        if inner.nominal == 0.0:
+            return cls(inner, outer)
+        low, high = (ranges.get(each.parameter, (each.nominal, each.nominal)) for each in (inner, outer))
+        return cls(inner, outer, nodes(high[0] / low[1] - 1.0, high[1] / low[0] - 1.0))
+
+    def radial(self, kind: tuple[int, int]) -> Iterator[tuple[Radial | None, Constant]]:
+        """The measures that a form of so many derivatives along r and divisions by r falls into, with coefficients."""
+        slopes, divided = kind
+        if not self.ratios:
+            power = 2 - slopes - divided
+            name, nominal = self.outer.parameter, self.outer.nominal
+            yield None, Monomial(nominal**-power, 0, ((name, power),) if power else ())
+        elif divided == 0:
+            yield None, Stretch(self, 2 - slopes)
+            yield Radial(0, 0.0), Shift(self, 1 - slopes)
+        elif divided == 1:
+            yield None, Stretch(self, 1 - slopes)
+        else:
+            width = self.outer.nominal - self.inner.nominal
+            for number, ratio in enumerate(self.ratios):
+                yield Radial(1, width / ratio - self.inner.nominal), Node(self, number)
+
+
+@dataclass(frozen=True)
+class Rim:
+    """Facets along z at a radius that moves."""
+
+    radius: Radius
+
+    def radial(self, kind: tuple[int, int]) -> Iterator[tuple[Radial | None, Constant]]:
+        power = 1 - kind[1]
+        yield None, Monomial(self.radius.nominal**-power, 0, ((self.radius.parameter, power),) if power else ())
+
+
+def nodes(low: float, high: float) -> tuple[float, ...]:
+    """Chebyshev's nodes between two values of k that interpolate 1 / (1 + k x), 0 <= x <= 1, to the error wanted."""
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if half < 1e-12:
+        return (middle,)
+    # The nearest pole is at k = -1; the error of n nodes is below 4 rho^(1 - n) / (rho - 1).
+    distance = (1.0 + middle) / half
+    rho = distance + math.sqrt(distance**2 - 1.0)
+    count = max(2, math.ceil(1.0 + math.log(4.0 / ((rho - 1.0) * INTERPOLATION)) / math.log(rho)))
+    angles = np.pi * (np.arange(count) + 0.5) / count
+    return tuple(float(middle + half * each) for each in np.cos(angles))
+
+
+class _OfColumn:
+    """A coefficient that follows the two radii of a column."""
+
+    column: Column
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(each.parameter for each in (self.column.inner, self.column.outer) if each.parameter)
+
+    def at(self, inner: float, outer: float) -> tuple[float, float, float]:
+        """Its value at two radii (m), and its derivatives by them."""
+        raise NotImplementedError
+
+    def constant(self, values: Values) -> complex:
+        return complex(self.at(self.column.inner.at(values), self.column.outer.at(values))[0])
+
+    def constant_derivative(self, values: Values, name: str) -> complex:
+        _, *slopes = self.at(self.column.inner.at(values), self.column.outer.at(values))
+        return complex(sum(slope for slope, each in zip(slopes, (self.column.inner, self.column.outer), strict=True)
+                           if each.parameter == name))
+
+    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
+        return np.full(np.shape(omega), self.constant(values))
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        return np.full(np.shape(omega), self.constant_derivative(values, name))
+
+
+@dataclass(frozen=True)
+class Stretch(_OfColumn):
+    """s to some power."""
+
+    column: Column
+    power: int
+
+    def at(self, inner: float, outer: float) -> tuple[float, float, float]:
+        width = self.column.outer.nominal - self.column.inner.nominal
+        stretch = (outer - inner) / width
+        slope = self.power * stretch ** (self.power - 1) / width
+        return stretch**self.power, -slope, slope
+
+
+@dataclass(frozen=True)
+class Shift(_OfColumn):
+    """(A - s a) s to some power."""
+
+    column: Column
+    power: int
+
+    def at(self, inner: float, outer: float) -> tuple[float, float, float]:
+        nominal, width = self.column.inner.nominal, self.column.outer.nominal - self.column.inner.nominal
+        stretch = (outer - inner) / width
+        shift, powered = inner - stretch * nominal, stretch**self.power
+        by_stretch = (self.power * stretch ** (self.power - 1) * shift - nominal * powered) / width
+        return shift * powered, powered - by_stretch, by_stretch
+
+
+@dataclass(frozen=True)
+class Node(_OfColumn):
+    """The Lagrange polynomial in k of one node of a column."""
+
+    column: Column
+    number: int
+
+    def at(self, inner: float, outer: float) -> tuple[float, float, float]:
+        ratio = outer / inner - 1.0
+        others = np.delete(np.array(self.column.ratios), self.number)
+        gaps, scale = ratio - others, self._scale
+        slope = sum(float(np.prod(np.delete(gaps, k))) for k in range(gaps.size)) / scale
+        return float(np.prod(gaps)) / scale, -slope * outer / inner**2, slope / inner
+
+    @cached_property
+    def _scale(self) -> float:
+        ratios = np.array(self.column.ratios)
+        return float(np.prod(ratios[self.number] - np.delete(ratios, self.number)))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a place: its name on the mesh, the layer whose thickness and the column whose radii it follows.
+
+    "" and None for what follows none.
+    """
+
+    name: str
+    layer: str = ""
+    across: Column | Rim | None = None
+
+
+@dataclass(frozen=True)
+class Stretched(Term):
+    """A term whose integrals know how they change with the lengths of the layers and columns they lie in.
+
+    ``parts`` holds, for every place of the term, its parts on the mesh (`geometry.stretch.split`); ``nominal`` the
+    thickness (m) that the mesh has of each layer. Brings in the parameters ``<layer>.thickness`` (m) and those of the
+    radii of its columns (m).
+    """
+
+    term: Term
+    parts: tuple[tuple[str, tuple[Part, ...]], ...]
+    nominal: tuple[tuple[str, float], ...]
+
+    @property
+    def unknowns(self) -> tuple[tuple[str, str], ...]:
+        return self.term.unknowns
+
+    def conditions(self) -> tuple[Condition, ...]:
+        return self.term.conditions()
+
+    def integrals(self) -> tuple[Integral, ...]:
+        parts, nominal = dict(self.parts), dict(self.nominal)
+        result: list[Integral] = []
+        for integral in self.term.integrals():
+            across = parts.get(integral.facing, ())
+            for number, part in enumerate(parts[integral.place]):
+                facing = across[number].name if integral.facing else ""
+                placed = replace(integral, place=part.name, facing=facing)
+                result += _stretched(placed, part, nominal)
+        return tuple(result)
+
+
+def _stretched(integral: Integral, part: Part, nominal: Mapping[str, float]) -> list[Integral]:
+    """The integrals that one becomes on a part of its place."""
+    found: dict[tuple[Radial | None, Constant | None, Monomial | None], list[Product]] = {}
+    for (along_z, along_r, divided), product in _by_kinds(integral.products, radially=part.across is not None):
+        power = 1 - along_z
+        high = None
+        if part.layer and power:
+            high = Monomial(nominal[part.layer] ** -power, 0, ((f"{part.layer}.thickness", power),))
+        if part.across is None:
+            found.setdefault((integral.radial, None, high), []).append(product)
+        else:
+            for radial, across in part.across.radial((along_r, divided)):
+                found.setdefault((radial, across, high), []).append(product)
+    result = []
+    for (radial, wide, high), products in found.items():
+        coefficient: Coefficient = integral.coefficient
+        coefficient = coefficient if high is None else times(coefficient, high)
+        coefficient = coefficient if wide is None else times(coefficient, wide)
+        result.append(replace(integral, coefficient=coefficient, products=tuple(products), radial=radial))
+    return result
+
+
+def _by_kinds(products: tuple[Product, ...], *, radially: bool) -> Sorted:
+    """The parts of the products, with how many derivatives and divisions both operators hold together."""
+    for product in products:
+        for one, row in parts_by_stretch(product.row, radially=radially).items():
+            for other, column in parts_by_stretch(product.column, radially=radially).items():
+                kind = (one[0] + other[0], one[1] + other[1], one[2] + other[2])
+                yield kind, replace(product, row=row, column=column)
