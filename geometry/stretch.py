@@ -58,6 +58,16 @@ def between(chip: Chip, name: str) -> tuple[float, float]:
             min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))
 
 
+def movable(chip: Chip, name: str, low: float = 0.0, high: float = math.inf) -> tuple[float, float]:
+    """How far (m) a dimension of `chip` can be moved: within the bounds given, and nine tenths of the way to the next.
+
+    Raises:
+        KeyError: the chip has no dimension of that name.
+    """
+    value, (before, behind) = chip.dimensions()[name].value, between(chip, name)
+    return (max(low, value - (1.0 - KEPT) * (value - before)), min(high, value + (1.0 - KEPT) * (behind - value)))
+
+
 def velocity(mesh: SectionMesh, chip: Chip, name: str, *together: str) -> NDArray[np.float64]:
     """How the nodes of `mesh` move with a dimension of `chip`: d(r, z)/d(dimension), without unit.
 

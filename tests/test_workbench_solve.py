@@ -12,10 +12,10 @@ from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
 from workbench.reduce import reduce
 from workbench.solve import (
+    NARROWED,
     RESIDUAL_LIMIT,
     Factor,
     NotConverged,
-    Pencil,
     System,
     factorise,
     solve_dense,
@@ -174,28 +174,27 @@ def test_a_parameter_the_problem_lacks_is_named(small_disc: Problem) -> None:
         solve_full(operators, FREQUENCY, values)
 
 
-@pytest.mark.parametrize(("powers", "makes_one"), [
-    ((0, 2), True),  # stiffness and mass
-    ((0, 2, -2), True), ((-2, 0, 2), True), ((2, -2, 0), True), ((0, 1, 2), True),  # and a fluid, in any order
-    ((0, 2, 3), False), ((0, 2, -2, 1), False),  # no such progression: every frequency is factorised
-])
-def test_groups_in_geometric_progression_are_diagonalised_once(
-    powers: tuple[int, ...], makes_one: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("powers", [(0, 2), (0, 2, -2), (0, 2, -2, 1)])
+@pytest.mark.parametrize("size", [12, 200])  # 200: narrowed first
+def test_dense_systems_of_any_frequency_dependence_are_solved(
+    powers: tuple[int, ...], size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     random = np.random.default_rng(3)
-    size, omega = 12, np.linspace(0.9, 1.1, 31)
+    omega = np.linspace(0.9, 1.1, 31 if size == 12 else 121)
     matrices = random.standard_normal((len(powers), size, size)) + 0.01j * random.standard_normal(
         (len(powers), size, size))
     matrices = matrices + matrices.transpose(0, 2, 1)
+    if size > 100:  # as a reduced model: a few resonances in the band, the others far from it
+        matrices[0] += np.diag(40.0 + 10.0 * np.arange(size))
     factors = np.stack([(0.5 + 0.3j * k) * omega.astype(complex) ** power for k, power in enumerate(powers, 1)])
-    assert (Pencil.of(factors, matrices) is not None) == makes_one
     states, residual = solve_dense(factors, matrices)
     whole = np.einsum("gn,gij->nij", factors, matrices)
     expected = np.linalg.solve(whole[:, :-1, :-1], -whole[:, :-1, -1:])[:, :, 0].T
-    # Rounding times the condition of the worst of the 31 matrices, which is below 1e4 here.
-    assert np.abs(states[:-1] - expected).max() < 1e-11 * np.abs(expected).max()
+    # Rounding times the condition of the worst of the matrices, which is below 1e4 here; or what narrowing leaves.
+    tolerance = 1e-11 if size == 12 else 10.0 * NARROWED
+    assert np.abs(states[:-1] - expected).max() < tolerance * np.abs(expected).max()
     assert (states[-1] == 1.0).all()
-    assert residual.max() < 1e-11
+    assert residual.max() < (1e-11 if size == 12 else NARROWED)
     monkeypatch.setattr("workbench.solve.ENTRIES", 4 * (size - 1) ** 2)  # in eight parts
     right = random.standard_normal((3, size - 1, omega.size)) + 1j * random.standard_normal((3, size - 1, omega.size))
     several = solve_each(factors, matrices[:, :-1, :-1], right)

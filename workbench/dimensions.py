@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from geometry.chip import Chip
-from geometry.stretch import KEPT, Piece, between, split, tied
+from geometry.stretch import Piece, movable, split, tied
 from inputs import InputError, choose
 from workbench.physics.stretched import Column, Part, Radius, Rim, Stretched
 from workbench.problem import Problem
@@ -18,16 +18,6 @@ RADIAL_RANGE = 0.1
 def thickness(layer: str) -> str:
     """Name of the parameter that is the thickness of a layer of the stack."""
     return f"{layer}.thickness"
-
-
-def radial_range(chip: Chip, name: str, low: float = 0.0, high: float = float("inf")) -> tuple[float, float]:
-    """How far (m) a radius of `chip` can be moved: within the bounds given, and nine tenths of the way to the next.
-
-    Raises:
-        KeyError: the chip has no such dimension.
-    """
-    value, (before, behind) = chip.dimensions()[name].value, between(chip, name)
-    return (max(low, value - (1.0 - KEPT) * (value - before)), min(high, value + (1.0 - KEPT) * (behind - value)))
 
 
 def flexible(
@@ -88,7 +78,7 @@ def _ranges(chip: Chip, radii: Mapping[str, tuple[float, float]] | Sequence[str]
                      else ((1.0 - RADIAL_RANGE) * value, (1.0 + RADIAL_RANGE) * value))
         if not low <= value <= high:
             raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"a range that holds its length, {value:g} m")
-        wanted = radial_range(chip, name, low, high)
+        wanted = movable(chip, name, low, high)
         if ranges.setdefault(first[name], wanted) != wanted:
             raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"one range for radii that coincide: "
                              f"{first[name]} has another")

@@ -76,6 +76,9 @@ class Operators(Protocol):
     def quadratic(self, left: Complex, right: Complex) -> Complex:
         """left^T A_q right for columns left, right (size, n): (n, number of integrals)."""
 
+    def combined_forms(self, states: Complex, constants: Complex) -> Complex:
+        """x^T sum_q constants_kq A_q x for columns x of `states` (size, n) and `constants` (k, integrals): (n, k)."""
+
 
 def coefficients(integrals: tuple[Integral, ...], omega: Real, values: Values) -> Complex:
     """g_q(w) of every integral: (number of frequencies, number of integrals). A missing parameter raises KeyError."""
@@ -342,6 +345,10 @@ class FullOperators:
     def quadratic(self, left: Complex, right: Complex) -> Complex:
         parts = self.element_quadratic(left, right)
         return np.stack([part.sum(axis=0) for part in parts], axis=-1)
+
+    def combined_forms(self, states: Complex, constants: Complex) -> Complex:
+        acting = np.flatnonzero(constants.any(axis=0))
+        return np.asarray(self.of(acting).quadratic(states, states) @ constants[:, acting].T)
 
     def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
         """left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
@@ -644,13 +651,34 @@ class ReducedOperators:
         return int(self.matrices.shape[1])
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
+        return self._forms(self._upper, left, right)
+
+    def combined_forms(self, states: Complex, constants: Complex) -> Complex:
+        acting = constants.any(axis=0)
+        upper = np.concatenate([constants.real, constants.imag])[:, acting] @ self._upper[acting]
+        forms = self._forms(upper, states, states)
+        return np.asarray(forms[:, : len(constants)] + 1j * forms[:, len(constants) :])
+
+    def combinations(self, constants: Complex) -> Complex:
+        """sum_q constants_kq A_q for `constants` (k, integrals): (k, r, r)."""
+        acting = constants.any(axis=0)
+        upper = combined(constants[:, acting], self._upper[acting]) if acting.any() else np.zeros(
+            (len(constants), self._upper.shape[1]), dtype=complex)
+        result = np.empty((len(constants), self.size, self.size), dtype=complex)
+        row, column = np.triu_indices(self.size)
+        result[:, row, column] = np.where(row == column, 1.0, 0.5) * upper
+        result[:, column, row] = result[:, row, column]
+        return result
+
+    def _forms(self, upper: Real, left: Complex, right: Complex) -> Complex:
+        """left^T A right (n, k) for matrices given as :attr:`_upper` is."""
         rank, points = right.shape
-        result = np.empty((points, len(self.matrices)), dtype=complex)
-        at_once = max(1, PRODUCTS // self._upper.shape[1])
+        result = np.empty((points, len(upper)), dtype=complex)
+        at_once = max(1, PRODUCTS // upper.shape[1])
         for start in range(0, points, at_once):
             some = slice(start, start + at_once)
             one, other = left[:, some], right[:, some]
-            products = np.empty((self._upper.shape[1], one.shape[1]), dtype=complex)
+            products = np.empty((upper.shape[1], one.shape[1]), dtype=complex)
             end = 0
             for row in range(rank):
                 begin, end = end, end + rank - row
@@ -658,7 +686,7 @@ class ReducedOperators:
                 if left is not right:
                     products[begin:end] += other[row] * one[row:]
             # The matrices are real: one real product for both parts.
-            result[some] = (self._upper @ products.view(np.float64)).view(np.complex128).T
+            result[some] = (upper @ products.view(np.float64)).view(np.complex128).T
         if left is not right:
             result *= 0.5
         return result
@@ -667,20 +695,17 @@ class ReducedOperators:
     def _upper(self) -> Real:
         """The upper triangles of the matrices, row by row, what is beside the diagonal twice: (integrals, r(r+1)/2)."""
         rank = self.size
-        twice = 2.0 - np.eye(rank)
-        return np.concatenate([self.matrices[:, row, row:] * twice[row, row:] for row in range(rank)], axis=1)
+        row, column = np.triu_indices(rank)
+        return np.asarray(self.matrices[:, row, column] * np.where(row == column, 1.0, 2.0))
 
 
 def combined(constants: Complex, matrices: Real) -> Complex:
-    """sum_q constants_q matrices_q for real matrices (integrals, ...), which are not made complex for it."""
-    acting = np.flatnonzero(constants)
-    if 2 * acting.size < constants.size:  # of most nothing is wanted
-        constants, matrices = constants[acting], matrices[acting]
+    """sum_q constants_q matrices_q, `constants` (..., integrals), for real `matrices` (integrals, ...)."""
     flat = matrices.reshape(len(matrices), math.prod(matrices.shape[1:]))
     result = np.asarray(constants.real @ flat, dtype=complex)
     if constants.imag.any():
         result += 1j * (constants.imag @ flat)
-    return result.reshape(matrices.shape[1:])
+    return result.reshape(*constants.shape[:-1], *matrices.shape[1:])
 
 
 def _pair(product: Product) -> tuple[str, str]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from workbench.operators import FullOperators, ReducedOperators
+from workbench.operators import FullOperators, ReducedOperators, combined
 from workbench.physics.term import Values
 from workbench.solve import NotConverged, Solution, System, one_thread, solve_reduced
 
@@ -52,8 +53,12 @@ DEPENDENT = 1e-9
 #: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows.
 FIRST, WATCHED = 4, 97
 
-#: Directions of the basis that the response at all frequencies uses less than this (relative) are dropped at the end.
-UNUSED = 1e-9
+#: What is left out of a basis has at most this share of the root of the error that Z may have, in the root of energy
+#: over charge: the error of the charge is at most the energy of what is left out of the state.
+UNNEEDED, TIGHTER = 0.3, 0.3
+
+#: No parameter is about to move.
+NO_TANGENTS: Mapping[str, float] = MappingProxyType({})
 
 #: The estimate is this many times the squared norm of the residual: for the scatter of its random projections.
 SAFETY = 2.0
@@ -77,8 +82,8 @@ class ReducedModel:
 
     ``basis`` (size, r), last column with unit electrode voltage and the others with none; ``weights`` (size,) the unit
     of every unknown in its norm; ``test`` (size, PROJECTIONS) the vectors that residuals are projected on and
-    ``sketch`` (integrals, PROJECTIONS, r) the projections of A_q basis; ``solves`` full solves spent, ``residual`` the
-    largest scaled residual among them.
+    ``sketch`` (integrals, PROJECTIONS, r) the projections of A_q basis; ``energy`` (size - 1, size - 1) the matrix R;
+    ``solves`` full solves spent, ``residual`` the largest scaled residual among them.
     """
 
     full: FullOperators
@@ -87,6 +92,7 @@ class ReducedModel:
     weights: Real
     test: Real
     sketch: Real
+    energy: sparse.csr_matrix
     solves: int
     residual: float
 
@@ -99,9 +105,9 @@ class ReducedModel:
 
         Rounding, some 1e-12, is not in it.
         """
-        applied = np.tensordot(self.sketch, solution.states, axes=(2, 0))  # (integrals, projections, n)
-        residual = np.einsum("nq,qkn->kn", solution.coefficients, applied, optimize=True)
-        return estimated_error(residual, solution.charge)
+        sketches = combined(np.array([constants for _, constants in solution.groups]), self.sketch)
+        residual = sum(h * (sketch @ solution.states) for (h, _), sketch in zip(solution.groups, sketches, strict=True))
+        return estimated_error(np.asarray(residual), solution.charge)
 
     def worst(self, frequencies: Real, values: Values) -> tuple[Solution, float, int]:
         """The reduced solution, its largest estimated error, and the index of the frequency of that."""
@@ -110,16 +116,54 @@ class ReducedModel:
         index = int(np.argmax(estimate))
         return solution, float(estimate[index]), index
 
-    def extended(self, states: Complex, unneeded: float = DEPENDENT) -> ReducedModel:
-        """The model that also spans `states` (size, n) of the full one, or differences of such, electrode included.
+    def extended(self, states: Complex, changes: Complex | None = None, unneeded: float = DEPENDENT) -> ReducedModel:
+        """The model that also spans `states` (size, n) of the full one, or vectors of the like, electrode included.
 
-        Of their directions those smaller than `unneeded`, relative to the largest, are left out. The basis goes on as
-        it is: what this model says at any parameters the new one says at least as well.
+        Of `changes` (size, m), what a move of parameters changes states by over the root of their charge, those
+        directions are taken too that are larger than `unneeded` (:func:`smallest`). The basis goes on as it is: what
+        this model says at any parameters the new one says at least as well.
         """
-        new = new_directions(self.basis, states, self.weights, unneeded)
-        basis = np.column_stack([self.basis[:, :-1], new, self.basis[:, -1:]])
+        basis = _joined(self.basis, new_directions(self.basis, states, self.weights))
+        if changes is not None and changes.size:
+            parts = np.column_stack([changes.real, changes.imag])
+            inside = self.weights[:, None] ** 2 * basis[:, :-1]
+            parts = parts - basis[:, :-1] @ (inside.T @ parts)
+            sizes, vectors = np.linalg.eigh(parts[:-1].T @ (self.energy @ parts[:-1]))
+            kept = sizes > unneeded**2
+            basis = _joined(basis, new_directions(basis, (parts @ vectors[:, kept]).astype(complex), self.weights))
         matrices, sketch = _extended(self.full, basis, self.test, self)
         return replace(self, operators=replace(self.operators, matrices=matrices), basis=basis, sketch=sketch)
+
+    def grown(
+        self, states: Complex, changes: Complex | None, needed_at: Sequence[tuple[Real, Values]], unneeded: float
+    ) -> ReducedModel:
+        """:meth:`extended` by no more than is needed.
+
+        Of the new directions those are kept that `changes`, or the states at some frequencies (Hz) and parameter
+        values over the root of their charge, have more of than `unneeded` (:func:`smallest`).
+        """
+        wide = self.extended(states, changes, unneeded)
+        old, rank = self.basis.shape[1] - 1, wide.basis.shape[1] - 1
+        wanted = []
+        for frequencies, values in needed_at:
+            found = wide.solve(frequencies, values)
+            wanted.append(found.states[:-1] / np.sqrt(np.abs(found.charge)))
+        if changes is not None and changes.size:
+            wanted.append((wide.weights[:, None] ** 2 * wide.basis[:, :-1]).T @ changes)
+        whole = np.concatenate(wanted, axis=1)[old:]
+        new = wide.basis[:-1, old:-1]
+        root = np.linalg.cholesky(new.T @ (wide.energy @ new)).T
+        directions, sizes, _ = np.linalg.svd(root @ np.column_stack([whole.real, whole.imag]), full_matrices=False)
+        directions, _ = np.linalg.qr(np.linalg.solve(root, directions[:, sizes > unneeded]))
+        within = np.zeros((rank + 1, old + directions.shape[1] + 1))
+        within[:old, :old], within[old:rank, old:-1], within[rank, -1] = np.eye(old), directions, 1.0
+        return wide.within(within)
+
+    def within(self, part: Real) -> ReducedModel:
+        """The model on a part (r, k) of its basis, given in that."""
+        matrices = part.T @ self.operators.matrices @ part
+        return replace(self, operators=replace(self.operators, matrices=matrices), basis=self.basis @ part,
+                       sketch=self.sketch @ part)
 
     def of(self, integrals: NDArray[np.int64]) -> ReducedModel:
         """The same with some of the integrals (k,) only."""
@@ -138,7 +182,7 @@ def reduce(
     values: Values,
     *,
     tolerance: float = 1e-5,
-    tangents: tuple[str, ...] = (),
+    tangents: Mapping[str, float] = NO_TANGENTS,
     start: ReducedModel | None = None,
     first: int = FIRST,
     limit: int = 40,
@@ -150,9 +194,9 @@ def reduce(
 
     Full solves are added where the estimate is largest, until it is within the tolerance everywhere. A full solve at
     the worst frequency then confirms it, unless `confirmed` is unset: the estimate is believed. With `start`, a model
-    made for other parameter values is extended for these. The basis holds the derivatives of the states by the
-    parameters named in `tangents` too, so that it keeps serving when these change. Each factorisation gives `depth`
-    vectors, tangents apart.
+    made for other parameter values is extended for these. The basis also holds what the parameters in `tangents` change
+    the states by when they move by so much, so that it keeps serving then. Each factorisation gives `depth` vectors,
+    tangents apart.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
@@ -161,7 +205,7 @@ def reduce(
     frequencies = np.asarray(frequencies, dtype=float)
     watched = frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]
     wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]] if start is None else np.zeros(0)
-    model, spent = start, 0
+    model, spent, unneeded = start, 0, smallest(tolerance)
 
     def report() -> None:
         # How many solves it takes is not known beforehand; most models are done after six or seven.
@@ -173,15 +217,21 @@ def reduce(
         while True:
             if wanted.size:
                 found: list[Complex] = []
+                changes: list[Complex] = []
                 for frequency in wanted:
-                    states, residual = system.krylov(float(frequency), depth, tangents=tangents)
+                    states, residual = system.krylov(float(frequency), depth, tangents=tuple(tangents))
                     spent += 1
-                    found.append(states)
                     model = begun(system, frequencies, states[:, 0]) if model is None else model
                     model = replace(model, solves=model.solves + 1, residual=max(model.residual, residual))
+                    found.append(states[:, :depth])
+                    size = np.sqrt(abs(system.charge(float(frequency), states[:, 0])))
+                    changes.append(states[:, depth:] * np.array(list(tangents.values())) / size)
                     report()
                 assert model is not None
-                model = model.extended(np.concatenate(found, axis=1))
+                model = model.grown(np.concatenate(found, axis=1), np.concatenate(changes, axis=1),
+                                    [(watched, values)], unneeded)
+                # A resonance magnifies what is left out: where that was too much, a further solve brings in more of it.
+                unneeded *= TIGHTER
             assert model is not None
             solution, estimate, index = model.worst(watched, values)
             if estimate <= tolerance:
@@ -202,11 +252,12 @@ def reduce(
                 if off <= tolerance:
                     break
             wanted = np.array([worst])
-        # Directions for other parameter values are there to be used later; of the others those that nothing uses go.
-        if not tangents:
-            band = np.linspace(frequencies.min(), frequencies.max(), max(241, frequencies.size))
-            model, _ = narrowed(model, model.solve(band, values).states, UNUSED)
     return model
+
+
+def smallest(tolerance: float) -> float:
+    """The smallest part of a state over the root of its charge, in the root of its energy, that an error of Z needs."""
+    return UNNEEDED * float(np.sqrt(tolerance))
 
 
 def begun(system: System, frequencies: Real, state: Complex) -> ReducedModel:
@@ -215,11 +266,12 @@ def begun(system: System, frequencies: Real, state: Complex) -> ReducedModel:
     Raises:
         NotConverged: an unknown has no energy.
     """
-    weights, test = norms(system, frequencies)
-    basis = state.real[:, None].copy()
+    middle = float(np.median(frequencies))
+    weights, energy = np.sqrt(np.abs(system.matrix(middle).diagonal())), energy_matrix(system, middle)
+    test, basis = test_vectors(energy, middle), state.real[:, None].copy()
     matrices, sketch = _extended(system.operators, basis, test, None)
     return ReducedModel(system.operators, ReducedOperators(system.operators.integrals, matrices), basis, weights, test,
-                        sketch, 0, 0.0)
+                        sketch, energy, 0, 0.0)
 
 
 def _extended(
@@ -280,13 +332,12 @@ def needed(states: Complex, tolerance: float) -> Real:
     return result
 
 
-def test_vectors(system: System, frequency: float) -> Real:
-    """Random vectors t (size, PROJECTIONS), E |t^T r|^2 = r^H R^{-1} r with R the energy of `system` at a frequency.
+def test_vectors(energy: sparse.csr_matrix, frequency: float) -> Real:
+    """Random vectors t (size, PROJECTIONS), E |t^T r|^2 = r^H R^{-1} r with R the `energy` at a frequency.
 
     Raises:
         NotConverged: an unknown has no energy.
     """
-    energy = energy_matrix(system, frequency)
     diagonal = energy.diagonal()
     if not (diagonal > 0.0).all():  # an unknown that nothing stores energy in
         raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex))
@@ -300,7 +351,7 @@ def test_vectors(system: System, frequency: float) -> Real:
     return np.vstack([moved, np.zeros((1, PROJECTIONS))])  # the row of the electrode is not an equation
 
 
-def energy_matrix(system: System, frequency: float) -> sparse.csc_matrix:
+def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
     """R (size - 1, size - 1), real, symmetric, positive: all energies of `system`, counted positive, the voltage held.
 
     Of the matrices of equal frequency dependence (stiffness, mass, compliance of fluids, ...) each is of one sign for
@@ -314,18 +365,12 @@ def energy_matrix(system: System, frequency: float) -> sparse.csc_matrix:
         sign = np.sign((factor * matrix.diagonal()).real)
         alike = sign[pattern.indices] == sign[column]
         entries += np.where(alike, sign[column] * (factor * matrix.data).real, 0.0)
-    return sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)[:-1, :-1]
+    return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)[:-1, :-1]
 
 
 def estimated_error(residual: Complex, charge: Complex) -> Real:
     """Estimated relative error (n,) of `charge` (n,) from projections (PROJECTIONS, n) of the full residual."""
     return np.asarray(SAFETY * np.mean(np.abs(residual) ** 2, axis=0) / np.abs(charge))
-
-
-def projected(model: ReducedModel, operators: FullOperators) -> ReducedModel:
-    """`model` on other full operators of the same unknowns (a stretched mesh)."""
-    matrices, sketch = _extended(operators, model.basis, model.test, None)
-    return replace(model, full=operators, operators=ReducedOperators(operators.integrals, matrices), sketch=sketch)
 
 
 def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[ReducedModel, Real]:
@@ -335,80 +380,57 @@ def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[Re
         the model, and its basis in the old one (old rank, rank).
     """
     within = needed(states, tolerance)
-    matrices = within.T @ model.operators.matrices @ within
-    model = replace(model, operators=replace(model.operators, matrices=matrices), basis=model.basis @ within,
-                    sketch=model.sketch @ within)
-    return model, within
+    return model.within(within), within
 
 
-def reduce_around(
+def covering(
     operators: FullOperators,
     frequencies: Real,
     values: Values,
     moves: Mapping[str, float],
     *,
-    unneeded: float,
+    tolerance: float,
+    start: ReducedModel | None = None,
     corners: Sequence[Values] = (),
     nodes: int = 5,
     depth: int = DEPTH,
-    like: ReducedModel | None = None,
 ) -> ReducedModel:
-    """A reduced model for a neighbourhood: every parameter named in `moves` may change by about so much.
+    """A reduced model, or one that begins as `start` does, for parameters that move by about so much each.
 
-    From `nodes` full solves at Chebyshev's frequencies, the states and their neighbours in frequency, and of what the
-    moves change them by, the directions of more than `unneeded` (relative to the states); likewise of the states at
-    other values, `corners`, where a parameter moves so far that its derivative does not tell where to. Whether that
-    is enough, :meth:`ReducedModel.error` says. Unknowns and residuals are measured as in the model `like`, of the same
-    unknowns and much the same values, if there is one.
+    From `nodes` full solves at Chebyshev's frequencies, the states and their neighbours in frequency, and what the
+    `moves` change them by; likewise the states at other values, `corners`, where a parameter moves so far that its
+    derivative does not tell where to. What an error of Z of `tolerance` (relative) does not need is left out. Whether
+    that is enough, :meth:`ReducedModel.error` says.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    at, names = chebyshev(frequencies.size, nodes), tuple(moves)
+    at, names, reach = frequencies[chebyshev(frequencies.size, nodes)], tuple(moves), np.array(list(moves.values()))
+    model, worst = start, 0.0
+    states: list[Complex] = []
+    changes: list[Complex] = []
     with one_thread():
         system = System(operators, values)
-        weights, test = norms(system, frequencies) if like is None else (like.weights, like.test)
-        basis, changes, worst = np.zeros((operators.size, 0)), [], 0.0
-        for index in at:
-            found, residual = system.krylov(float(frequencies[index]), depth, tangents=names)
+        for frequency in at:
+            found, residual = system.krylov(float(frequency), depth, tangents=names)
+            model = begun(system, frequencies, found[:, 0]) if model is None else model
             worst = max(worst, residual)
-            states, slopes = found[:, :depth], found[:, depth:]
-            if basis.shape[1] == 0:
-                basis = states[:, 0].real[:, None]
-            basis = _joined(basis, new_directions(basis, states, weights))
-            moved = slopes * np.array([moves[name] for name in names]) / np.linalg.norm(weights * states[:, 0])
-            changes.append(weights[:, None] * moved)
+            states.append(found[:, :depth])
+            changes.append(found[:, depth:] * reach / np.sqrt(abs(system.charge(float(frequency), found[:, 0]))))
         for values_there in corners:
             there = System(operators, values_there)
-            for index in at:
-                states, residual = there.krylov(float(frequencies[index]), CORNER_DEPTH)
+            for frequency in at:
+                found, residual = there.krylov(float(frequency), CORNER_DEPTH)
                 worst = max(worst, residual)
-                states[:, 0] -= basis[:, -1]
-                # The others have unit length already.
-                states[:, 0] /= np.linalg.norm(weights * states[:, 0])
-                changes.append(weights[:, None] * states)
-        inside = weights[:, None] * basis[:, :-1]
-        whole = np.concatenate(changes, axis=1)
-        parts = np.concatenate([whole.real, whole.imag], axis=1)
-        parts = parts - inside @ (inside.T @ parts)
-        # The larger half of a Gram matrix costs less than a singular value decomposition, and loses nothing needed.
-        sizes, vectors = np.linalg.eigh(parts.T @ parts)
-        kept = sizes > unneeded**2
-        new = parts @ (vectors[:, kept] / np.sqrt(sizes[kept]))
-        basis = _joined(basis, new / weights[:, None])
-        matrices, sketch = _extended(operators, basis, test, None)
-    return ReducedModel(operators, ReducedOperators(operators.integrals, matrices), basis, weights, test, sketch,
-                        at.size * (1 + len(corners)), worst)
+                states.append(found)
+        assert model is not None
+        model = model.grown(np.concatenate(states, axis=1), np.concatenate(changes, axis=1),
+                            [(at, each) for each in (values, *corners)], smallest(tolerance))
+    return replace(model, solves=model.solves + at.size * (1 + len(corners)), residual=max(model.residual, worst))
 
 
 def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
     """Indices of `count` frequencies next to Chebyshev's nodes, as many as those fall on."""
     angles = np.pi * (np.arange(nodes) + 0.5) / nodes
     return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
-
-
-def norms(system: System, frequencies: Real) -> tuple[Real, Real]:
-    """What unknowns (size,) and residuals (size, PROJECTIONS) are measured with, from the middle of the band."""
-    middle = float(np.median(frequencies))
-    return np.sqrt(np.abs(system.matrix(middle).diagonal())), test_vectors(system, middle)
 
 
 def _joined(basis: Real, new: Real) -> Real:

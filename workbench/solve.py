@@ -7,7 +7,7 @@ form of the same x: dQ = -x^T (dA) x. No adjoint solve, no finite difference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -20,8 +20,8 @@ from scipy import sparse
 from threadpoolctl import ThreadpoolController
 
 from workbench.factorisation import Factorisation, SuperLU
-from workbench.operators import FullOperators, Operators, ReducedOperators, coefficients, combined, frequency_groups
-from workbench.physics.term import Formula, Integral, Monomial, Values
+from workbench.operators import FullOperators, Operators, ReducedOperators, frequency_groups
+from workbench.physics.term import Coefficient, Formula, Integral, Monomial, Times, Values
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -29,8 +29,9 @@ Complex = NDArray[np.complex128]
 #: Largest scaled residual of an accepted solve. Refined solves reach 1e-13; a matrix close to singular does not.
 RESIDUAL_LIMIT = 1e-10
 
-#: Largest scaled residual of a reduced model solved by its eigenvectors; above, every frequency is factorised.
-PENCIL_RESIDUAL = 1e-11
+#: Unknowns and frequencies from which on a reduced model is narrowed before it is solved at all frequencies, the first
+#: frequencies and the vectors from each, and the largest residual that leaves; Z has its square.
+LARGE, MANY, NODES, DEPTH, NARROWED = 80, 60, 6, 6, 1e-6
 
 #: Entries of the reduced systems that are solved at once: what that takes stays in the processor's cache.
 ENTRIES = 500_000
@@ -50,23 +51,35 @@ class NotConverged(RuntimeError):
         return (NotConverged, (self.frequency, self.residual, self.iterate))
 
 
+#: The model as few matrices as its frequency dependence allows: h(w) (n,) and constants (integrals,) of each.
+Groups = tuple[tuple[Complex, Complex], ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """States at unit electrode voltage, e^{-i w t}.
 
-    ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``coefficients`` (n, integrals),
-    ``residual`` (n,) scaled residual of each solve.
+    ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``groups`` the model at these
+    frequencies (`operators.frequency_groups`), ``residual`` (n,) scaled residual of each solve.
     """
 
     operators: Operators
     frequency: Real
-    coefficients: Complex
+    groups: Groups
     states: Complex
     residual: Real
 
     @property
     def omega(self) -> Real:
         return 2.0 * np.pi * self.frequency
+
+    @cached_property
+    def coefficients(self) -> Complex:
+        """g_q(w) (n, integrals)."""
+        result = np.zeros((self.frequency.size, len(self.operators.integrals)), dtype=complex)
+        for h, constants in self.groups:
+            result += np.outer(h, constants)
+        return result
 
     @cached_property
     def forms(self) -> Complex:
@@ -76,7 +89,8 @@ class Solution:
     @cached_property
     def charge(self) -> Complex:
         """Charge of the live electrode for 1 V (n,), C: -x^T A x."""
-        return -np.sum(self.coefficients * self.forms, axis=1)
+        forms = self.operators.combined_forms(self.states, np.array([constants for _, constants in self.groups]))
+        return -np.sum(forms * np.stack([h for h, _ in self.groups], axis=1), axis=1)
 
     @property
     def admittance(self) -> Complex:
@@ -102,26 +116,28 @@ class Solution:
         Raises:
             KeyError: a name no coefficient depends on.
         """
-        gradient = self.impedance_gradient()
-        depending = dependence(self.operators.integrals)
-        result = np.zeros((self.frequency.size, len(names)), dtype=complex)
+        integrals, depending = self.operators.integrals, dependence(self.operators.integrals)
+        rows: list[tuple[int, Complex, Complex]] = []  # (column, factor (n,), constants over the integrals)
         for column, name in enumerate(names):
             if name not in depending:
                 raise KeyError(f"no coefficient depends on {name!r}; known: {', '.join(sorted(depending))}")
             powers: dict[float, Complex] = {}
             for q in depending[name]:
-                coefficient = self.operators.integrals[q].coefficient
-                if isinstance(coefficient, Monomial | Formula):
-                    slope = coefficient.constant_derivative(values, name)
-                    if slope == 0.0:
-                        continue
-                    powers[coefficient.omega_power] = (
-                        powers.get(coefficient.omega_power, 0.0) + slope * gradient[:, q])
-                else:
-                    result[:, column] += gradient[:, q] * coefficient.derivative(self.omega, values, name)
-            for power, found in powers.items():
-                result[:, column] += found * self.omega**power
-        return result
+                for power, constant, factor in slopes_of(integrals[q].coefficient, self.omega, values, name):
+                    if factor is None:
+                        powers.setdefault(power, np.zeros(len(integrals), dtype=complex))[q] += constant
+                    elif constant != 0.0 and factor.any():
+                        alone = np.zeros(len(integrals), dtype=complex)
+                        alone[q] = constant
+                        rows.append((column, factor, alone))
+            rows += [(column, np.asarray(self.omega**power, dtype=complex), constants)
+                     for power, constants in powers.items() if constants.any()]
+        result = np.zeros((self.frequency.size, len(names)), dtype=complex)
+        if rows:
+            forms = self.operators.combined_forms(self.states, np.array([constants for _, _, constants in rows]))
+            for (column, factor, _), form in zip(rows, forms.T, strict=True):
+                result[:, column] += factor * form
+        return np.asarray((1j / (self.omega * self.charge**2))[:, None] * result)
 
     def dissipation(self) -> Real:
         """Time-averaged power (W) lost in each integral at 1 V amplitude: (n, integrals).
@@ -135,6 +151,34 @@ class Solution:
     def input_power(self) -> Real:
         """Electrical input power (W) at 1 V amplitude from charge and voltage alone: (n,)."""
         return 0.5 * self.admittance.real
+
+
+def slopes_of(
+    coefficient: Coefficient, omega: Real, values: Values, name: str
+) -> Iterator[tuple[float, complex, Complex | None]]:
+    """The derivative of a coefficient by a complex parameter as a sum of constant * w^power, or of constant * factor.
+
+    Yields:
+        the power, the constant, and the factor (n,), None where the power is all of it.
+    """
+    first, constants = coefficient, []
+    while isinstance(first, Times):
+        constants.append(first.second)
+        first = first.first
+    whole = complex(np.prod([each.constant(values) for each in constants]))
+    slope = 0.0 + 0.0j
+    for k, each in enumerate(constants):
+        if name in each.parameters:
+            others = [other.constant(values) for j, other in enumerate(constants) if j != k]
+            slope += each.constant_derivative(values, name) * complex(np.prod(others))
+    if isinstance(first, Monomial | Formula):
+        own = first.constant_derivative(values, name) if name in first.parameters else 0.0
+        yield first.omega_power, complex(own * whole + (first.constant(values) * slope if slope != 0.0 else 0.0)), None
+        return
+    if name in first.parameters:
+        yield 0.0, complex(whole), first.derivative(omega, values, name)
+    if slope != 0.0:
+        yield 0.0, complex(slope), first(omega, values)
 
 
 #: What :func:`dependence` found, by the identity of the integrals, which it keeps alive.
@@ -323,48 +367,94 @@ def sweep(operators: FullOperators, frequencies: Real, values: Values) -> Iterat
     for frequency in np.asarray(frequencies, dtype=float):
         with one_thread():
             state, residual = system.solve(float(frequency))
-        g = coefficients(operators.integrals, np.array([2.0 * np.pi * frequency]), values)
-        yield Solution(operators, np.array([frequency]), g, state[:, None], np.array([residual]))
+        groups = frequency_groups(operators.integrals, np.array([2.0 * np.pi * frequency]), values)
+        yield Solution(operators, np.array([frequency]), groups, state[:, None], np.array([residual]))
 
 
 def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> Solution:
     """The full model at every frequency with all states kept: for a few frequencies. Long spectra: :func:`sweep`."""
     parts = list(sweep(operators, frequencies, values))
-    return Solution(operators, np.concatenate([p.frequency for p in parts]),
-                    np.concatenate([p.coefficients for p in parts]),
+    frequency = np.concatenate([p.frequency for p in parts])
+    return Solution(operators, frequency, frequency_groups(operators.integrals, 2.0 * np.pi * frequency, values),
                     np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.residual for p in parts]))
 
 
 def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values) -> Solution:
     """The reduced model at every frequency: batched dense solves."""
     frequencies = np.asarray(frequencies, dtype=float)
-    omega = 2.0 * np.pi * frequencies
-    g = coefficients(operators.integrals, omega, values)
-    groups = frequency_groups(operators.integrals, omega, values)
-    summed = np.stack([combined(constants, operators.matrices) for _, constants in groups])
+    groups = frequency_groups(operators.integrals, 2.0 * np.pi * frequencies, values)
+    summed = operators.combinations(np.array([constants for _, constants in groups]))
     states, residual = solve_dense(np.stack([h for h, _ in groups]), summed)
-    return Solution(operators, frequencies, g, states, residual)
+    return Solution(operators, frequencies, groups, states, residual)
 
 
 def solve_dense(factors: Complex, matrices: Complex) -> tuple[Complex, Real]:
     """States (r, n), last entry 1, of sum_g factors_g(w) matrices_g (groups, r, r) for n frequencies, and residuals.
 
-    Where the groups make a :class:`Pencil` it is diagonalised once for all frequencies, which at 160 unknowns and 481
-    frequencies is seven times faster than factorising at each.
+    A large system is solved at a few of the frequencies first. Each factorisation gives the state there and the next
+    vectors of its Krylov space, which its neighbours lie in (see `System.krylov`); on what these span all others are
+    solved, until the residual of the large system is below :data:`NARROWED` everywhere.
     """
     with one_thread():
-        pencil = Pencil.of(factors, matrices[:, :-1, :-1])
         right = -np.einsum("gn,gi->in", factors, matrices[:, :-1, -1])
+        inner = np.ascontiguousarray(matrices[:, :-1, :-1])
         norm = np.linalg.norm(right, axis=0)
-        if pencil is not None:
-            x = pencil.solve(right)
-            x = x + pencil.solve(right - pencil.product(x))
-            residual = np.linalg.norm(right - pencil.product(x), axis=0) / norm
-            if residual.max() <= PENCIL_RESIDUAL:
-                return np.vstack([x, np.ones(x.shape[1])]), residual
-        x = solve_each(factors, matrices[:, :-1, :-1], right)
-        remainder = sum(h * (each[:-1, :-1] @ x) for h, each in zip(factors, matrices, strict=True)) - right
+        rank, count = inner.shape[1], factors.shape[1]
+        if rank < LARGE or count < MANY:
+            x = solve_each(factors, inner, right)
+        else:
+            x = _solve_narrowed(factors, inner, right)
+        remainder = sum(h * (each @ x) for h, each in zip(factors, inner, strict=True)) - right
     return np.vstack([x, np.ones(x.shape[1])]), np.linalg.norm(remainder, axis=0) / norm
+
+
+def _solve_narrowed(factors: Complex, matrices: Complex, right: Complex) -> Complex:
+    """See :func:`solve_dense`: x (r, n)."""
+    count, rank = factors.shape[1], matrices.shape[1]
+    flat = matrices.reshape(len(matrices), rank**2)
+    norm = np.linalg.norm(right, axis=0)
+    wanted = _chebyshev(count, NODES)
+    basis = np.zeros((rank, 0))
+    done: set[int] = set()
+    while True:
+        found = []
+        for index in wanted:
+            done.add(int(index))
+            near = min(index + 1, count - 1) if index + 1 < count else index - 1
+            whole = (factors[:, index] @ flat).reshape(rank, rank)
+            change = ((factors[:, near] - factors[:, index]) @ flat).reshape(rank, rank)
+            factor = scipy.linalg.lu_factor(whole, check_finite=False)
+            vector = scipy.linalg.lu_solve(factor, right[:, index], check_finite=False)
+            found.append(vector / np.linalg.norm(vector))
+            for _ in range(DEPTH - 1):
+                vector = scipy.linalg.lu_solve(factor, change @ found[-1], check_finite=False)
+                for _ in range(2):
+                    vector = vector - sum(other * (other.conj() @ vector) for other in found[-DEPTH:])
+                found.append(vector / np.linalg.norm(vector))
+        new = np.array(found).T
+        new = np.column_stack([new.real, new.imag])
+        for _ in range(2):
+            new = new - basis @ (basis.T @ new)
+        new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True, check_finite=False)
+        basis = np.column_stack([basis, new[:, np.abs(np.diag(triangle)) > 1e-10]])
+        if 2 * basis.shape[1] > rank:
+            return solve_each(factors, matrices, right)
+        images = [each @ basis for each in matrices]
+        small = solve_each(factors, np.stack([basis.T @ each for each in images]), basis.T @ right)
+        remainder = sum(h * (each @ small) for h, each in zip(factors, images, strict=True)) - right
+        residual = np.linalg.norm(remainder, axis=0) / norm
+        if residual.max() <= NARROWED:
+            return np.asarray(basis @ small)
+        worst = [int(k) for k in np.argsort(-residual)[: 4 * NODES] if int(k) not in done]
+        apart = [k for i, k in enumerate(worst) if all(abs(k - other) > count // (4 * NODES) for other in worst[:i])]
+        wanted = np.array(apart[:2], dtype=int)
+        if not wanted.size:
+            return solve_each(factors, matrices, right)
+
+
+def _chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
+    angles = np.pi * (np.arange(nodes) + 0.5) / nodes
+    return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
 
 
 def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
@@ -379,75 +469,3 @@ def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
         whole = (factors[:, some].T @ flat).reshape(-1, rank, rank)
         result[some] = np.linalg.solve(whole, columns[some])
     return result.transpose(2, 1, 0).reshape(right.shape)
-
-
-def reduced_tangents(solution: Solution, values: Values, names: tuple[str, ...]) -> Complex:
-    """Derivatives -A^-1 (dA) x of reduced states by complex parameters: (len(names), r, n), e^{-i w t}."""
-    operators = solution.operators
-    assert isinstance(operators, ReducedOperators)
-    slopes = np.array([[integral.coefficient.derivative(solution.omega, values, name) for integral in
-                        operators.integrals] for name in names])
-    images = np.einsum("qij,jn->qin", operators.matrices[:, :-1], solution.states, optimize=True)
-    right = -np.einsum("kqn,qin->kin", slopes, images, optimize=True)
-    groups = frequency_groups(operators.integrals, solution.omega, values)
-    factors = np.stack([h for h, _ in groups])
-    matrices = np.stack([combined(constants, operators.matrices)[:-1, :-1] for _, constants in groups])
-    with one_thread():
-        pencil = Pencil.of(factors, matrices)
-        if pencil is not None:
-            found = np.stack([pencil.solve(each) for each in right])
-        else:
-            found = solve_each(factors, matrices, right)
-    return np.concatenate([found, np.zeros((len(names), 1, solution.frequency.size))], axis=1)
-
-
-class Pencil:
-    """h(w) (B_0 + t B_1 + t^2 B_2) at n values of t: stiffness and mass, and what a fluid adds, with t = w^2.
-
-    With t = t0 (1 + s) it is P_0 + s P_1 + s^2 P_2; with y = s x its inverse follows from that of 1 + s S,
-    S = [[P_0^-1 P_1, P_0^-1 P_2], [-1, 0]] = V L V^-1, or S = P_0^-1 P_1 where there is no P_2, diagonalised once.
-    """
-
-    def __init__(self, scale: Complex, ratio: Complex, parts: Sequence[Complex]) -> None:
-        """`scale` h (n,), `ratio` t (n,) and two or three matrices B (r, r)."""
-        self._scale, self._parts = scale, parts
-        self._powers = [np.ones(ratio.size), ratio, ratio**2][: len(parts)]
-        middle = np.median(ratio.real)
-        self._shift = ratio / middle - 1.0
-        first, second = parts[0] + middle * parts[1], middle * parts[1]
-        if len(parts) == 3:
-            last = middle**2 * parts[2]
-            first, second = first + last, np.hstack([second + 2.0 * last, last])
-        self._factor = scipy.linalg.lu_factor(first)
-        size = len(first)
-        whole = np.vstack([scipy.linalg.lu_solve(self._factor, second),
-                           -np.eye(size * (len(parts) - 2), size * (len(parts) - 1))])
-        roots, self._vectors = np.linalg.eig(whole)
-        self._back = np.linalg.inv(self._vectors)[:, :size]
-        self._vectors = self._vectors[:size]
-        self._damped = 1.0 / (1.0 + np.outer(roots, self._shift))
-
-    @classmethod
-    def of(cls, factors: Complex, matrices: Complex) -> Pencil | None:
-        """The pencil that sum_g factors_g (groups, n) matrices_g (groups, r, r) is; None if it is none."""
-        if len(matrices) == 2:
-            return cls(factors[0], factors[1] / factors[0], list(matrices))
-        if len(matrices) != 3:
-            return None
-        for a, b, c in ((0, 1, 2), (1, 0, 2), (0, 2, 1)):
-            constant = factors[b] ** 2 / (factors[a] * factors[c])
-            if np.ptp(constant.real) + np.ptp(constant.imag) < 1e-12 * np.abs(constant).max():
-                parts = [matrices[a], matrices[b], matrices[c] / constant[0]]
-                return cls(factors[a], factors[b] / factors[a], parts)
-        return None
-
-    def solve(self, right: Complex) -> Complex:
-        """x (r, n) with the pencil times x = right (r, n)."""
-        loads = scipy.linalg.lu_solve(self._factor, right / self._scale)
-        return np.asarray(self._vectors @ (self._damped * (self._back @ loads)))
-
-    def product(self, x: Complex) -> Complex:
-        """The pencil times x (r, n)."""
-        return np.asarray(self._scale * sum(
-            (part @ x) * power for part, power in zip(self._parts, self._powers, strict=True)))
-

@@ -93,7 +93,7 @@ def model(
             more.setdefault(parameter.name, parameter)
     parameters = (*known, *more.values())
 
-    # Bases are made about one point after the other (`Objective.surround`), not enriched on the way.
+    # Models grow where they are told to (`Objective.cover`), not on the way.
     whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
     return Model(campaign, parameters, len(known), hypotheses, whole.of(fitted),

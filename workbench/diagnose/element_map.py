@@ -34,7 +34,7 @@ class ElementMap:
 def element_map(model: Model, fit: Refit) -> ElementMap:
     """The map of what `fit` leaves, on the largest mesh (that of the chip, not of its disc alone)."""
     objective, states = model.fitted, model.campaign.fitted
-    objective.surround(fit.x, {}, UNNEEDED)
+    objective.cover(fit.x, {}, UNNEEDED)
     meshes = [predictor.problem.mesh for predictor in objective.predictors]
     mesh = max(meshes, key=lambda each: each.mesh.t.shape[1])
     shown = [k for k, each in enumerate(meshes) if each is mesh]

@@ -213,11 +213,11 @@ def cell_changes(model: Model, x: Real) -> list[Seen]:
     """Every fitted state at x (p,), on bases about it."""
     found: list[Seen] = []
     known: list[tuple[Solution, FullOperators, Complex]] = []
-    for k, predictor in enumerate(model.fitted.predictors):
+    for k in range(len(model.fitted.predictors)):
         impedance, _, prediction = model.fitted.predict(x, k)
         same = next((each for each in known if each[0] is prediction.solution), None)
         if same is None:
-            operators, states = predictor.expanded(prediction)
+            operators, states = prediction.full
             same = prediction.solution, operators, changes(operators, states, prediction)
             known.append(same)
         found.append(Seen(impedance, *same[1:]))

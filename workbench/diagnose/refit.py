@@ -37,9 +37,8 @@ MOVES = 1.5
 #: this share of what noise does not explain.
 CENTRED, SAME, SHARE = 3, 2.0, 0.02
 
-#: Directions that these moves bring into a basis are left out below this, relative to the states: Z is of second order
-#: in that.
-UNNEEDED = 1e-3
+#: What these moves bring into a basis is left out where an error of Z of this, relative, does not need it.
+UNNEEDED = 1e-4
 
 #: They serve while parameters move by so many of their standard errors there, and need not be made again where the
 #: estimated relative error of Z, which is ten to a hundred times the true one, is below the second number; no step is
@@ -215,7 +214,7 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     free, lifted = model.free(())
     search = Search(model.fitted, free=free, lifted=lifted)
     deviation = model.deviations()
-    model.fitted.surround(search.centre, _moves(model, (), search.centre), UNNEEDED)
+    model.fitted.cover(search.centre, _moves(model, (), search.centre), UNNEEDED)
     stated = model.fitted(search.centre, deviation=deviation)
     nominal = tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.fitted, stated.log_ratio, stated.impedance, strict=True))
@@ -240,7 +239,7 @@ def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[
     ends = _glances(model, x, scores)
     pulled = np.flatnonzero(np.abs((x - search.centre) * search.precision) > PULLED)
     if alone is not None:
-        model.fitted.surround(alone, _moves(model, (), alone), UNNEEDED)
+        model.fitted.cover(alone, _moves(model, (), alone), UNNEEDED)
         scores = scores_at(model, search, alone, search.evaluate(alone, _weak(search.objective, ROUGH)))
         held = promising(scores, STRONG)
         ends += _at_strengths(model, alone, held)
@@ -276,7 +275,7 @@ def _weakly(model: Model, search: Search, x: Real, fixed: tuple[int, ...] = ()) 
 
     The parameters of the indices `fixed` stay where they are.
     """
-    model.fitted.surround(x, _moves(model, (), x), UNNEEDED)
+    model.fitted.cover(x, _moves(model, (), x), UNNEEDED)
     x = _glance(search.thinned(), x, fixed).x
     return x, scores_at(model, search, x, search.evaluate(x, _weak(search.objective)))
 
@@ -309,7 +308,7 @@ def _at_strengths(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[
         asked = np.where(np.abs(scored.amplitude) < scored.error, scored.error, scored.amplitude)
         asked[~np.isfinite(asked)] = 0.0
         places = [_replaced(x, own, _within(search, own, x[own] + times * asked)) for times in HELD]
-        model.fitted.surround(x, _moves(model, (), x), UNNEEDED, places)
+        model.fitted.cover(x, _moves(model, (), x), UNNEEDED, places)
         thin = search.thinned()
         for place in places:
             try:
@@ -368,7 +367,7 @@ def _drawn(model: Model, effect: Effect, search: Search, end: Minimum, about: Re
     """
     known = slice(model.known)
     centre = _replaced(end.x, known, about[known])
-    model.fitted.surround(centre, _moves(model, (effect,), centre), UNNEEDED)
+    model.fitted.cover(centre, _moves(model, (effect,), centre), UNNEEDED)
     thin, random = search.thinned(), np.random.default_rng(0)
     moved = np.flatnonzero(search.precision[known] > 0.0)
     ends = [end]
@@ -384,7 +383,7 @@ def _drawn(model: Model, effect: Effect, search: Search, end: Minimum, about: Re
 def _followed(model: Model, effect: Effect, search: Search, end: Minimum) -> Minimum:
     """The end of the way of a hypothesis where the data weigh little, on bases made anew as long as it leads on."""
     for _ in range(ROUNDS):
-        model.fitted.surround(end.x, _moves(model, (effect,), end.x), UNNEEDED)
+        model.fitted.cover(end.x, _moves(model, (effect,), end.x), UNNEEDED)
         before, end = end.cost, _glance(search.thinned(), end.x)
         if end.cost > ONWARD * before:
             break
@@ -452,7 +451,7 @@ def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bo
     known = slice(model.known)
     centre = _replaced(x, known, search.centre[known])
     around = [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
-    model.fitted.surround(centre, _moves(model, fit.effects, x), UNNEEDED,
+    model.fitted.cover(centre, _moves(model, fit.effects, x), UNNEEDED,
                           [_replaced(centre, i, value) for i, value in (places[::2] if far else around)])
     thin = search.thinned()
     own = best = _glance(thin, x)
@@ -530,7 +529,7 @@ def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
                     reach[name] = max(reach.get(name, 0.0), abs(float(amplitude)) + ERRORS * float(error))
         # Where next to nothing is left of a layer, the search begins with more, which is another matter.
         begin = fit.search.inside(fit.x)
-        model.fitted.surround(begin, reach, UNNEEDED)
+        model.fitted.cover(begin, reach, UNNEEDED)
         centre = fit.search.evaluate(begin, deviation)
         found = fit.search.minimise(begin, deviation, limit=STEPS, tolerance=ENOUGH, radius=0.3,
                                     trusted=max(DOUBTED, TIMES * centre.data.error))
@@ -660,7 +659,7 @@ def _judged(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) 
 
 def checked(model: Model, fit: Refit) -> tuple[float, float]:
     """The reduced chi-square of a fit on bases made at its own place, and how far Z was off, relative, where most."""
-    model.fitted.surround(fit.x, {}, UNNEEDED)
+    model.fitted.cover(fit.x, {}, UNNEEDED)
     there = _judged(model, fit.effects, fit.search, fit.x)
     off = max(float(np.abs(was.impedance / now.impedance - 1.0).max())
               for was, now in zip(fit.states, there.states, strict=True))
@@ -681,7 +680,7 @@ def predicted(model: Model, fit: Refit) -> tuple[StateFit, ...]:
     found = model.held_out(fit.x, deviation=deviation) if shared else None
     if found is None or not found.error < TRUSTED:
         apart = model.held_out.apart()
-        apart.surround(fit.x, {}, UNNEEDED)
+        apart.cover(fit.x, {}, UNNEEDED)
         found = apart(fit.x, deviation=deviation)
     return tuple(state_fit(s.name, log, z, s.noise) for s, log, z in zip(
         model.campaign.held_out, found.log_ratio, found.impedance, strict=True))

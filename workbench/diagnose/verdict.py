@@ -573,17 +573,17 @@ def known_physics(found: Diagnosis) -> list[tuple[str, str, Spectrum, Spectrum]]
         it. Without it its constant is zero.
     """
     objective, x = found.model.fitted, found.best.x
-    objective.surround(x, {}, UNNEEDED)
+    objective.cover(x, {}, UNNEEDED)
     result = []
     for index, (state, recording) in enumerate(zip(found.campaign.fitted, objective.recordings, strict=True)):
         if state.fluid is None:
             continue
-        values, lengths, _ = objective.settings(x, index)
+        values, _ = objective.settings(x, index)
         values = {**recording.problem.values, **values}
         for effect, constant in KNOWN_PHYSICS.items():
             name = f"{state.fluid.name}.{constant}"
             if values.get(name):
-                pair = [Spectrum(state.measured.frequency, objective.predictors[index](there, lengths).impedance)
+                pair = [Spectrum(state.measured.frequency, objective.predictors[index](there).impedance)
                         for there in (values, {**values, name: 0j})]
                 result.append((effect, state.name, pair[0], pair[1]))
     return result

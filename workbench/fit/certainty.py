@@ -178,8 +178,8 @@ def judge(
     here = search.evaluate(minimum.x, deviation)
     information = here.data.jacobian.T @ here.data.jacobian
     covariance = _inverse(information, search)
-    _settle(search, minimum.x, covariance)
-    settled = search.evaluate(minimum.x, deviation) if profiles else here
+    near = search.on(search.objective.narrowed(_around(search, minimum.x, covariance)))
+    settled = near.evaluate(minimum.x, deviation) if profiles else here
     shift = np.zeros(minimum.x.size)
     if coarser is not None:
         shift = covariance @ (here.data.jacobian.T @ _mesh_error(search, coarser, minimum.x, deviation))
@@ -191,8 +191,8 @@ def judge(
     for i, parameter in enumerate(search.parameters):
         low, high, method = minimum.x[i] - DEVIATIONS * errors[i], minimum.x[i] + DEVIATIONS * errors[i], "quadratic"
         held = "bound" in bounds[i]
-        if profiles and (held or _misjudged(search, minimum.x, settled, covariance, i, deviation)):
-            ends = profile(search, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
+        if profiles and (held or _misjudged(near, minimum.x, settled, covariance, i, deviation)):
+            ends = profile(near, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
             low, high = (minimum.x[i] + sign * np.hypot(end - minimum.x[i], DEVIATIONS * shift[i])
                          for sign, end in zip((-1.0, 1.0), ends, strict=True))
             method = "profile"
@@ -221,15 +221,14 @@ def _inverse(information: Real, search: Search) -> Real:
     return np.asarray(np.linalg.inv(information * scale + np.eye(search.scale.size)) * scale)
 
 
-def _settle(search: Search, x: Real, covariance: Real) -> None:
-    """Narrow every predictor to the neighbourhood that intervals and held-out bands are going to search."""
+def _around(search: Search, x: Real, covariance: Real) -> list[Real]:
+    """The minimum x (p,), and points about it within which intervals and held-out bands are searched."""
     values, vectors = np.linalg.eigh(covariance / np.outer(search.scale, search.scale))
     around = [x]
     for value, vector in zip(values, vectors.T, strict=True):
         step = 3.0 * np.sqrt(max(value, 0.0)) * vector * search.scale
         around.append(np.clip(x + step, search.low, search.high))
-    for index, predictor in enumerate(search.objective.predictors):
-        predictor.settle([search.objective.settings(y, index)[:2] for y in around])
+    return around
 
 
 def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence[Real]) -> Real:
@@ -250,8 +249,8 @@ def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence
 
 def unrefined(coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float) -> Complex:
     """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz)."""
-    values, lengths, bench = coarser.settings(x, index)
-    prediction = coarser.predictors[index].elsewhere(frequency, tolerance, values, lengths)
+    values, bench = coarser.settings(x, index)
+    prediction = coarser.predictors[index].at(frequency, tolerance)(values)
     return through_bench(prediction.impedance, prediction.solution.omega, bench)[0]
 
 
@@ -428,11 +427,11 @@ def check(objective: Objective, x: Real, *, count: int = 3) -> tuple[float, floa
     """
     worst, where = 0.0, 0.0
     for index, predictor in enumerate(objective.predictors):
-        values, lengths, _ = objective.settings(x, index)
+        values, _ = objective.settings(x, index)
         _, _, prediction = objective.predict(x, index)
         size = np.abs(prediction.impedance)
         chosen = sorted({int(np.argmin(size)), int(np.argmax(size)), int(np.argmax(prediction.error))})[:count]
-        full = predictor.full(values, lengths, predictor.frequencies[chosen])
+        full = predictor.full(values, predictor.frequencies[chosen])
         off = np.abs(prediction.impedance[chosen] / full - 1.0)
         if off.max() > worst:
             worst, where = float(off.max()), float(predictor.frequencies[chosen][int(np.argmax(off))])

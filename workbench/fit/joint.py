@@ -192,11 +192,15 @@ class Search:
                  else inequalities(problems, moving, poisson=poisson))
         self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
 
+    def on(self, objective: Objective) -> Search:
+        """The same problem with its objective predicted in another way."""
+        other = copy.copy(self)
+        other.objective = objective
+        return other
+
     def thinned(self) -> Search:
         """The same problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
-        other = copy.copy(self)
-        other.objective = self.objective.thinned(SEARCHED_POINTS)
-        return other
+        return self.on(self.objective.thinned(SEARCHED_POINTS))
 
     def _among_all(self, inequality: Inequality) -> Inequality:
         """An inequality of the free parameters as one of all."""

@@ -22,7 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from workbench.fit.parameter import BENCH, Parameter, part, placed
+from geometry.stretch import tied
+from workbench.dimensions import flexible
+from workbench.fit.parameter import BENCH, LOSS, Parameter, part, placed
 from workbench.fit.predict import Prediction, Predictor
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
@@ -78,42 +80,46 @@ class Residual:
 class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
-    A parameter that is among the values of a recording's problem moves these; a dimension that is not stretches the
-    mesh of its chip. Recordings of one problem share a predictor. ``tolerance`` as of a `Predictor`.
+    A parameter moves the value of its name among those of a recording's problem; lengths of the chip are put among them
+    (`dimensions.flexible`). Recordings of one problem share a predictor. ``tolerance`` as of a `Predictor`.
     """
 
     def __init__(
         self, recordings: Sequence[Recording], parameters: Sequence[Parameter], *, tolerance: float
     ) -> None:
-        self.recordings, self.parameters = tuple(recordings), tuple(parameters)
-        names = [r.name for r in self.recordings]
+        self.parameters = tuple(parameters)
+        names = [r.name for r in recordings]
         if len(set(names)) < len(names):
             raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
-        self._acting = [[(column, p) for column, p in enumerate(self.parameters)
-                         if not p.recordings or r.name in p.recordings] for r in self.recordings]
-        #: Of every recording, the coefficients that parameters move.
-        self.coefficients = [tuple(dict.fromkeys(p.coefficient for _, p in acting if p.coefficient in r.problem.values))
-                             for r, acting in zip(self.recordings, self._acting, strict=True)]
+        acting = [[(column, p) for column, p in enumerate(self.parameters)
+                   if not p.recordings or r.name in p.recordings] for r in recordings]
+        flexed: dict[Any, Problem] = {}
+        self.recordings = tuple(_with_lengths(r, [p for _, p in own], flexed)
+                                for r, own in zip(recordings, acting, strict=True))
+        self._bench = [[(column, p) for column, p in own if p.is_bench] for own in acting]
+        #: Of every recording, the columns and parameters that move a value of its problem, and which.
+        self._moved = [[(column, p, key) for column, p in own if (key := _moves(p, r)) is not None]
+                       for r, own in zip(self.recordings, acting, strict=True)]
+        #: Of every recording, the values that parameters move.
+        self.moved = [tuple(dict.fromkeys(key for _, _, key in moved)) for moved in self._moved]
         shared: dict[Any, Predictor] = {}
         predictors = []
-        for r, acting, tangents in zip(self.recordings, self._acting, self.coefficients, strict=True):
-            dimensions = tuple(p.name for _, p in acting if _stretches(p, r))
+        for r, tangents in zip(self.recordings, self.moved, strict=True):
             frequency = r.measured.frequency
-            key = (id(r.problem.mesh), r.problem.terms, dimensions, tangents, frequency.tobytes())
-            if key not in shared:
-                shared[key] = Predictor(r.problem, frequency, chip=r.chip, tolerance=tolerance, tangents=tangents,
-                                        dimensions=dimensions)
-            predictors.append(shared[key])
+            alike = (id(r.problem.mesh), r.problem.terms, tangents, frequency.tobytes())
+            if alike not in shared:
+                shared[alike] = Predictor(r.problem, frequency, tolerance=tolerance, tangents=tangents)
+            predictors.append(shared[alike])
         self.predictors = tuple(predictors)
 
     @property
     def solves(self) -> int:
         return sum(p.solves for p in set(self.predictors))
 
-    def surround(self, x: Real, reach: Mapping[str, float], unneeded: float, corners: Sequence[Real] = ()) -> None:
-        """Make every basis anew about x (p,), for parameters that move by so much, by name (`Predictor.surround`).
+    def cover(self, x: Real, reach: Mapping[str, float], tolerance: float, corners: Sequence[Real] = ()) -> None:
+        """Let every model grow for parameters about x (p,) that move by so much, by name (`Predictor.cover`).
 
-        `corners` are further points (p,) to hold the states of, as far as they differ by more than dimensions.
+        `corners` are further points (p,) to hold the states of.
         """
         done: set[int] = set()
         for index, predictor in enumerate(self.predictors):
@@ -121,15 +127,14 @@ class Objective:
                 continue
             done.add(id(predictor))
             problem = self.recordings[index].problem
-            values, lengths, _ = self.settings(x, index)
+            values, _ = self.settings(x, index)
             moves: dict[str, float] = {}
-            for _, p in self._acting[index]:
-                if p.name in reach and p.coefficient in problem.values:
-                    size = abs(problem.values[p.coefficient]) if p.relative else 1.0
-                    moves[p.coefficient] = max(moves.get(p.coefficient, 0.0), reach[p.name] * size)
-            others = [settings[0] for settings in (self.settings(corner, index) for corner in corners)]
-            predictor.surround({**problem.values, **values}, lengths, moves, unneeded,
-                               [other for other in others if other != values])
+            for _, p, key in self._moved[index]:
+                if p.name in reach:
+                    size = abs(problem.values[key]) if p.relative else 1.0
+                    moves[key] = max(moves.get(key, 0.0), reach[p.name] * size)
+            others = [self.settings(corner, index)[0] for corner in corners]
+            predictor.cover(values, moves, tolerance, [other for other in others if other != values])
 
     def measured_as(self, spectra: Sequence[Spectrum]) -> Objective:
         """The same with other spectra at the same frequencies, sharing what the predictors have learnt.
@@ -150,8 +155,20 @@ class Objective:
         other = copy.copy(self)
         other.recordings = tuple(self.recordings[k] for k in kept)
         other.predictors = tuple(self.predictors[k] for k in kept)
-        other._acting = [self._acting[k] for k in kept]
-        other.coefficients = [self.coefficients[k] for k in kept]
+        other._moved, other._bench = [self._moved[k] for k in kept], [self._bench[k] for k in kept]
+        other.moved = [self.moved[k] for k in kept]
+        return other
+
+    def narrowed(self, points: Sequence[Real]) -> Objective:
+        """The same :meth:`apart`, on no more of each basis than the spectra at `points` (p,) need: for a neighbourhood.
+
+        Elsewhere the estimated error rises, and the models grow again.
+        """
+        other, done = copy.copy(self), dict[int, Predictor]()
+        for index, predictor in enumerate(self.predictors):
+            if id(predictor) not in done:
+                done[id(predictor)] = predictor.narrowed([self.settings(point, index)[0] for point in points])
+        other.predictors = tuple(done[id(predictor)] for predictor in self.predictors)
         return other
 
     def apart(self) -> Objective:
@@ -177,22 +194,14 @@ class Objective:
         other.predictors = tuple(predictors)
         return other
 
-    def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float], dict[str, float]]:
-        """Complex values, dimensions and bench elements that x (p,) means for the recording of that index."""
+    def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float]]:
+        """Complex values and bench elements that x (p,) means for the recording of that index."""
         problem = self.recordings[index].problem
-        numbers: dict[str, float] = {}
-        lengths: dict[str, float] = {}
-        bench: dict[str, float] = {}
-        for column, parameter in self._acting[index]:
-            number = float(x[column])
-            if parameter.is_bench:
-                bench[parameter.name] = number
-            elif parameter.coefficient in problem.values:
-                numbers[parameter.name] = number * (part(problem.values, parameter.name) if parameter.relative else 1.0)
-            elif parameter.name in self.predictors[index].names:
-                lengths[parameter.name] = number
-        known = {name: complex(problem.values[name]) for name in self.coefficients[index]}
-        return placed(known, numbers), lengths, bench
+        result = {name: complex(problem.values[name]) for name in self.moved[index]}
+        for column, p, key in self._moved[index]:
+            number = float(x[column]) * (part(problem.values, p.name) if p.relative else 1.0)
+            result = placed(result, {key + LOSS if p.is_loss else key: number})
+        return result, {p.name: float(x[column]) for column, p in self._bench[index]}
 
     def predict(
         self, x: Real, index: int, free: Collection[int] | None = None
@@ -202,26 +211,21 @@ class Objective:
         Derivatives by other parameters than those of the indices `free`, if these are given, are left zero.
         """
         problem, predictor = self.recordings[index].problem, self.predictors[index]
-        acting = [(column, p) for column, p in self._acting[index] if free is None or column in free]
-        moved = {p.coefficient for _, p in acting}
-        coefficients = tuple(name for name in self.coefficients[index] if name in moved)
-        values, lengths, bench = self.settings(x, index)
-        prediction = predictor({**problem.values, **values}, lengths, None if free is None else coefficients)
+        moved = [each for each in self._moved[index] if free is None or each[0] in free]
+        keys = tuple(dict.fromkeys(key for _, _, key in moved))
+        values, bench = self.settings(x, index)
+        prediction = predictor({**problem.values, **values})
         omega = prediction.solution.omega
         seen, device, elements = through_bench(prediction.impedance, omega, bench)
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
-        slopes = np.conj(prediction.logarithmic_gradient(coefficients)) if coefficients else None
-        for column, parameter in acting:
-            if parameter.is_bench:
-                gradient[:, column] = elements[parameter.name]
-            elif parameter.coefficient in coefficients:
-                assert slopes is not None
-                slope = slopes[:, coefficients.index(parameter.coefficient)]
-                # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
-                factor = part(problem.values, parameter.name) if parameter.relative else 1.0
-                gradient[:, column] = device * factor * (-1j * slope if parameter.is_loss else slope)
-            elif parameter.name in predictor.names:
-                gradient[:, column] = device * np.conj(prediction.logarithmic_slope(parameter.name))
+        for column, p in self._bench[index]:
+            gradient[:, column] = elements[p.name]
+        slopes = np.conj(prediction.logarithmic_gradient(keys))
+        for column, p, key in moved:
+            slope = slopes[:, keys.index(key)]
+            # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
+            factor = part(problem.values, p.name) if p.relative else 1.0
+            gradient[:, column] = device * factor * (-1j * slope if p.is_loss else slope)
         return seen, gradient, prediction
 
     def __call__(
@@ -255,11 +259,37 @@ class Objective:
         return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), tuple(predictions))
 
 
-def _stretches(parameter: Parameter, recording: Recording) -> bool:
-    """Whether a parameter moves the mesh of a recording: a length of its chip that is not among its values."""
-    if not parameter.is_dimension or parameter.name in recording.problem.values:
-        return False
-    return recording.chip is None or parameter.name in recording.chip.dimensions()
+def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: dict[Any, Problem]) -> Recording:
+    """The recording with those lengths of its chip among the values of its problem that parameters move.
+
+    Problems of one mesh and one model go on sharing these; `known` holds those made so far.
+    """
+    chip, problem = recording.chip, recording.problem
+    lacking = [p for p in parameters if p.is_dimension and not set(p.names) & set(problem.values)]
+    if chip is None or not lacking:
+        return recording
+    lengths = chip.dimensions()
+    named = [(next((name for name in p.names if name in lengths), ""), p) for p in lacking]
+    radii = {name: (p.low, p.high) for name, p in named if name.endswith("radius")}
+    if not radii and not any(name.endswith("thickness") for name, _ in named):
+        return recording
+    key = id(problem.mesh), problem.terms, tuple(radii.items())
+    if key not in known:
+        known[key] = flexible(problem, chip, radii)
+    like = known[key]
+    return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
+                                              values={**like.values, **problem.values}))
+
+
+def _moves(parameter: Parameter, recording: Recording) -> str | None:
+    """The value of a recording's problem that a parameter moves, None if there is none."""
+    values = recording.problem.values
+    if parameter.is_bench:
+        return None
+    if not parameter.is_dimension:
+        return parameter.coefficient if parameter.coefficient in values else None
+    known = {} if recording.chip is None else tied(recording.chip)
+    return next((key for name in parameter.names for key in (name, known.get(name, name)) if key in values), None)
 
 
 def log_ratio(model: Complex, measured: Complex) -> Complex:

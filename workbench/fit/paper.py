@@ -41,10 +41,10 @@ from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.fit.admissible import POISSON_RATIO, inequalities
 from workbench.fit.objective import Recording
 from workbench.fit.parameter import CERAMIC_LOSS, LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters, placed
-from workbench.operators import assemble
+from workbench.fit.predict import Predictor
 from workbench.problem import Problem
-from workbench.reduce import NotEnriched, ReducedModel, narrowed, reduce, spanned
-from workbench.solve import NotConverged, Solution
+from workbench.reduce import NotEnriched
+from workbench.solve import NotConverged
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -69,14 +69,6 @@ STOP = 0.05
 #: fminsearch: first simplex, relative; tolerances on variables and on the cost, absolute; steps and spectra for each
 #: variable.
 SIMPLEX, SIMPLEX_AT_ZERO, TOLERANCE, STEPS = 0.05, 0.00025, 1e-4, 200
-
-#: Spectra in a row from one reduced model after which it is narrowed to the neighbourhood they lay in: a simplex that
-#: shrinks needs ever less of it.
-RECENT = 8
-
-#: A basis of more columns is narrowed to so many of the last places of enrichment, without the directions of which all
-#: their states need less than this (relative). The error of the impedance is of second order in what is left out.
-WIDE, PLACES, UNNEEDED = 120, 24, 1e-6
 
 #: Real parts that end farther than this (relative) from where they started have run off: no data sheet is so wrong.
 STRAYED = 0.5
@@ -261,75 +253,6 @@ def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float
     return {p.name: float(start.get(name, p.start)) for name, p in known.items()}
 
 
-class _Spectra:
-    """Spectra of a problem at fixed frequencies (n,) Hz, wherever a simplex goes.
-
-    A narrow model of where it has lately been; behind it a wide one of all places it was enriched at, since a simplex
-    of 5 % comes back to where it was at the start of the next block; behind that full solves. ``solves`` counts these.
-    """
-
-    def __init__(self, problem: Problem, frequencies: Real, *, tangents: tuple[str, ...], tolerance: float) -> None:
-        self.operators, self.frequencies = assemble(problem.mesh, problem.terms), frequencies
-        self.tangents, self.tolerance = tangents, tolerance
-        self._models: tuple[ReducedModel, ...] = ()
-        self._places: list[Real] = []
-        self._recent: list[Complex] = []
-        self._served: ReducedModel | None = None
-
-    @property
-    def solves(self) -> int:
-        return self._models[0].solves if self._models else 0
-
-    def __call__(self, values: Mapping[str, complex]) -> Complex:
-        """The impedance (n,), e^{+j w t}, at complex parameters, e^{-i w t}.
-
-        Raises:
-            NotEnriched, NotConverged: there is none to be had.
-        """
-        for model in reversed(self._models):
-            solution = self._of(model, values)
-            if solution is not None:
-                break
-        else:
-            model = self._enriched(values)
-            solution = model.solve(self.frequencies, values)
-        self._settle(model, solution.states)
-        return np.conj(solution.impedance)
-
-    def _of(self, model: ReducedModel, values: Mapping[str, complex]) -> Solution | None:
-        """What a model gives, None if that is not good enough."""
-        solution = model.solve(self.frequencies, values)
-        return solution if model.error(solution).max() <= self.tolerance else None
-
-    def _enriched(self, values: Mapping[str, complex]) -> ReducedModel:
-        model = reduce(self.operators, self.frequencies, values, tolerance=0.5 * self.tolerance,
-                       tangents=self.tangents, start=self._models[0] if self._models else None)
-        # The old basis comes first in the new one, and the lift last in both.
-        padding = model.basis.shape[1] - (self._models[0].basis.shape[1] if self._models else 0)
-        old = [np.insert(place, [len(place) - 1] * padding, 0.0, axis=0) for place in self._places]
-        self._places = [*old, _spanned(model.solve(self.frequencies, values).states)][-PLACES:]
-        if model.basis.shape[1] > WIDE:
-            narrow, within = narrowed(model, np.concatenate(self._places, axis=1), UNNEEDED)
-            if self._of(narrow, values) is not None:
-                model, self._places = narrow, [within.T @ place for place in self._places]
-        self._models = (model,)
-        return model
-
-    def _settle(self, model: ReducedModel, states: Complex) -> None:
-        """Narrow the model that has given the last :data:`RECENT` spectra in a row to what these need."""
-        self._recent = [*self._recent, states] if model is self._served else [states]
-        self._served = model
-        if len(self._recent) == RECENT:
-            narrow, _ = narrowed(model, np.concatenate(self._recent, axis=1), UNNEEDED)
-            self._models, self._recent = (self._models[0], narrow), []
-
-
-def _spanned(states: Complex) -> Real:
-    """Fewer columns (r, k) than reduced `states` (r, n) that are as large in every direction, their last row zero."""
-    directions, sizes = spanned(states, UNNEEDED**2)
-    return np.vstack([directions * sizes, np.zeros((1, sizes.size))])
-
-
 def _passive(problem: Problem, losses: Sequence[Parameter]) -> Broken:
     """Eq. 13, as the condition that the loss matrices have no negative eigenvalue."""
     conditions = inequalities([problem], losses)
@@ -381,7 +304,7 @@ class _Search:
         self.spectra = self.inadmissible = self.unpredicted = 0
         self.blocks: list[Block] = []
         self.place = "before the first block"
-        self._models: dict[float, _Spectra] = {}
+        self._models: dict[float, Predictor] = {}
         self._window = 0.0
         self._seen: tuple[Real, Complex] | None = None
 
@@ -398,7 +321,7 @@ class _Search:
                 raise InputError("fit", "recording", f"{frequency.size} points within {100.0 * window:g} % of "
                                  f"{self.resonance:.6g} Hz", f"at least as many as parameters, {len(self.start)}")
             moved = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in self.start))
-            self._models[window] = _Spectra(self.problem, frequency, tangents=moved, tolerance=self.tolerance)
+            self._models[window] = Predictor(self.problem, frequency, tangents=moved, tolerance=self.tolerance)
 
     @property
     def _points(self) -> NDArray[np.bool_]:
@@ -406,7 +329,7 @@ class _Search:
 
     def spectrum(self, values: Mapping[str, float]) -> Complex:
         """The impedance (n,) at the points of the window."""
-        return self._models[self._window](placed(self.problem.values, values))
+        return self._models[self._window](placed(self.problem.values, values)).impedance
 
     def cost(self) -> float:
         """Eq. 28 at the present values."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.chip import Chip
-from geometry.stretch import between
+from geometry.stretch import movable, tied
 from inputs import InputError, nearest_names
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
@@ -44,8 +44,7 @@ POLYMER_LOSS_REACH = 0.3
 #: Standard uncertainty of a dimension without a stated tolerance, relative.
 MEASURED = 0.005
 
-#: A length keeps this share of the way to where it would vanish, or meet another (`geometry.stretch`).
-KEPT = 0.1
+#: What to do about a radius that would pass another (`geometry.stretch.movable`).
 BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
 
 
@@ -94,7 +93,8 @@ class Parameter:
     ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
     beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``,
     the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. ``beyond``
-    tells what to do about a bound that does not come from what is known.
+    tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with this one
+    since they are as long.
     """
 
     name: str
@@ -106,6 +106,7 @@ class Parameter:
     recordings: tuple[str, ...] = ()
     relative: bool = False
     beyond: str = ""
+    tied: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:
@@ -124,6 +125,11 @@ class Parameter:
     @property
     def is_dimension(self) -> bool:
         return self.name.rpartition(".")[2] in LENGTHS
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its name, and those of the lengths tied to it."""
+        return (self.name, *self.tied)
 
     @property
     def is_loss(self) -> bool:
@@ -211,35 +217,39 @@ def _loss(name: str, coefficient: str, value: complex, material: Material, unit:
 def dimension_parameter(chip: Chip, name: str) -> Parameter:
     """A dimension of a chip: within three tolerances of its value, the tolerance read as the limits of a uniform law.
 
-    A radius does not reach the next one.
+    A radius does not reach the next one, and stands for all radii of its length, under the first of their names; what
+    several of them state of their tolerance must agree.
 
     Raises:
-        InputError: the chip has no such dimension, or states it as exact.
+        InputError: the chip has no such dimension, states it as exact, or states two tolerances of radii that coincide.
     """
     known = chip.dimensions()
     if name not in known:
         raise InputError(chip.file, "free", name, f"a dimension of the chip: {', '.join(known)}",
                          nearest_names(name, known))
-    found = known[name]
-    if found.tolerance == 0.0:
+    first = tied(chip).get(name, name)
+    others = tuple(other for other, each in tied(chip).items() if each == first and other != first)
+    stated = {each: known[each].tolerance for each in (first, *others) if known[each].tolerance is not None}
+    if len(set(stated.values())) > 1:
+        raise InputError(chip.file, name, ", ".join(f"{each}: {value:g} m" for each, value in stated.items()),
+                         "one tolerance of radii that coincide, which are one parameter")
+    found, tolerance = known[first], next(iter(stated.values()), None)
+    if tolerance == 0.0:
         raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
                          "free")
-    prior = MEASURED * found.value if found.tolerance is None else found.tolerance / np.sqrt(3.0)
+    prior = MEASURED * found.value if tolerance is None else tolerance / np.sqrt(3.0)
     reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value)
     wanted = found.value - reach, found.value + reach
-    low, high = stretchable([chip], name, *wanted)
-    beyond = BEYOND if name.endswith("radius") and (low, high) != wanted else ""
-    return Parameter(name, found.value, low, high, float(prior), "m", beyond=beyond)
+    low, high = stretchable([chip], first, *wanted)
+    beyond = BEYOND if first.endswith("radius") and (low, high) != wanted else ""
+    return Parameter(first, found.value, low, high, float(prior), "m", beyond=beyond, tied=others)
 
 
 def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
     """What is left of bounds (m) where the meshes of those `chips` that have the dimension keep their topology."""
     for chip in chips:
-        known = chip.dimensions()
-        if name in known:
-            value, (before, behind) = known[name].value, between(chip, name)
-            low = max(low, value - (1.0 - KEPT) * (value - before))
-            high = min(high, value + (1.0 - KEPT) * (behind - value))
+        if name in chip.dimensions():
+            low, high = movable(chip, name, low, high)
     return low, high
 
 

@@ -16,31 +16,27 @@ Where the printed text leaves a choice or errs:
   that is zero in the baseline stays zero however it is scaled, so its index is zero by construction and says nothing:
   the losses of c12, c44 and eps33 in the paper's own baseline. Give a baseline with losses to rank them.
 
-A change of 30 % carries many radial overtones through the band. A reduced model made at the baseline knows nothing of
-them; with a full solve or two at either end of a part's range in its basis it serves what lies between, since the model
-is affine in the one part that moves. It is then narrowed to what the spectra in between need. Every spectrum comes with
-its error estimate, and is enriched where that is too large.
+A change of 30 % carries many radial overtones through the band. The model of the baseline grows for every part by what
+the spectra at both ends of its range need (`predict.Predictor`), which mostly serves what lies between. Every spectrum
+comes with its error estimate, and the model grows again where that is too large.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
 
 from geometry.names import TRANSDUCER
 from inputs import InputError, nearest_names
 from materials.kinds import Piezoelectric
 from workbench.fit.parameter import LOSS, part, placed
-from workbench.operators import FullOperators, assemble, frequency_groups
+from workbench.fit.predict import Predictor
 from workbench.problem import Problem
-from workbench.reduce import NotEnriched, estimated_error, needed, new_directions, reduce
-from workbench.solve import System, one_thread, solve_dense
+from workbench.solve import one_thread
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -59,16 +55,6 @@ TABLE_TWO: Mapping[str, float] = {
 
 #: Parts whose normalised slope is below are dropped: section 3.3.
 REAL_THRESHOLD, LOSS_THRESHOLD = 0.1, 0.3
-
-#: Vectors taken from each factorisation at a scaled part: they cost a twentieth of it, and have to span the band.
-DEPTH = 24
-
-#: Full solves for one part, or for one spectrum of it that the basis of its range does not hold.
-LIMIT = 40
-
-#: Points of a part's range whose states decide what its narrowed basis keeps, and how small a share it drops.
-SAMPLES, UNNEEDED = 7, 1e-6
-
 
 @dataclass(frozen=True)
 class Rank:
@@ -182,172 +168,33 @@ def sensitivity(
     values = problem.with_values(baseline or {}).values
     frequencies = np.asarray(frequencies, dtype=float)
     scaling = np.linspace(low, high, scalings)
-    nominal = _Nominal(assemble(problem.mesh, problem.terms), frequencies, values, tolerance)
+    nominal = Predictor(problem, frequencies, tolerance=tolerance)
+    # Well within the tolerance, so that what hardly moves the spectrum needs no solve of its own.
+    reference = nominal.at(frequencies, 0.2 * tolerance)
+    baseline_spectrum = reference(values)
+    solves, error = reference.solves, float(baseline_spectrum.error.max())
     coefficients = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in full_names))
-    gradient = nominal.reference.parameter_gradient(values, coefficients) / nominal.reference.impedance[:, None]
+    gradient = baseline_spectrum.logarithmic_gradient(coefficients)
     parts = np.array([part(values, name) for name in full_names])
     local = np.zeros(parts.size)
     costs = np.zeros((parts.size, scalings))
-    # |Z| = 1 / (w |Q|), so that ln|Q| serves for ln|Z|.
-    reference = np.log(np.abs(nominal.reference.charge))
-    error, solves = nominal.error, nominal.model.solves
+    logarithm = np.log(np.abs(baseline_spectrum.impedance))
     for i, name in enumerate(full_names):
         if progress is not None:
             progress(name, i / len(full_names))
         slope = gradient[:, coefficients.index(name.removesuffix(LOSS))]
         # By the imaginary part d ln Z is i times that by the coefficient, and ln|Z| is the real part of ln Z.
         local[i] = float(np.linalg.norm(parts[i] * (1j * slope if name.endswith(LOSS) else slope).real))
-        spectrum = _Range(nominal, name, (low, high))
-        for j, factor in enumerate(scaling):
-            charge, estimate = spectrum(float(factor))
-            difference = np.log(np.abs(charge)) - reference
+        spectra = reference.at(frequencies, tolerance)
+        # From the ends inwards: what a model holds at both it mostly holds in between.
+        for j in sorted(range(scalings), key=lambda j: -abs(scaling[j] - 1.0)):
+            spectrum = spectra(_scaled(values, name, float(scaling[j])))
+            difference = np.log(np.abs(spectrum.impedance)) - logarithm
             costs[i, j] = float(difference @ difference)
-            error = max(error, estimate)
-        solves += spectrum.solves
+            error = max(error, float(spectrum.error.max()))
+        solves += spectra.solves
     return Sensitivity(full_names, parts, scaling, costs, local, costs.size, solves,
                        time.perf_counter() - started, error)
-
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """A reduced model along one part: A(w, s) = sum_g h_g(w) (fixed_g + (s - 1) moving_g), s the scaling of the part.
-
-    ``factors`` h_g(w) (groups, n); ``basis`` (size, r), its lift last; ``fixed`` and ``moving`` (groups, r +
-    PROJECTIONS, r) with rows for the basis and below them for the random projections of the residual.
-    """
-
-    factors: Complex
-    basis: Real
-    fixed: Complex
-    moving: Complex
-
-    def __call__(self, scaling: float) -> tuple[Complex, Complex, Real]:
-        """States (r, n) at a scaling, charge (n,) for 1 V, and its estimated relative error (n,)."""
-        whole = self.fixed + (scaling - 1.0) * self.moving
-        rank = whole.shape[2]
-        states, _ = solve_dense(self.factors, whole[:, :rank])
-        image = np.einsum("gn,gin->in", self.factors, whole @ states)
-        charge = -np.sum(states * image[:rank], axis=0)
-        return states, charge, estimated_error(image[rank:], charge)
-
-    def narrowed(self, states: Complex) -> _Line:
-        """On the directions of the basis that `states` (r, n) need."""
-        within, rank = needed(states, UNNEEDED), len(states)
-
-        def inside(matrices: Complex) -> Complex:
-            matrices = matrices @ within
-            return np.concatenate([within.T @ matrices[:, :rank], matrices[:, rank:]], axis=1)
-
-        return replace(self, basis=self.basis @ within, fixed=inside(self.fixed), moving=inside(self.moving))
-
-    def extended(
-        self, new: Real, test: Real, fixed: Sequence[csc_matrix], moving: Sequence[csc_matrix | None]
-    ) -> _Line:
-        """With columns `new` (size, k) before the lift; `fixed` and `moving` by group, None for a matrix of zeros."""
-        rank, count = self.basis.shape[1], new.shape[1]
-        order = np.concatenate([np.arange(rank - 1), rank + np.arange(count), [rank - 1]])
-
-        def grown(known: Complex, matrix: csc_matrix | None) -> Complex:
-            result = np.zeros((len(known) + count, rank + count), dtype=complex)
-            image = np.zeros(new.shape, dtype=complex) if matrix is None else matrix @ new
-            cross = self.basis.T @ image
-            result[:rank, :rank], result[rank + count:, :rank] = known[:rank], known[rank:]
-            result[:rank, rank:], result[rank:rank + count, :rank] = cross, cross.T
-            result[rank:rank + count, rank:], result[rank + count:, rank:] = new.T @ image, test.T @ image
-            return result[np.concatenate([order, np.arange(rank + count, len(result))])][:, order]
-
-        return replace(
-            self, basis=np.column_stack([self.basis, new])[:, order],
-            fixed=np.stack([grown(k, m) for k, m in zip(self.fixed, fixed, strict=True)]),
-            moving=np.stack([grown(k, m) for k, m in zip(self.moving, moving, strict=True)]))
-
-
-class _Nominal:
-    """The reduced model at the baseline, from which every part is moved.
-
-    ``reference`` its spectrum, ``error`` the largest estimated relative error of it; ``test`` (size, PROJECTIONS) what
-    residuals are projected on, as in `reduce`, with every unknown in the unit of ``weights`` (size,).
-    """
-
-    def __init__(self, operators: FullOperators, frequencies: Real, values: Values, tolerance: float) -> None:
-        self.operators, self.frequencies, self.values, self.tolerance = operators, frequencies, values, tolerance
-        # Well within the tolerance, so that what hardly moves the spectrum needs no solve of its own.
-        self.model = reduce(operators, frequencies, values, tolerance=0.2 * tolerance)
-        self.reference = self.model.solve(frequencies, values)
-        self.error = float(self.model.error(self.reference).max())
-        self.weights, self.test = self.model.weights, self.model.test
-        self._rows = np.concatenate([self.model.operators.matrices, self.model.sketch], axis=1)
-
-    @cached_property
-    def system(self) -> System:
-        return System(self.operators, self.values)
-
-    def line(self, name: str) -> _Line:
-        """The reduced model of the baseline with one part free to move."""
-        groups = frequency_groups(self.operators.integrals, 2.0 * np.pi * self.frequencies, self.values)
-        doubled = frequency_groups(self.operators.integrals, np.ones(1), _scaled(self.values, name, 2.0))
-        fixed = np.stack([constants for _, constants in groups])
-        moving = np.stack([constants for _, constants in doubled]) - fixed
-        return _Line(np.stack([h for h, _ in groups]), self.model.basis, np.tensordot(fixed, self._rows, axes=1),
-                     np.tensordot(moving, self._rows, axes=1))
-
-
-class _Range:
-    """Spectra of one part scaled within a range: a narrow model, behind it the wide one, behind that full solves.
-
-    ``solves`` counts the full solves spent on it.
-    """
-
-    def __init__(self, nominal: _Nominal, name: str, ends: tuple[float, float]) -> None:
-        self.nominal, self.name, self.solves = nominal, name, 0
-        self.wide = self.narrow = nominal.line(name)
-        self._systems: dict[float, System] = {}
-        self._enrich(ends)
-        if self.solves:
-            states = [self.wide(float(at))[0] for at in np.linspace(*ends, SAMPLES)]
-            self.narrow = self.wide.narrowed(np.concatenate(states, axis=1))
-
-    def __call__(self, scaling: float) -> tuple[Complex, float]:
-        """The charge (n,) with the part at `scaling` times itself, and its largest estimated relative error."""
-        for line in (self.narrow, self.wide):
-            _, charge, error = line(scaling)
-            if error.max() <= self.nominal.tolerance:
-                return charge, float(error.max())
-        self._enrich((scaling,))
-        _, charge, error = self.wide(scaling)
-        return charge, float(error.max())
-
-    def _enrich(self, scalings: Sequence[float]) -> None:
-        """Full solves, each where the estimate is largest of all `scalings` and frequencies, until it is small enough.
-
-        What the basis holds at both ends of a range it mostly holds in between.
-        """
-        for _ in range(LIMIT):
-            found = [self.wide(scaling) for scaling in scalings]
-            worst = int(np.argmax([error.max() for _, _, error in found]))
-            error = found[worst][2]
-            index = int(np.argmax(error))
-            if error[index] <= self.nominal.tolerance:
-                return
-            self._solve(scalings[worst], index)
-        raise NotEnriched(float(error.max()), self.nominal.tolerance, self.solves)
-
-    def _solve(self, scaling: float, index: int) -> None:
-        """Take a full solve with its neighbours into the basis."""
-        nominal, coefficient = self.nominal, self.name.removesuffix(LOSS)
-        frequency = float(nominal.frequencies[index])
-        if scaling not in self._systems:
-            self._systems[scaling] = System(nominal.operators, _scaled(nominal.values, self.name, scaling))
-        system = self._systems[scaling]
-        states, _ = system.krylov(frequency, DEPTH, tangents=(coefficient,))
-        self.solves += 1
-        fixed = nominal.system.group_matrices()
-        # The model is affine in every coefficient of the transducer: two points make the line.
-        moving = [None if np.array_equal(there, here) else (far - near) / (scaling - 1.0)
-                  for there, here, far, near in zip(system.constants, nominal.system.constants,
-                                                    system.group_matrices(), fixed, strict=True)]
-        new = new_directions(self.wide.basis, states, nominal.weights)
-        self.wide = self.wide.extended(new, nominal.test, fixed, moving)
 
 
 def _full_names(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
