@@ -50,6 +50,26 @@ def shared() -> Path:
     return folder
 
 
+@pytest.fixture
+def tables_fit(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The titles of the tables printed, each of which is checked to fit 80 columns without the loss of a word."""
+    from support import check_table
+
+    from workbench.commands import terminal
+    from workbench.report import Table
+
+    found: list[str] = []
+    drawn = terminal.table_lines
+
+    def checked(title: str, table: Table, *, width: int) -> list[str]:
+        check_table(drawn(title, table, width=80), title, table.columns, table.rows)
+        found.append(title)
+        return drawn(title, table, width=width)
+
+    monkeypatch.setattr(terminal, "table_lines", checked)
+    return found
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # Models for the tests of the solver. Nothing of the packages is imported until a fixture asks for it.
 

@@ -141,3 +141,26 @@ class Wire:
 
     def close(self) -> None:
         pass
+
+
+#: What tables are drawn with.
+_DRAWN = re.compile("[┏┳┓┡╇┩└┴┘━─┃│]")
+
+
+def check_table(lines: list[str], title: str, columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:
+    """No line of a printed table has more than 80 characters, no word of it is lost, and none is cut but at a joint."""
+    shown = "\n".join(lines)
+    assert max(map(len, lines)) <= 80, shown
+    written = [title, *columns, *(cell for row in rows for cell in row)]
+    words = {word for text in written for word in text.split()}
+    allowed = set[str]()
+    for word in words:
+        pieces = re.split(r"(?<=[./])", word)
+        allowed |= {"".join(pieces[i:j]) for i in range(len(pieces)) for j in range(i + 1, len(pieces) + 1)}
+    # In a list of values a heading is followed by a colon.
+    printed = [word for line in lines for word in _DRAWN.sub(" ", line).split()]
+    for word in printed:
+        assert word in allowed or word.removesuffix(":") in allowed, (word, shown)
+    found, sought = ("".join("".join(texts).split()) for texts in (printed, written))
+    for character in set(sought):
+        assert found.count(character) >= sought.count(character), (character, shown)

@@ -211,7 +211,7 @@ RECORDING_MISTAKES: dict[str, tuple[str, list[str]]] = {
     "binary": ("\x00\x01\x02 not text", ["a text file; this one is binary"]),
     "zero": (rows(GOOD[0], "310000,0,0"), ["line 3", "neither zero nor infinite"]),
     "negative frequency": (rows("-1,5,-500", *GOOD), ["line 2, column 1", "-1.0", "a frequency above zero"]),
-    "another table": ("time,level\n1,2\n3,4\n", ["format", "'time,level'", "E4990A", "ColumnMap"]),
+    "another table": ("time,level\n1,2\n3,4\n", ["format", "'time,level'", "E4990A", "--columns MAP.toml"]),
     "semicolons": (rows("300000;5,0;-500,0"), ["line 2", "semicolons"]),
 }
 

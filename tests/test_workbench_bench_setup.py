@@ -7,6 +7,7 @@ import pytest
 
 from inputs import InputError
 from workbench.bench.setup import Sweep, read_bench
+from workbench.bench.spectra import read_compensation
 
 TEXT = """
 [generator]
@@ -109,3 +110,14 @@ def test_mistakes_are_named(tmp_path, old, new, field, said):
         read_bench(path)
     assert (caught.value.source, caught.value.field) == (str(path), field)
     assert said in str(caught.value)
+
+
+def test_recordings_of_the_fixture_may_have_a_column_map(tmp_path):
+    text = TEXT.replace('load = "load.h5"', 'load = "load.csv"\ncolumns = "map.toml"')
+    (tmp_path / "load.csv").write_text("f (Hz),Z,angle\n300000,50,0.1\n400000,50,0.2\n")
+    (tmp_path / "map.toml").write_text('frequency = "f (Hz)"\nfirst = "Z"\nsecond = "angle"\nquantity = { kind = '
+                                       '"impedance", form = "polar", unit = "ohm", phase_unit = "rad" }\n')
+    load = read_compensation(read_bench(written(tmp_path, text)).standards).load
+    np.testing.assert_allclose(np.angle(load.recorded.impedance), [0.1, 0.2])
+    with pytest.raises(InputError, match=r"in degrees or in radians.*columns = .MAP.toml."):
+        read_compensation(read_bench(written(tmp_path, text.replace('columns = "map.toml"', ""))).standards)

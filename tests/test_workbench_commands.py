@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 import re
 from collections.abc import Callable
@@ -20,6 +21,8 @@ from workbench.commands import states
 from workbench.readers import read
 from workbench.simulate import simulate as simulate_state
 from workbench.spectrum import Spectrum, write_csv
+
+pytestmark = pytest.mark.usefixtures("tables_fit")
 
 CELL = DISC.replace("small disc", "small cell") + CAVITY_LAYERS + """
 [states.empty]
@@ -231,6 +234,32 @@ def test_compare_reports_findings_and_corrects_on_request(
     record = standard_json(tmp_path / "out" / "merit.json")
     assert record["findings"] == []
     assert record["comparison"]["mape_percent"] < 0.01
+
+
+@pytest.mark.parametrize("with_map", [False, True])
+def test_compare_says_what_it_took_the_columns_for(
+    with_map: bool, disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spectrum = recorded(tmp_path / "disc.csv", disc)
+    headings = "u;v;w" if with_map else "Frequency [kHz];Rs [Ohm];Xs [Ohm]"
+    rows = "\n".join(f"{f / 1e3!r};{z.real!r};{z.imag!r}" for f, z in zip(
+        spectrum.frequency.tolist(), spectrum.impedance.tolist(), strict=True))
+    (tmp_path / "table.csv").write_text(f"{headings}\n{rows}\n")
+    (tmp_path / "MAP.toml").write_text(
+        'frequency = "u"\nfirst = "v"\nsecond = "w"\nfrequency_unit = "kHz"\ndelimiter = ";"\n'
+        'quantity = { kind = "impedance", form = "rectangular", unit = "ohm" }\n')
+    out = tmp_path / "out"
+    assert main(["compare", str(tmp_path / "table.csv"), str(disc), "-o", str(out), *SMALL,
+                 *(["--columns", str(tmp_path / "MAP.toml")] if with_map else [])]) == 0
+    record = standard_json(out / "merit.json")
+    assert record["comparison"]["mape_percent"] < 0.01
+    first, _, third = headings.split(";")
+    words = f'"{first}" is the frequency in kHz'
+    assert record["read_as"].startswith(f"{'by a column map' if with_map else 'by its headings'}, {words}; ")
+    assert f"table.csv: read {record['read_as']}" in capsys.readouterr().err
+    text = check_report(out / "report.html")
+    assert html.escape(words) in text
+    assert html.escape(f'"{third}" is the imaginary part of Z in ohm') in text
 
 
 def test_mesh_lists_regions_and_converges(disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

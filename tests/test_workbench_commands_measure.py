@@ -22,6 +22,8 @@ from workbench.merit import bvd_impedance
 from workbench.readers import read
 from workbench.spectrum import Spectrum
 
+pytestmark = pytest.mark.usefixtures("tables_fit")
+
 FREQUENCY = np.linspace(0.95e6, 1.1e6, 301)
 DEVICE = Spectrum(FREQUENCY, bvd_impedance(FREQUENCY, motional_resistance=6.0, motional_inductance=150e-6,
                                            motional_capacitance=168e-12, static_capacitance=1.5e-9))
@@ -156,7 +158,8 @@ def test_the_sketch_shows_where_the_minimum_is():
     lines = sketch(DEVICE.frequency, DEVICE.magnitude)
     assert f"{DEVICE.magnitude.min():.3g} ohm" in lines[9]
     assert f"{DEVICE.magnitude.max():.3g} ohm" in lines[0]
-    lowest = (DEVICE.frequency[np.argmin(DEVICE.magnitude)] - 0.95e6) / 0.15e6 * 72
+    assert max(map(len, lines)) <= 80
+    lowest = (DEVICE.frequency[np.argmin(DEVICE.magnitude)] - 0.95e6) / 0.15e6 * 64
     dots = [place - 14 for place, character in enumerate(lines[9]) if character == "•"]
     # The lowest tenth of the height is six columns wide.
     assert dots[0] <= lowest <= dots[-1]

@@ -25,7 +25,7 @@ from workbench.fit.joint import Search
 
 TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("tables_fit")]
 
 
 def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Campaign files: what they mean, and what every mistake in one is answered with."""
 
+import cmath
 from pathlib import Path
 
 import numpy as np
@@ -163,3 +164,20 @@ def test_scatter_is_the_noise_of_a_smooth_spectrum() -> None:
     noise = 0.01 * (random.standard_normal(81) + 1j * random.standard_normal(81))
     # 156 third differences, correlated over four: the median of their size is known to some 10 %.
     assert scatter(Spectrum(spectrum.frequency, spectrum.impedance * np.exp(noise))) == pytest.approx(0.01, rel=0.3)
+
+
+def test_a_recording_is_read_by_its_headings_or_by_the_map_that_is_named(folder: Path) -> None:
+    spectrum = circuit(0.99e6)
+    rows = "\n".join(f"{f!r},{abs(z)!r},{cmath.phase(z)!r}" for f, z in zip(
+        spectrum.frequency.tolist(), spectrum.impedance.tolist(), strict=True))
+    for headings, clear in (("f (Hz),|Z| (Ohm),theta (rad)", True), ("f (Hz),|Z| (Ohm),theta", False)):
+        (folder / "filled.csv").write_text(f"{headings}\n{rows}\n")
+        if not clear:
+            with pytest.raises(InputError, match="in degrees or in radians") as caught:
+                read_campaign(folder / "campaign.toml")
+            (folder / "map.toml").write_text(str(caught.value).split("\n\n")[1].replace('"deg"', '"rad"'))
+            (folder / "campaign.toml").write_text(CAMPAIGN.replace(
+                'recording = "filled.csv"', 'recording = "filled.csv"\ncolumns = "map.toml"'))
+        measured = read_campaign(folder / "campaign.toml").states[1].measured
+        np.testing.assert_allclose(measured.impedance, spectrum.impedance, rtol=1e-12)
+        assert "is the phase of Z in rad" in measured.origin.settings["read as"]

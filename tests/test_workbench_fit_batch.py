@@ -150,15 +150,17 @@ def test_every_command_is_run_and_failures_are_told(
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
     commands = {name: [sys.executable, "-c", TRACE, str(tmp_path / name)] for name in ("a", "b")}
     commands["bad"] = [sys.executable, "-c", "import sys; print('error: why', file=sys.stderr); sys.exit(2)"]
+    commands["long"] = [sys.executable, "-c",
+                        "import sys; print('on the way\\nerror: why\\n\\na = 1\\nb = 2', file=sys.stderr); sys.exit(2)"]
     commands["mute"] = [sys.executable, "-c", "import sys; sys.exit(3)"]
     said: list[tuple[str, str]] = []
     failed = run_commands(commands, workers=workers, report=lambda name, activity: said.append((name, activity)))
-    assert failed == {"bad": "why", "mute": "ended with 3"}
+    assert failed == {"bad": "why", "long": "why\n\na = 1\nb = 2", "mute": "ended with 3"}
     traces = [(tmp_path / name).read_text().split() for name in ("a", "b")]
     assert all(threads == "1" for _, threads in traces)
     assert len({pid for pid, _ in traces}) == 2
     assert sorted(said) == sorted([(name, "fitting") for name in commands] + [
-        ("a", "done"), ("b", "done"), ("bad", "failed"), ("mute", "failed")])
+        ("a", "done"), ("b", "done"), ("bad", "failed"), ("long", "failed"), ("mute", "failed")])
     running = [sum(a == "fitting" for _, a in said[:i]) - sum(a != "fitting" for _, a in said[:i])
                for i in range(len(said) + 1)]
     assert max(running) == workers

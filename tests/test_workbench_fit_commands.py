@@ -16,8 +16,11 @@ from workbench.commands import fit_job
 from workbench.fit.joint import FitResult
 from workbench.operators import assemble
 from workbench.problem import build
+from workbench.readers import read
 from workbench.reduce import reduce
 from workbench.spectrum import Spectrum, write_csv
+
+pytestmark = pytest.mark.usefixtures("tables_fit")
 
 MATERIAL = "pzt4/acevedo_2026_initial"
 SMALL = ["--elements-per-wavelength", "3", "--tries", "0"]
@@ -85,6 +88,9 @@ def test_a_fit_that_explains_nothing_is_a_verdict_and_is_saved_only_by_force(
 ) -> None:
     # One permittivity cannot take the place of a stiffness: the resonance stays where it was.
     record_of(folder / "disc.toml", {f"{MATERIAL}.c11": 0.8, f"{MATERIAL}.c33": 0.8}, "softer.csv")
+    spectrum = read(folder / "softer.csv").spectrum
+    np.savetxt(folder / "softer.csv", np.stack([spectrum.frequency, spectrum.magnitude, spectrum.phase_deg], axis=1),
+               delimiter=",", header="Frequency (Hz),|Z| (Ohm),theta (deg)", comments="", fmt="%.17g")
     bad = ("disc", "--free", "eps11", "--save", "pzt4/pea", "--force")
     assert fit(folder, *bad[:-1], out=tmp_path / "out", recording="softer.csv") == 1
     record = standard_json(tmp_path / "out" / "fit.json")
@@ -94,6 +100,8 @@ def test_a_fit_that_explains_nothing_is_a_verdict_and_is_saved_only_by_force(
     assert "pzt4/pea@1" not in Registry().names()
     said = capsys.readouterr().err
     assert "not accepted: softer: an rms of" in said
+    assert 'softer: read by its headings, "Frequency (Hz)" is the frequency in Hz; "|Z| (Ohm)" is' in said
+    assert "theta (deg)&quot; is the phase of Z in deg" in (tmp_path / "out" / "report.html").read_text()
     assert "not saved as pzt4/pea" in said
     assert "does not explain" in (tmp_path / "out" / "report.html").read_text()
     assert fit(folder, *bad, out=tmp_path / "forced", recording="softer.csv") == 1

@@ -35,6 +35,7 @@ SEMICOLONS = ColumnMap("Frequenz", "R", "X", Quantity("impedance", "rectangular"
     ("4294a_admittance.txt", "4294a", 2e-6),
     ("reflection.s1p", "touchstone", 1e-9),
     ("workbench.csv", "workbench", 1e-11),
+    ("table.txt", "table", 1e-9),
 ])
 def test_every_format_gives_the_same_circuit(name, format, tolerance):
     assert detect(DATA / name) == format
@@ -450,6 +451,7 @@ def test_reference_spectra_are_the_workbench_format():
 def test_every_format_has_a_small_file():
     assert {detect(path) for path in DATA.iterdir() if path.name not in (
         "shunt_gain.csv", "semicolons.csv", "waveform.csv")} == set(FORMATS)
+    assert detect(DATA / "shunt_gain.csv") == detect(DATA / "semicolons.csv") == "table"
 
 
 def test_a_column_map_from_a_file_is_that_of_the_code(tmp_path: Path) -> None:

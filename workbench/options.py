@@ -61,10 +61,10 @@ def _with_elements(sub: argparse.ArgumentParser, order: int) -> None:
 
 def _with_recording(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--columns", type=Path, metavar="MAP.toml",
-                     help="which columns of the recording are what, for a table of another instrument "
-                          "(default: the columns' own names)")
+                     help="which columns of the recording are what (default: as their headings say; where these do "
+                          "not, the error proposes a map)")
     sub.add_argument("--format", metavar="NAME",
-                     help="format of the recording: workbench, e4990a, 4294a or touchstone (default: found out)")
+                     help="format of the recording: workbench, e4990a, 4294a, touchstone or table (default: found out)")
     sub.add_argument("--correction", choices=("negate", "conjugate"),
                      help="put a wrong phase right, on your word (default: as recorded)")
 
@@ -248,6 +248,7 @@ def _bench(sub: argparse.ArgumentParser) -> None:
     served.add_argument("device", type=Path, nargs="?", metavar="DEVICE",
                         help="what is measured: a CHIP.toml, or a recorded spectrum; not needed with --connect")
     _with_state(served)
+    _with_recording(served)
     _with_model(served, order=4)
     served.add_argument("--ports", type=Path, metavar="DIR", help="folder in which the ports 'generator' and "
                         "'oscilloscope' appear (default: a temporary one)")

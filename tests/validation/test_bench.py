@@ -22,9 +22,9 @@ _SPEC.loader.exec_module(campaign)
 
 #: What cannot be read as a waveform or a spectrum, and what its refusal says.
 REFUSED = {
-    "MokuGo_47R_100R_shunt.csv": "ColumnMap", "RohdeSchwarz_47R_100R_shunt.csv": "ColumnMap",
-    "data1.isf": "envelope", "F0001TEK.SET": "ColumnMap", "resonanz.txt": "ColumnMap",
-    "circuitoParametriConcentrati.txt": "ColumnMap",
+    **dict.fromkeys(("MokuGo_47R_100R_shunt.csv", "RohdeSchwarz_47R_100R_shunt.csv", "F0001TEK.SET", "resonanz.txt",
+                     "circuitoParametriConcentrati.txt"), "--columns MAP.toml"),
+    "data1.isf": "envelope",
 }
 
 

@@ -125,13 +125,14 @@ class Acquisition:
 @dataclass(frozen=True)
 class Standards:
     """Recordings (run files or spectra) of the fixture open, shorted and loaded; the load's ``load_resistance`` (ohm)
-    and ``load_tolerance`` (limits, as a fraction)."""
+    and ``load_tolerance`` (limits, as a fraction); ``columns``, a column map for spectra whose headings do not say."""
 
     open: Path | None = None
     short: Path | None = None
     load: Path | None = None
     load_resistance: float | None = None
     load_tolerance: float = 0.0
+    columns: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -345,7 +346,7 @@ def _standards(table: _Table, folder: Path) -> Standards:
     found = Standards(
         open=table.path("open", folder), short=table.path("short", folder), load=table.path("load", folder),
         load_resistance=table.positive("load_resistance", "resistance") if "load_resistance" in table.values else None,
-        load_tolerance=table.fraction("load_tolerance", 0.0),
+        load_tolerance=table.fraction("load_tolerance", 0.0), columns=table.path("columns", folder),
     )
     if (found.load is None) != (found.load_resistance is None):
         raise table.error("load_resistance", "to be given with load, and only with it")

@@ -54,16 +54,17 @@ def read_compensation(standards: Standards) -> Compensation:
     Raises:
         InputError: a file is missing or is no recording.
     """
+    columns = None if standards.columns is None else readers.read_column_map(standards.columns)
     load = None
     if standards.load is not None and standards.load_resistance is not None:
-        load = Load(_standard(standards.load), standards.load_resistance, standards.load_tolerance)
-    return Compensation(None if standards.open is None else _standard(standards.open),
-                        None if standards.short is None else _standard(standards.short), load)
+        load = Load(_standard(standards.load, columns), standards.load_resistance, standards.load_tolerance)
+    return Compensation(None if standards.open is None else _standard(standards.open, columns),
+                        None if standards.short is None else _standard(standards.short, columns), load)
 
 
-def _standard(path: Path) -> Spectrum:
+def _standard(path: Path, columns: readers.ColumnMap | None) -> Spectrum:
     if path.suffix not in (".h5", ".hdf5"):
-        return readers.read(path).spectrum
+        return readers.read(path, columns=columns).spectrum
     run = read_run(path)
     levels = {point.level for point in run.points}
     if len(levels) != 1 or len({point.frequency for point in run.points}) < 2:

@@ -7,11 +7,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
 from inputs import InputError, parse_quantity
 from materials.registry import Registry, user_folder, user_registry
 from workbench.drive import Drive, parse_drive
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from workbench.readers import Reading
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,28 @@ def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     if not 0.0 < band[0] < band[1]:
         raise InputError("command line", "--from, --to", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
     return band
+
+
+def asked_reading(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
+    """The recording, read as --columns, --format and --correction say; what its columns were taken for is printed.
+
+    Raises:
+        InputError: a recording that cannot be read, or --columns and --format together.
+    """
+    from workbench.readers import read, read_column_map
+
+    if options.columns is not None and options.format is not None:
+        raise InputError("command line", "--format", options.format, "--columns or --format, not both")
+    columns = None if options.columns is None else read_column_map(options.columns)
+    reading = read(recording, columns=columns, format=options.format, correction=options.correction)
+    say_read_as(reading.read_as, recording.name, console)
+    return reading
+
+
+def say_read_as(read_as: str, name: str, console: Console) -> None:
+    """Print what the columns of a table were taken for, if it was read as one."""
+    if read_as:
+        console.print(f"{name}: read {read_as}", markup=False)
 
 
 def saving_folder(folders: Sequence[Path]) -> Path:

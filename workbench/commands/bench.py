@@ -17,12 +17,11 @@ import numpy as np
 from geometry.chip import read_chip
 from geometry.mesh import user_cache
 from inputs import InputError, choose, parse_quantity
-from workbench import readers
 from workbench.bench.impedance import impedance
 from workbench.bench.rig import Rig, marker_path
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.sine_fit import NoSine, fit_sines
-from workbench.commands.asked import asked_model
+from workbench.commands.asked import asked_model, asked_reading
 from workbench.commands.terminal import print_line, print_table
 from workbench.instruments.circuit import IDEAL, TYPICAL, Device, device_of, open_circuit, resistor
 from workbench.instruments.faults import KINDS, Fault, Kind
@@ -187,7 +186,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     if options.device is None:
         raise InputError("command line", "DEVICE", None, "a CHIP.toml or a recorded spectrum, or --connect")
     if options.device.suffix != ".toml":
-        return device_of(readers.read(options.device).spectrum), str(options.device)
+        return device_of(asked_reading(options, options.device, console).spectrum), str(options.device)
     chip = read_chip(options.device)
     asked = asked_model(options, chip)
     console.print(f"simulating {chip.name} ...", markup=False)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import read_chip
 from inputs import InputError
-from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.asked import asked_model, asked_reading, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.tables import model_table, origin_table
 from workbench.commands.terminal import print_table, progress_bars
@@ -37,13 +37,9 @@ if TYPE_CHECKING:
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
     from workbench.compare import compare as compare_spectra
-    from workbench.readers import read, read_column_map
     from workbench.render import plots
 
-    columns = None if options.columns is None else read_column_map(options.columns)
-    reading = read(options.recording, columns=columns, format=options.format)
-    if options.correction:
-        reading = reading.corrected(options.correction)
+    reading = asked_reading(options, options.recording, console)
     measured = reading.spectrum
     chip = read_chip(options.chip)
     asked = asked_model(options, chip)
@@ -69,6 +65,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     merit, reason = measured_figures(measured)
     write_json(folder / "merit.json", {
         "chip": chip.name, "recording": str(options.recording), "state": run.state,
+        "read_as": reading.read_as or None,
         "findings": [str(finding) for finding in reading.findings],
         "measured": figures_record(merit, reason), "simulated": simulation_record(run),
         "comparison": comparison_record(comparison),

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geometry.mesh import user_cache
-from workbench.commands.asked import asked_elements, output_folder
+from workbench.commands.asked import asked_elements, output_folder, say_read_as
+from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.compare import compare
 from workbench.diagnose.campaign import DeviceState, read_campaign
@@ -21,6 +22,7 @@ from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, ga
 from workbench.fit.objective import log_ratio
 from workbench.fit.parameter import shown_factor, shown_unit
 from workbench.merit import Figures
+from workbench.readers import READ_AS
 from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report
 from workbench.spectrum import Origin, Spectrum
 
@@ -36,6 +38,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     elements = asked_elements(options)
     campaign = read_campaign(options.campaign, materials=options.materials)
     folder = output_folder(options.output)
+    for state in campaign.states:
+        say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
     with progress_bars(console) as show:
         device = model(campaign, elements_per_wavelength=elements, cache=user_cache(),
                        progress=lambda share: show(campaign.name, "meshing", 0.05 * share))
@@ -203,7 +207,9 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
                 (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
                                           for value in (row.f0_change, row.q_change)),
                  f"{100.0 * row.rms_log_change:.3g}") for row in known))]),
-        ("Spectra", pictures)]
+        ("Spectra", pictures),
+        ("The recordings", [block for state in found.campaign.states
+                            for block in (f"State {state.name}:", origin_table(state.measured.origin))])]
     write_report(folder / "report.html", f"Diagnosis: {found.campaign.name}", sections)
 
 

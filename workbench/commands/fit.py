@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inputs import InputError, choose, parse_quantity
-from workbench.commands.asked import asked_elements, output_folder
+from workbench.commands.asked import asked_elements, output_folder, say_read_as
 from workbench.commands.fit_job import (
     Done,
     derived_table,
@@ -39,6 +39,7 @@ from workbench.fit.batch import (
 from workbench.fit.parameter import shown_factor, shown_unit
 from workbench.fit.prepare import DEFAULT
 from workbench.fit.record import refusals
+from workbench.readers import READ_AS
 from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
 
 if TYPE_CHECKING:
@@ -97,6 +98,8 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
     print_table("", match_table(done.result))
     if done.gel:
         print_table("thickness of the gel", gel_table(done.gel))
+    for match in done.result.recordings:
+        say_read_as(match.measured.origin.settings.get(READ_AS, ""), match.name, console)
     for text in (text for recording in done.record["recordings"] for text in recording["reader_findings"]):
         console.print(f"finding: {text}", style="yellow", markup=False)
     for text in done.result.findings:

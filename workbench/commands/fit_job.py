@@ -132,6 +132,8 @@ def _filling(member: Member, registry: Registry) -> dict[str, Material]:
 def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepared, tuple[Source, ...]]:
     parts, sources = [], []
     for member in job.members:
+        if member.columns is not None and member.format is not None:
+            raise InputError(member.name, "format", member.format, "columns or format, not both")
         columns = None if member.columns is None else read_column_map(member.columns)
         reading = read(member.recording, columns=columns, format=member.format, correction=member.correction)
         chip = read_chip(member.chip)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 #: Columns and rows of the sketch of the spectrum so far.
-_WIDTH, _HEIGHT = 72, 10
+_WIDTH, _HEIGHT = 64, 10
 
 
 def run(options: argparse.Namespace, console: Console) -> int:

@@ -9,6 +9,7 @@
     band = ["0.95 MHz", "1.05 MHz"] # of the recording, where not all of the chip's band
     noise = "0.5 %"                 # of a point, where the recording brings no uncertainty
     held_out = true                 # never fitted, only predicted
+    columns = "MAP.toml"            # of the recording, where its headings do not say what they are
 
     [known]                         # standard uncertainties: what is named here is free, nothing else is
     "pla/acevedo_2026.shear_modulus" = "3 %"
@@ -38,10 +39,10 @@ from materials.registry import Registry, user_registry
 from workbench.fit.parameter import BENCH, BENCH_ELEMENTS, LENGTHS, LOSS, UNITS
 from workbench.fit.prepare import check_device, in_band
 from workbench.problem import chip_materials
-from workbench.readers import read
+from workbench.readers import read, read_column_map
 from workbench.spectrum import Spectrum
 
-STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out")
+STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns")
 
 #: Which units an uncertainty may be written in, by the SI unit of what it is of.
 DIMENSIONS: Mapping[str, str] = {
@@ -179,7 +180,8 @@ def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceSt
     filling = chip_materials(chip, state.name, registry)
     recording = path.parent / text("recording")
     band = _band(entry.get("band"), source, f"{field}.band")
-    whole = read(recording).spectrum
+    columns = read_column_map(path.parent / text("columns")) if "columns" in entry else None
+    whole = read(recording, columns=columns).spectrum
     measured = in_band(whole, chip, band, name=str(recording))
     noise, stated = _noise(measured, quantity("noise", "dimensionless"), source, field)
     drive = quantity("drive", "peak-to-peak voltage")

@@ -291,10 +291,16 @@ def run_commands(
                 del running[label]
                 if status:
                     stream.seek(0)
-                    said = stream.read().strip()[-1000:]
-                    failed[label] = said.splitlines()[-1].removeprefix("error: ") if said else f"ended with {status}"
+                    said = stream.read().strip()
+                    failed[label] = _last_words(said) if said else f"ended with {status}"
                 report(label, "failed" if status else "done")
     return failed
+
+
+def _last_words(said: str) -> str:
+    """The error that a command ended with, all its lines, or else its last line."""
+    _, error, words = f"\n{said}".rpartition("\nerror: ")
+    return words if error else said.splitlines()[-1]
 
 
 def _end(running: Mapping[str, tuple[subprocess.Popen[str], IO[str]]]) -> None:

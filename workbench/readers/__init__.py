@@ -3,8 +3,10 @@
     reading = read(Path("disc.csv"))
     reading.spectrum, reading.findings
 
-A file that cannot be trusted (cut short, out of order, not a number) is an :class:`inputs.InputError` with the line.
-A file that can be read but contradicts physics gives findings, and is corrected only on request.
+A table whose headings say what its columns are needs no more; of one whose headings do not, :func:`read` asks for a
+column map, and proposes one. A file that cannot be trusted (cut short, out of order, not a number) is an
+:class:`inputs.InputError` with the line. A file that can be read but contradicts physics gives findings, and is
+corrected only on request.
 """
 
 from __future__ import annotations
@@ -15,14 +17,14 @@ from pathlib import Path
 
 from inputs import InputError, choose
 from workbench.readers import columns as _columns
-from workbench.readers import e4990a, hp4294a, touchstone, workbench_csv
-from workbench.readers.columns import ColumnMap, read_column_map
+from workbench.readers import e4990a, headed, hp4294a, touchstone, workbench_csv
+from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
 from workbench.readers.findings import Finding, examine
 from workbench.readers.quantities import Quantity
 from workbench.readers.text import RecordingText, load, refuse_waveform
 from workbench.spectrum import Spectrum, corrected
 
-__all__ = ["FORMATS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read", "read_column_map"]
+__all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read", "read_column_map"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ FORMATS: Mapping[str, Format] = {
     "e4990a": Format("Keysight/Agilent E4990A CSV", e4990a.recognises, e4990a.parse),
     "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises, hp4294a.parse),
     "touchstone": Format("Touchstone .s1p", touchstone.recognises, touchstone.parse),
+    # The last, since it takes whatever has three columns of numbers.
+    "table": Format("a table whose headings say what its columns are", headed.recognises, headed.parse),
 }
 
 
@@ -48,6 +52,11 @@ class Reading:
 
     spectrum: Spectrum
     findings: tuple[Finding, ...]
+
+    @property
+    def read_as(self) -> str:
+        """What every column was taken for, where headings or a column map say so; otherwise nothing."""
+        return self.spectrum.origin.settings.get(READ_AS, "")
 
     def corrected(self, correction: str) -> Reading:
         """The reading with its spectrum put right by "negate" or "conjugate", noted in the origin, and re-examined."""
@@ -70,7 +79,8 @@ def read(
     """Read a recording of impedance.
 
     `format` (a key of :data:`FORMATS`) skips the detection; `columns` reads any other table; `correction` ("negate"
-    or "conjugate") is applied as :meth:`Reading.corrected` does.
+    or "conjugate") is applied as :meth:`Reading.corrected` does. What a table's columns were taken for is said in
+    :attr:`Reading.read_as`.
 
     Raises:
         InputError: the file is not a spectrum that can be trusted; the message gives line and column.
@@ -96,4 +106,5 @@ def _detect(text: RecordingText) -> str:
             return name
     descriptions = ", ".join(f"{name} ({known.description})" for name, known in FORMATS.items())
     first = [line[:80] for line in text.lines if line.strip()][:3]
-    raise InputError(text.path, "format", first, f"one of {descriptions}; for any other table give a ColumnMap")
+    raise InputError(text.path, "format", first, f"one of {descriptions}; any other table of numbers needs "
+                     f"{headed.OPTION}")

@@ -6,13 +6,28 @@ ratio is, are said by the person who knows the set-up.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
+from types import MappingProxyType
 
 from inputs import UNITS, InputError, nearest_names, read_toml, refuse_unknown_keys
 from workbench.readers.quantities import Quantity
-from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
+from workbench.readers.text import RecordingText, Rows, cells, check_frequencies, check_impedance, numbers
 from workbench.spectrum import Origin, Spectrum
+
+#: The setting of an origin that says what the columns of a table were taken for.
+READ_AS = "read as"
+
+#: A line that begins so is no row.
+COMMENTS = ("%", "#", "!")
+
+#: A column map as an example for messages: what stands above, and its table `quantity`.
+EXAMPLE: tuple[Mapping[str, object], Mapping[str, object]] = (
+    {"frequency": "Freq", "first": "|Z|", "second": "angle", "frequency_unit": "kHz"},
+    {"kind": "impedance", "form": "polar", "unit": "ohm", "phase_unit": "deg"},
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +71,11 @@ def read_column_map(path: Path) -> ColumnMap:
         first = "|Z|"
         second = "angle"
         frequency_unit = "kHz"
+        delimiter = ","             # or ";", "\\t" or " " (any number of blanks)
+        decimal = "."               # or ","
         quantity = { kind = "impedance", form = "polar", unit = "ohm", phase_unit = "deg" }
+
+    ``negated = true`` in the quantity: the second column is minus the phase or imaginary part, as in -Im(Z).
 
     Raises:
         InputError: a missing or unknown key, or a value that ColumnMap or Quantity refuse.
@@ -73,7 +92,7 @@ def read_column_map(path: Path) -> ColumnMap:
     try:
         return ColumnMap(**{**table, "quantity": Quantity(**quantity)})
     except (TypeError, ValueError) as error:
-        expected = "a map that fits; see workbench.readers.ColumnMap"
+        expected = f"a map such as\n\n{map_text(*EXAMPLE, {})}\n"
         raise InputError(str(path), "column map", str(error), expected) from error
 
 
@@ -84,21 +103,82 @@ def parse(text: RecordingText, columns: ColumnMap) -> Spectrum:
     ignored). Columns given by number: rows begin at the first line whose cells all look like numbers. Every line
     after that must be a row, apart from comment lines.
 
+    The origin's setting :data:`READ_AS` says what each column was taken for.
+
     Raises:
         InputError: headings not found, a faulty row.
     """
-    split = [cells(line.lstrip("%#! ") if line.startswith(("%", "#", "!")) else line, columns.delimiter)
-             for line in text.lines]
-    places, width, start = _locate(text, columns, split)
+    places, width, start = _locate(text, columns, [cells(uncommented(line), columns.delimiter) for line in text.lines])
+    rows = table_rows(text, start, width=width, delimiter=columns.delimiter, decimal=columns.decimal)
+    return spectrum(text, rows, columns, places=places, read_as=f"by a column map, {in_words(columns)}")
+
+
+def uncommented(line: str) -> str:
+    """A line without the sign of a comment that it may begin with."""
+    return line.lstrip("%#! ") if line.startswith(COMMENTS) else line
+
+
+def table_rows(text: RecordingText, start: int, *, width: int, delimiter: str, decimal: str) -> Rows:
+    """The table of `width` columns in all lines from index `start` on, blank lines and comments left out.
+
+    Raises:
+        InputError: a row of another length, or a cell that is not a finite number.
+    """
     block = [(index + 1, line) for index, line in enumerate(text.lines)
-             if index >= start and line.strip() and not line.startswith(("%", "#", "!"))]
-    rows = numbers(text, block, delimiter=columns.delimiter, columns=width, decimal=columns.decimal)
+             if index >= start and line.strip() and not line.startswith(COMMENTS)]
+    return numbers(text, block, delimiter=delimiter, columns=width, decimal=decimal)
+
+
+def spectrum(text: RecordingText, rows: Rows, columns: ColumnMap, *, places: Sequence[int], read_as: str) -> Spectrum:
+    """The spectrum in three columns of a table: `places` (from 0) of frequency, first and second.
+
+    Raises:
+        InputError: frequencies that do not rise, an impedance that is zero or infinite.
+    """
     frequency = rows.values[:, places[0]] * UNITS["frequency"][columns.frequency_unit]
     check_frequencies(text, frequency, rows.lines, column=places[0] + 1)
     impedance = columns.quantity.impedance(rows.values[:, places[1]], rows.values[:, places[2]])
     check_impedance(text, impedance, rows.lines)
-    settings = {"columns": repr(columns)}
+    settings = {READ_AS: " ".join(read_as.split())}
     return Spectrum(frequency, impedance, None, Origin("measured", text.path, text.sha256, settings=settings))
+
+
+def in_words(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
+    """What every column of a map is taken for, with its unit and sign; `notes` by column say why."""
+    quantity = columns.quantity
+    symbol = {"impedance": "Z", "admittance": "Y", "gain": "the gain"}[quantity.kind]
+    parts = ("magnitude", "phase") if quantity.form == "polar" else ("real part", "imaginary part")
+    unit = {"dB": "dB of one " + {"impedance": "ohm", "admittance": "siemens", "gain": ""}[quantity.kind],
+            "1": "no unit"}.get(quantity.unit, quantity.unit).removesuffix(" of one ")
+    units = (columns.frequency_unit, unit, quantity.phase_unit if quantity.form == "polar" else unit)
+    meanings = ("the frequency", f"the {parts[0]} of {symbol}",
+                f"{'minus ' if quantity.negated else ''}the {parts[1]} of {symbol}")
+    found = []
+    for name, meaning, its in zip((columns.frequency, columns.first, columns.second), meanings, units, strict=True):
+        called = f'"{name}"' if isinstance(name, str) else f"column {name}"
+        found.append(f"{called} is {meaning} in {its}" + (f" ({notes[name]})" if name in notes else ""))
+    if quantity.reference_resistance is not None:
+        both, resistor = "the voltage across both", f"that across {quantity.reference_resistance:g} ohm"
+        found.append(f"the gain is {both} over {resistor}" if quantity.inverse else f"the gain is {resistor} over "
+                     f"{both}")
+    else:
+        sign = "negative" if (quantity.kind == "impedance") != quantity.negated else "positive"
+        found.append(f"of a capacitor the last is {sign}")
+    delimiter = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}.get(
+        columns.delimiter, repr(columns.delimiter))
+    found.append(f"columns divided by {delimiter}, decimal {'comma' if columns.decimal == ',' else 'point'}")
+    return "; ".join(found)
+
+
+def map_text(fields_: Mapping[str, object], quantity: Mapping[str, object], doubts: Mapping[str, str]) -> str:
+    """The text of a column map for :func:`read_column_map`; `doubts` by key become comments beside it."""
+    lines = []
+    for content, head in ((fields_, ""), (quantity, "[quantity]")):
+        lines += [head] if head else []
+        for key, value in content.items():
+            line = f"{key} = {json.dumps(value, ensure_ascii=False)}"
+            lines.append(f"{line:<35} # {doubts[key]}" if key in doubts else line)
+    return "\n".join(lines)
 
 
 def _locate(text: RecordingText, columns: ColumnMap, split: list[list[str]]) -> tuple[list[int], int, int]:

@@ -53,7 +53,7 @@ def parse(text: RecordingText) -> Spectrum:
     header_line, header = block[0]
     if ";" in header:
         raise text.error(header_line, None, header, "commas between columns; semicolons are a spreadsheet's rewriting: "
-                         "use the instrument's own file, or a ColumnMap")
+                         "use the instrument's own file, or --columns MAP.toml")
     names = [name.casefold() for name in cells(header, ",")]
     if names[0] != "frequency(hz)":
         raise text.error(header_line, 1, cells(header, ",")[0], "Frequency(Hz)")

@@ -23,6 +23,7 @@ class Quantity:
 
     ``kind``: "impedance", "admittance" or "gain"; ``form``: "polar" (magnitude, phase) or "rectangular" (real,
     imaginary); ``unit``: a unit of :data:`MAGNITUDE_UNITS` or, in polar form, "dB"; ``phase_unit``: "deg" or "rad".
+    ``negated`` if the second column is minus the phase or minus the imaginary part.
     A gain is that of a shunt divider: the voltage across a reference resistor in series with the specimen over the
     voltage across both, H = R / (R + Z); ``inverse`` if the file gives the ratio the other way up.
     """
@@ -33,6 +34,7 @@ class Quantity:
     phase_unit: str = "deg"
     reference_resistance: float | None = None
     inverse: bool = False
+    negated: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in MAGNITUDE_UNITS:
@@ -54,6 +56,7 @@ class Quantity:
     def impedance(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Z (n,) ohm from the two columns; infinite where the quantity leaves nothing else (admittance zero)."""
         factor = MAGNITUDE_UNITS[self.kind].get(self.unit, 1.0)
+        second = -second if self.negated else second
         if self.form == "polar":
             magnitude = 10.0 ** (first / 20.0) if self.unit == "dB" else first * factor
             value = magnitude * np.exp(1j * PHASE_UNITS[self.phase_unit] * second)

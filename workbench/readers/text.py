@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import re
 from collections.abc import Sequence
@@ -82,11 +83,26 @@ def _waveform(path: str, value: str) -> InputError:
 
 
 def cells(line: str, delimiter: str) -> list[str]:
-    """The cells of a line without blanks, quotes, or the empty cells that trailing tabs and spreadsheets leave."""
-    found = [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+    """The cells of a line without blanks, quotes, or the empty cells that trailing tabs and spreadsheets leave.
+
+    A delimiter within quotes divides nothing, a quotation mark within a cell (Z" is an imaginary part) is a part of
+    it, and any number of blanks is one delimiter.
+    """
+    line = line.strip(" ")
+    if line.count('"') == 2 and line.startswith('"') and line.endswith('"'):
+        line = line[1:-1]
+    if '"' in line and line.count('"') % 2 == 0:
+        found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    else:
+        found = line.split() if delimiter == " " else line.split(delimiter)
+    found = [_unquoted(cell.strip()) for cell in found]
     while len(found) > 1 and not found[-1]:
         found.pop()
     return found
+
+
+def _unquoted(cell: str) -> str:
+    return cell[1:-1].strip() if len(cell) > 1 and cell.startswith('"') and cell.endswith('"') else cell
 
 
 def number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:
@@ -125,7 +141,8 @@ def numbers(
         row = cells(content, delimiter)
         if delimiter == "," and ";" in content:
             raise text.error(line, None, content, "commas between columns and decimal points; semicolons and decimal "
-                             "commas are a spreadsheet's rewriting: use the instrument's own file, or a ColumnMap")
+                             "commas are a spreadsheet's rewriting: use the instrument's own file, or --columns "
+                             "MAP.toml")
         if len(row) != columns:
             raise text.error(line, None, content, f"{columns} columns; this row has {len(row)}")
         for column, cell in enumerate(row):

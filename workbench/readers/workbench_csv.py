@@ -11,7 +11,9 @@ _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
 def recognises(text: RecordingText) -> bool:
     header = next((line for line in text.lines if not line.startswith("#") and line.strip()), "")
-    return header.lstrip().strip('"').startswith(COLUMNS[0])
+    names = cells(header, ",")
+    # Another program may call its frequency so; its other columns tell.
+    return names[0].startswith(COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(COLUMNS[1:]))
 
 
 def parse(text: RecordingText) -> Spectrum:
