@@ -1,6 +1,7 @@
-"""Whole spectra against an independent solver: another library, triangles of fourth order, its own assembly.
+"""Whole spectra against an independent solver: another library, triangles, its own assembly.
 
-Its stated discretisation error is about 0.1 % in Z and up to 0.3 % where the spectrum is steep.
+Its stated discretisation error is about 0.1 % in Z and up to 0.3 % where the spectrum is steep for the discs (elements
+of fourth order), and 0.01 % rms of ln Z for the chips (fifth order, graded three times towards every corner).
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ NAMES = ("free_disc_nominal_rho7500", "free_disc_fitted_rho7500", "free_disc_fit
 
 # What was asked for of every spectrum in the file.
 RMS, F0, QUALITY = 0.5e-2, 0.02e-2, 1e-2
+
+#: Of the chips, whose references are known to 0.01 %, rms of ln Z. The goal is 0.05 %; the mesh of order 2 leaves
+#: 0.09 % (empty) and 0.10 % (filled).
+CHIP_RMS = 0.15e-2
 
 
 @pytest.mark.slow
@@ -51,7 +56,7 @@ def test_the_spectrum_is_that_of_an_independent_solver(
     print(f"\n{name}: {operators.size} unknowns, {reduced.solves} solves, rank {reduced.basis.shape[1]}; "
           f"rms {100 * rms:.3f} %, worst {100 * ratio.max():.2f} %, f0 {100 * f0:+.5f} %, Q {100 * quality:+.3f} %, "
           f"Z_min {100 * z_min:+.3f} %, closure {closure:.1e}")
-    assert rms <= RMS
+    assert rms <= (CHIP_RMS if name.startswith("chip") else RMS)
     assert abs(f0) <= F0
     assert abs(quality) <= QUALITY
     assert abs(z_min) <= RMS
