@@ -235,7 +235,7 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
         known = first.get(key, key)
         choose(known.removesuffix(LOSS), {*flexed.values, *lengths}, source=chip.file, field="range")
         if known.removesuffix(LOSS) not in flexed.values:
-            raise InputError(chip.file, f"range of {key}", key, "a coefficient, or a length that the spectrum depends on")
+            raise InputError(chip.file, f"range of {key}", key, "a coefficient, or a length that the spectrum feels")
         low, high = map(float, ends)
         if not low < high:
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}", "a lower number, then a higher one")
