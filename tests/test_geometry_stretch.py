@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.chip import Chip, Dimension, ElectrodeDisc, read_chip
+from geometry.chip import SAME_LENGTH, Chip, Dimension, ElectrodeDisc, read_chip
 from geometry.mesh import MeshError, MeshSize, SectionMesh, mesh_section
 from geometry.section import cut_section
-from geometry.stretch import between, stretch, velocity
+from geometry.stretch import between, movable, split, stretch, tied, velocity
 from inputs import InputError
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
@@ -99,6 +99,77 @@ def test_a_length_stretches_up_to_its_neighbours_and_no_further(names: list[str]
         if math.isfinite(outside):
             with pytest.raises((MeshError, InputError)):
                 stretch(MESH, CHIP.with_dimensions(dict.fromkeys(names, outside)))
+
+
+@pytest.mark.parametrize("name", [RIMS[0], "cavity.radius", WALLS[0], "bond.thickness"])
+def test_a_length_moves_nine_tenths_of_the_way_to_its_neighbour_and_within_bounds(name: str) -> None:
+    value, (before, behind) = CHIP.dimensions()[name].value, between(CHIP, name)
+    low, high = movable(CHIP, name)
+    assert (low - before) == pytest.approx(0.1 * (value - before), rel=1e-12)
+    assert (behind - high) == pytest.approx(0.1 * (behind - value), rel=1e-12) or behind == high == math.inf
+    together = RIMS if name in RIMS else WALLS if name in WALLS else [name]
+    for length in (low, min(high, 1.0)):
+        stretch(MESH, CHIP.with_dimensions(dict.fromkeys(together, length)))
+    near = 0.999 * value, 1.001 * value
+    assert movable(CHIP, name, *near) == near
+    assert movable(CHIP, name, near[0]) == (near[0], high)
+    with pytest.raises(KeyError):
+        movable(CHIP, "sidewall.height")
+
+
+def test_radii_of_one_length_are_tied_under_the_first_of_their_names() -> None:
+    found = tied(CHIP)
+    assert found == {**dict.fromkeys(RIMS, RIMS[0]), **dict.fromkeys(WALLS, WALLS[0]), "cavity.radius": "cavity.radius"}
+    # Lengths apart by more than breaks are told apart by are two; by less, one.
+    for step, first in ((10.0 * SAME_LENGTH, RIMS[1]), (0.1 * SAME_LENGTH, RIMS[0])):
+        longer = CHIP.with_dimensions({RIMS[1]: CHIP.dimensions()[RIMS[1]].value + step})
+        assert tied(longer)[RIMS[1]] == first
+
+
+def test_the_parts_of_a_place_make_it_up_and_lie_where_they_say() -> None:
+    lengths = {name: each.value for name, each in CHIP.dimensions().items()}
+    rim, cavity = lengths[RIMS[0]], lengths["cavity.radius"]
+    mesh, pieces = split(MESH, CHIP, (rim, cavity))
+    assert np.array_equal(mesh.mesh.p, MESH.mesh.p)
+    assert np.array_equal(mesh.mesh.t, MESH.mesh.t)
+    r, z = mesh.mesh.p
+    bottoms = {layer.region: (layer.z_bottom, layer.z_bottom + layer.thickness.value) for layer in CHIP.layers}
+    for named, corners in ((mesh.mesh.subdomains, mesh.mesh.t), (mesh.mesh.boundaries, mesh.mesh.facets)):
+        old = MESH.mesh.subdomains if named is mesh.mesh.subdomains else MESH.mesh.boundaries
+        for place, indices in old.items():
+            own = pieces[place]
+            assert sorted(np.concatenate([named[piece.name] for piece in own])) == sorted(indices), place
+            for piece in own:
+                members = corners[:, named[piece.name]]
+                level = named is mesh.mesh.boundaries and np.ptp(z[members], axis=0).max() == 0.0
+                assert (piece.layer == "") == level, piece
+                if piece.layer:
+                    low, high = bottoms[piece.layer]
+                    assert low - 1e-15 <= z[members].min()
+                    assert z[members].max() <= high + 1e-15
+                if piece.column is None:
+                    continue
+                inner, outer = piece.column
+                assert inner - 1e-15 <= r[members].min()
+                assert r[members].max() <= outer + 1e-15
+                assert {inner, outer} & {rim, cavity}  # what follows no radius is in no column
+                if inner == outer:
+                    assert np.ptp(r[members]) == 0.0
+                else:
+                    assert (r[members].min(), r[members].max()) == pytest.approx((inner, outer), rel=1e-12)
+    # The lid goes beyond both radii; its outermost column is bounded by one that moves, and by one that does not.
+    assert [piece.column for piece in pieces["superstrate"]] == [
+        (0.0, cavity), (cavity, rim), (rim, lengths["superstrate.radius"])]
+    # By thicknesses alone, nothing is in a column.
+    _, thick = split(MESH, CHIP)
+    assert all(piece.column is None for own in thick.values() for piece in own)
+
+
+def test_only_radii_of_the_section_split_it() -> None:
+    with pytest.raises(MeshError, match="not at every one of"):
+        split(MESH, CHIP, (1.23e-3,))
+    with pytest.raises(MeshError, match="not of chip"):
+        split(MESH, scaled(CHIP, {"bond.thickness": 1.1}))
 
 
 def test_a_stretch_onto_a_section_of_other_names_electrodes_or_layers_is_refused() -> None:

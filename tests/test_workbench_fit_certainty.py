@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
 from workbench.compare import compare
-from workbench.fit import certainty
+from workbench.dimensions import flexible
 from workbench.fit.certainty import (
     CHI_SQUARE,
     DEVIATIONS,
@@ -68,11 +68,8 @@ def free(
     return Parameter(f"bench.{name}", start, low, high, prior, "1")
 
 
-def made(
-    problem: Problem, model: Model, measured: Complex, parameters: Sequence[Parameter], monkeypatch: pytest.MonkeyPatch
-) -> Search:
-    """The search of a written model; there is no reduced model to be settled."""
-    monkeypatch.setattr(certainty, "_settle", lambda *_arguments: None)
+def made(problem: Problem, model: Model, measured: Complex, parameters: Sequence[Parameter]) -> Search:
+    """The search of a written model."""
     frequency = np.linspace(300e3, 700e3, measured.size)
     return Search(Made(model, Recording("made", problem, Spectrum(frequency, np.exp(measured))), parameters))
 
@@ -140,8 +137,8 @@ def test_the_shape_of_the_noise_is_the_spectrums_own() -> None:
     assert noise(white(np.random.default_rng(0)), np.full(GRID.size, 0.3), False, 1.7).ratio == 1.0
 
 
-def test_correlated_points_count_for_fewer(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    search = made(small_disc, bench, np.zeros(GRID.size, dtype=complex), THREE, monkeypatch)
+def test_correlated_points_count_for_fewer(small_disc: Problem) -> None:
+    search = made(small_disc, bench, np.zeros(GRID.size, dtype=complex), THREE)
     (found,) = deviations(search, [Noise(0.02, 4.0, False, 1.0)])
     assert found == pytest.approx(np.full(GRID.size, 0.04))
 
@@ -161,15 +158,13 @@ SHARE = 4.0 * np.sqrt(0.95 * 0.05 / DRAWS)
 
 
 @pytest.mark.parametrize(("rho", "size"), [(0.0, 60), (0.5, 400)])
-def test_intervals_hold_the_truth_as_often_as_they_say(
-    small_disc: Problem, monkeypatch: pytest.MonkeyPatch, rho: float, size: int
-) -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(small_disc: Problem, rho: float, size: int) -> None:
     random = np.random.default_rng(6)
     truth, level = np.array([0.1, -0.2, 0.05]), 0.02
     hits, errors, estimates = np.zeros(3), [], []
     for _ in range(DRAWS):
         measured = bench(truth, size)[0] + level * autoregressive(random, rho, size)
-        verdict = fitted(made(small_disc, lambda x: bench(x, size), measured, THREE, monkeypatch), np.zeros(3))
+        verdict = fitted(made(small_disc, lambda x: bench(x, size), measured, THREE), np.zeros(3))
         hits += [e.low < number < e.high for e, number in zip(verdict.estimates, truth, strict=True)]
         errors.append([e.standard_error for e in verdict.estimates])
         estimates.append([e.value for e in verdict.estimates])
@@ -183,11 +178,11 @@ def test_intervals_hold_the_truth_as_often_as_they_say(
     assert np.mean(errors, axis=0) == pytest.approx(exact, rel=0.06 if rho == 0.0 else 0.1)
 
 
-def test_the_prior_adds_its_information(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_prior_adds_its_information(small_disc: Problem) -> None:
     level = 0.02
     data = level / np.sqrt(60.0)
     weak = (free("gain", prior=data), free("phase", prior=0.1 * data), free("delay"))
-    search = made(small_disc, bench, np.zeros(GRID.size, dtype=complex), weak, monkeypatch)
+    search = made(small_disc, bench, np.zeros(GRID.size, dtype=complex), weak)
     minimum = search.minimise(np.zeros(3), [level])
     verdict = judge(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False)
     gain, phase, delay = verdict.estimates
@@ -214,14 +209,12 @@ def curved(x: Real) -> tuple[Complex, Complex]:
 
 
 @pytest.mark.parametrize("level", [0.1, 0.2, 0.3])
-def test_a_profile_finds_the_ends_that_the_quadratic_misses(
-    small_disc: Problem, monkeypatch: pytest.MonkeyPatch, level: float
-) -> None:
+def test_a_profile_finds_the_ends_that_the_quadratic_misses(small_disc: Problem, level: float) -> None:
     # chi-square along x0, x1 following, is P (x0^2 - 1)^2 / level^2, P what of FIRST is not along SECOND. The noise is
     # in the phase, which neither of them touches.
     two = (free("gain", start=1.0, low=1e-3, high=3.0), free("phase"))
     measured = curved(np.array([1.0, 0.2]))[0] + 1j * level * white(np.random.default_rng(2)).real
-    search = made(small_disc, curved, measured, two, monkeypatch)
+    search = made(small_disc, curved, measured, two)
     minimum = search.minimise(np.array([0.9, 0.0]), [level], tolerance=1e-12)
     assert minimum.x == pytest.approx([1.0, 0.2], abs=1e-5)
     own = FIRST @ FIRST - (FIRST @ SECOND) ** 2 / (SECOND @ SECOND)
@@ -248,12 +241,10 @@ def test_a_profile_finds_the_ends_that_the_quadratic_misses(
     assert linear.method == "quadratic"
 
 
-def test_the_profile_of_a_linear_parameter_is_the_quadratic(
-    small_disc: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_profile_of_a_linear_parameter_is_the_quadratic(small_disc: Problem) -> None:
     level = 0.1
     measured = level * white(np.random.default_rng(5))
-    search = made(small_disc, bench, measured, THREE, monkeypatch)
+    search = made(small_disc, bench, measured, THREE)
     minimum, _ = refine(search, np.zeros(3))
     levels = [Noise(level, 1.0, False, 1.0)]
     verdict = judge(search, minimum, levels, profiles=True)
@@ -263,11 +254,11 @@ def test_the_profile_of_a_linear_parameter_is_the_quadratic(
         assert ends == pytest.approx((found.low, found.high), abs=0.05 * (found.high - found.low))
 
 
-def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem) -> None:
     level = 0.1
     # The data want gain = 0.03, a standard error and more above what is admitted.
     held = (replace(free("gain", high=0.01), beyond="short of another"), free("phase"), free("delay"))
-    search = made(small_disc, bench, bench(np.array([0.03, 0.0, 0.0]))[0], held, monkeypatch)
+    search = made(small_disc, bench, bench(np.array([0.03, 0.0, 0.0]))[0], held)
     minimum = search.minimise(np.array([-0.5, 0.0, 0.0]), [level], tolerance=1e-10)
     gain, phase, _ = judge(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=True).estimates
     assert gain.at_bound == "upper bound 0.01"
@@ -281,13 +272,13 @@ def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem, monkeyp
     assert "bench.gain is held by upper bound 0.01, short of another." in findings
 
 
-def test_what_only_their_sum_changes_is_a_direction(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_only_their_sum_changes_is_a_direction(small_disc: Problem) -> None:
     def summed(x: Real) -> tuple[Complex, Complex]:
         return (x[0] + x[1]) * FIRST + 0j, np.stack([FIRST, FIRST], axis=1) + 0j
 
     # Priors of 1 and 2: in units of them, x0 + 2 x1 is what is seen, and (2, -1) / sqrt 5 what is not.
     two = (free("gain", prior=1.0), free("phase", prior=2.0))
-    search = made(small_disc, summed, np.zeros(GRID.size, dtype=complex), two, monkeypatch)
+    search = made(small_disc, summed, np.zeros(GRID.size, dtype=complex), two)
     minimum = search.minimise(np.zeros(2), [0.01])
     verdict = judge(search, minimum, [Noise(0.01, 1.0, False, 1.0)], profiles=False)
     (direction,) = verdict.undetermined
@@ -303,12 +294,12 @@ def test_what_only_their_sum_changes_is_a_direction(small_disc: Problem, monkeyp
     assert any(line.startswith("Not determined: the combination") for line in verdict.findings)
 
 
-def test_what_nothing_is_known_of_is_not_determined(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_nothing_is_known_of_is_not_determined(small_disc: Problem) -> None:
     def blind(x: Real) -> tuple[Complex, Complex]:
         return x[0] * FIRST + 0j, np.stack([FIRST, 0.0 * FIRST], axis=1) + 0j
 
     two = (free("gain"), free("phase", prior=None))
-    search = made(small_disc, blind, np.zeros(GRID.size, dtype=complex), two, monkeypatch)
+    search = made(small_disc, blind, np.zeros(GRID.size, dtype=complex), two)
     verdict = judge(search, search.minimise(np.zeros(2), [0.01]), [Noise(0.01, 1.0, False, 1.0)], profiles=False)
     assert not verdict.estimates[1].determined
     assert verdict.estimates[1].high - verdict.estimates[1].low > 1.0
@@ -318,13 +309,13 @@ def test_what_nothing_is_known_of_is_not_determined(small_disc: Problem, monkeyp
 # A part of the band
 
 
-def test_a_band_that_the_rest_does_not_predict(small_disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_band_that_the_rest_does_not_predict(small_disc: Problem) -> None:
     def constant(x: Real) -> tuple[Complex, Complex]:
         return np.full(GRID.size, x[0] + 0j), np.ones((GRID.size, 1), dtype=complex)
 
     # The last third is off by 0.3: the mean 0.1 with all, 0 without that third, 0.15 without another.
     measured = np.where(np.arange(GRID.size) < 40, 0.0, 0.3) + 0j
-    search = made(small_disc, constant, measured, (free("gain"),), monkeypatch)
+    search = made(small_disc, constant, measured, (free("gain"),))
     levels = [Noise(0.1, 1.0, False, 1.0)]
     minimum = search.minimise(np.zeros(1), deviations(search, levels), tolerance=1e-10)
     assert minimum.x == pytest.approx([0.1], abs=1e-6)
@@ -430,8 +421,10 @@ def test_the_gauges_leave_the_spectrum_unchanged(disc: Problem, chip: Chip, fact
             last = name.split(".")[-1]
             kind = "density" if last == "density" else "eps" if last.startswith("eps") else last[0]
             values[name] = value * factor ** exponents.get(kind, 0.0)
-        lengths = {name: factor * d.value for name, d in chip.dimensions().items()} if gauge == "size" else {}
-        moved = Predictor(disc, GRID, chip=chip, dimensions=tuple(lengths), tolerance=1e-8)(values, lengths).impedance
+        if gauge == "size":
+            values |= {name: complex(factor * d.value) for name, d in chip.dimensions().items()}
+        sized = flexible(disc, chip, {"transducer.radius": (2.5e-3, 4e-3)})
+        moved = Predictor(sized, GRID, tolerance=1e-8)(values).impedance
         assert moved == pytest.approx(plain, rel=1e-6), gauge  # of predictions good to 1e-8, estimated
 
 
@@ -514,11 +507,9 @@ def test_the_check_is_against_full_solves(disc: Problem, chip: Chip, monkeypatch
     assert objective.solves > before
     full = Predictor.full
 
-    def wrong(
-        self: Predictor, values: Mapping[str, complex], dimensions: Mapping[str, float] | None, at: Real
-    ) -> Complex:
+    def wrong(self: Predictor, values: Mapping[str, complex], at: Real) -> Complex:
         factors = np.where(at == at.max(), 1.25, 1.0)
-        return np.asarray(full(self, values, dimensions, at) * factors)
+        return np.asarray(full(self, values, at) * factors)
 
     monkeypatch.setattr(Predictor, "full", wrong)
     worst, where = check(objective, x)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from inputs import InputError
 from materials.kinds import Material, Piezoelectric
+from workbench.dimensions import flexible
 from workbench.fit import joint
 from workbench.fit.constrained import minimise
 from workbench.fit.joint import FINE, SEARCHED_POINTS, FitError, FitResult, Search, fit
@@ -67,8 +68,10 @@ def recorded(
             old = complex(values[coefficient])
             values[coefficient] = complex(old.real, number) if key.endswith(".loss") else complex(number, old.imag)
     lengths = {key: number for key, number in truth.items() if key in chip.dimensions()}
-    predictor = Predictor(problem, frequency, chip=chip, dimensions=tuple(lengths), tolerance=1e-7)
-    impedance = predictor(values, lengths).impedance
+    if lengths:
+        problem = flexible(problem, chip, [key for key in lengths if key.endswith("radius")])
+    predictor = Predictor(problem, frequency, tolerance=1e-7)
+    impedance = predictor({**values, **{key: complex(length) for key, length in lengths.items()}}).impedance
     bench = {key: number for key, number in truth.items() if key.startswith("bench.")}
     seen = through_bench(impedance, 2.0 * np.pi * frequency, bench)[0]
     real, imaginary = np.random.default_rng(seed).standard_normal((2, frequency.size))

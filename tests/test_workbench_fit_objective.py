@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material
 from workbench.fit.objective import Objective, Recording, log_ratio, lorentzian, through_bench
-from workbench.fit.parameter import BENCH_ELEMENTS, bench_parameter, parameters
+from workbench.fit.parameter import BENCH_ELEMENTS, LENGTHS, bench_parameter, parameters
 from workbench.fit.predict import Predictor
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
@@ -121,11 +121,10 @@ def test_a_residual_is_the_relative_error_over_its_deviation(everything: Objecti
     assert found.cost == pytest.approx(0.5 * np.sum(found.vector**2), rel=1e-12)
     assert 0.0 < found.error <= 1e-5
     # The bench stands between the device and what is compared.
-    device = Predictor(everything.recordings[0].problem, GRID, chip=everything.recordings[0].chip, tolerance=1e-6,
-                       dimensions=tuple(p.name for p in everything.parameters if p.is_dimension))
-    values, lengths, bench = everything.settings(point, 0)
+    device = Predictor(everything.recordings[0].problem, GRID, tolerance=1e-6)
+    values, bench = everything.settings(point, 0)
     assert bench == REAL_BENCH
-    seen = through_bench(device(values, lengths).impedance, 2.0 * np.pi * GRID, bench)[0]
+    seen = through_bench(device(values).impedance, 2.0 * np.pi * GRID, bench)[0]
     assert found.impedance[0] == pytest.approx(seen, rel=1e-4)  # ten times the tolerance of the objective
 
 
@@ -144,10 +143,9 @@ def test_real_part_and_loss_make_one_complex_value(stack: Problem, chip: Chip) -
     free = parameters(stack, chip, PZT, ["c33.loss", "c33", "c11.loss", "e33", "transducer.thickness", "bench.gain"])
     objective = Objective([recording("stack", stack, chip)], free, tolerance=1e-3)
     x = np.array([-2e8, 1.1e11, -3e8, 14.0, 2.1e-3, 0.2])
-    values, lengths, bench = objective.settings(x, 0)
+    values, bench = objective.settings(x, 0)
     assert values == {f"{PZT}.c33": 1.1e11 - 2e8j, f"{PZT}.c11": stack.values[f"{PZT}.c11"].real - 3e8j,
-                      f"{PZT}.e33": complex(14.0, stack.values[f"{PZT}.e33"].imag)}
-    assert lengths == {"transducer.thickness": 2.1e-3}
+                      f"{PZT}.e33": complex(14.0, stack.values[f"{PZT}.e33"].imag), "transducer.thickness": 2.1e-3}
     assert bench == {"bench.gain": 0.2}
 
 
@@ -299,7 +297,7 @@ def test_the_smoothed_spectrum_is_that_of_the_damped_device(everything: Objectiv
     near = np.abs(grid - 370e3) < 30e3
     plain = Predictor(problem, grid, tolerance=1e-3)({}).impedance
     damped = {name: value * (1.0 - 2j * width / 370e3) for name, value in problem.values.items()
-              if not name.endswith((".density", ".sound_speed")) and ".e" not in name}
+              if not name.endswith((".density", ".sound_speed", *LENGTHS)) and ".e" not in name}
     exact = Predictor(problem, grid, tolerance=1e-3)(damped).impedance
     smooth = 1.0 / (lorentzian(grid, width) @ (1.0 / plain))
     before, after = (float(np.sqrt(np.mean(np.abs(np.log(z / exact))[near] ** 2))) for z in (plain, smooth))

@@ -97,8 +97,13 @@ class AtFrequencies:
     frequencies: np.ndarray
     solves = 0
 
-    def __call__(self, values: Mapping[str, complex]) -> np.ndarray:
-        return self.model(self.frequencies, {name: part(values, name) for name in self.model.unit})
+    def __call__(self, values: Mapping[str, complex]) -> Given:
+        return Given(self.model(self.frequencies, {name: part(values, name) for name in self.model.unit}))
+
+
+@dataclass
+class Given:
+    impedance: np.ndarray
 
 
 def part(values: Mapping[str, complex], name: str) -> float:
@@ -112,7 +117,7 @@ def installed(
     """The closed form in place of reduced models, its units the values of the problem."""
     full = [f"{material}.{name}" for name in names]
     model = ClosedForm({name: part(problem.values, name) for name in full}, overlap, [])
-    monkeypatch.setattr(paper, "_Spectra", model.spectra)
+    monkeypatch.setattr(paper, "Predictor", model.spectra)
     return model
 
 
@@ -249,7 +254,7 @@ def test_a_stop_before_there_is_anything_is_a_stop(changed: Recording, monkeypat
     def interrupted(problem: Problem, frequencies: np.ndarray, **_how: object) -> object:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(paper, "_Spectra", interrupted)
+    monkeypatch.setattr(paper, "Predictor", interrupted)
     with pytest.raises(KeyboardInterrupt):
         fit_transducer(changed)
 

@@ -183,6 +183,51 @@ def test_a_dimension_stated_as_exact_is_answered_in_the_users_words(chip: Chip) 
         dimension_parameter(replace(chip, layers=(chip.layers[0], exact, chip.layers[2])), "couplant.thickness")
 
 
+def with_radii(chip: Chip, *radii: Dimension) -> Chip:
+    return replace(chip, layers=tuple(replace(layer, radius=radius)
+                                      for layer, radius in zip(chip.layers, radii, strict=True)))
+
+
+RADII = ("transducer.radius", "couplant.radius", "substrate.radius")
+
+
+@pytest.mark.parametrize("name", RADII)
+@pytest.mark.parametrize("stating", range(3))
+def test_radii_that_coincide_are_one_parameter_of_what_one_states(chip: Chip, name: str, stating: int) -> None:
+    radii = [Dimension(3e-3, 20e-6 if number == stating else None) for number in range(3)]
+    found = dimension_parameter(with_radii(chip, *radii), name)
+    assert (found.name, found.tied, found.names) == (RADII[0], RADII[1:], RADII)
+    assert found.prior == pytest.approx(20e-6 / math.sqrt(3.0), rel=1e-12)
+    # As long by chance is as long.
+    chance = with_radii(chip, Dimension(3e-3), Dimension(3e-3 + 1e-13), Dimension(3e-3, 20e-6))
+    assert dimension_parameter(chance, name).names == RADII
+    # The last one is longer, and the others are two.
+    apart = with_radii(chip, Dimension(3e-3), Dimension(3e-3), Dimension(3.2e-3))
+    alone = dimension_parameter(apart, name)
+    assert alone.names == (RADII[:2] if name != RADII[2] else RADII[2:])
+    assert alone.prior == pytest.approx(MEASURED * alone.start, rel=1e-12)
+
+
+def test_a_thickness_is_nobodys_but_its_own(chip: Chip) -> None:
+    same = chip.with_dimensions(dict.fromkeys(("transducer.thickness", "couplant.thickness"), 1e-3))
+    assert dimension_parameter(same, "couplant.thickness").names == ("couplant.thickness",)
+
+
+@pytest.mark.parametrize("second", [30e-6, 0.0])
+@pytest.mark.parametrize("name", RADII)
+def test_tolerances_of_radii_that_coincide_must_agree(chip: Chip, name: str, second: float) -> None:
+    contradictory = with_radii(chip, Dimension(3e-3, 20e-6), Dimension(3e-3), Dimension(3e-3, second))
+    with pytest.raises(InputError, match="one tolerance of radii that coincide") as caught:
+        dimension_parameter(contradictory, name)
+    # Both statements, so that the user can see which one to drop; not the radius that states none.
+    assert caught.value.value == f"transducer.radius: 2e-05 m, substrate.radius: {second:g} m"
+    agreeing = with_radii(chip, Dimension(3e-3, 20e-6), Dimension(3e-3), Dimension(3e-3, 20e-6))
+    assert dimension_parameter(agreeing, name).prior == pytest.approx(20e-6 / math.sqrt(3.0), rel=1e-12)
+    exact = with_radii(chip, Dimension(3e-3), Dimension(3e-3, 0.0), Dimension(3e-3))
+    with pytest.raises(InputError, match="a tolerance above zero"):
+        dimension_parameter(exact, name)
+
+
 @pytest.mark.parametrize("name", BENCH_ELEMENTS)
 def test_a_bench_element_starts_from_an_ideal_bench(name: str) -> None:
     found = bench_parameter(name, ["one", "two"])
@@ -240,7 +285,8 @@ def test_a_dimension_needs_the_chip(stack: Problem) -> None:
         parameters(stack, None, PZT, ["transducer.thickness"])
 
 
-@pytest.mark.parametrize("names", [["c33", "c33"], ["c33", f"{PZT}.c33"], ["bench.gain", "bench.gain"]])
+@pytest.mark.parametrize("names", [["c33", "c33"], ["c33", f"{PZT}.c33"], ["bench.gain", "bench.gain"],
+                                   ["transducer.radius", "couplant.radius"]])
 def test_nothing_is_freed_twice(stack: Problem, chip: Chip, names: list[str]) -> None:
     with pytest.raises(InputError, match="each parameter once"):
         parameters(stack, chip, PZT, names)

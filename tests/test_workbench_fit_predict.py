@@ -1,12 +1,11 @@
-"""Predicted spectra against full solves, while the parameters and the dimensions wander."""
+"""Predicted spectra against full solves, while the parameters wander, lengths among them."""
 
 from __future__ import annotations
 
-import gc
-import weakref
+import copy
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +13,12 @@ from numpy.typing import NDArray
 
 import workbench.solve
 from geometry.chip import Chip
-from geometry.mesh import MeshError
-from geometry.stretch import stretch
 from materials.kinds import Material
-from workbench.fit.predict import REACH, Predictor, _Expansion, _Part, moved_chip
+from workbench.dimensions import flexible
+from workbench.fit.predict import Predictor
 from workbench.operators import assemble
 from workbench.problem import Problem
-from workbench.reduce import projected
+from workbench.reduce import ReducedModel
 from workbench.solve import solve_full
 
 Real = NDArray[np.float64]
@@ -35,6 +33,7 @@ TOLERANCE = 1e-4
 OPTIMISM = 2.0
 FREE = (*(f"{PZT}.{name}" for name in ("c11", "c13", "c33", "c44", "e33", "eps33")), f"{PLA}.bulk_modulus",
         f"{PLA}.shear_modulus")
+THICKNESS, RADIUS, GEL = "transducer.thickness", "transducer.radius", "couplant.thickness"
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +54,12 @@ def stack(chip: Chip, filling: dict[str, Material], meshed: Callable[..., Proble
     return meshed(chip, filling, elements_per_wavelength=2.0)
 
 
+@pytest.fixture(scope="module")
+def flexed(stack: Problem, chip: Chip) -> Problem:
+    """The stack with its thicknesses and both its radii among its values."""
+    return flexible(stack, chip, {RADIUS: (2.6e-3, 3.3e-3), "substrate.radius": (3.45e-3, 3.9e-3)})
+
+
 def drawn(problem: Problem, seed: int, low: float, high: float) -> dict[str, complex]:
     """All free parameters moved by `low` to `high` (relative), up or down."""
     random = np.random.default_rng(seed)
@@ -62,10 +67,15 @@ def drawn(problem: Problem, seed: int, low: float, high: float) -> dict[str, com
             for name in FREE}
 
 
-def off(predictor: Predictor, values: Mapping[str, complex], dimensions: Mapping[str, float] | None = None) -> float:
+def off(predictor: Predictor, values: Mapping[str, complex]) -> float:
     """The largest relative error of a prediction against full solves."""
-    found = predictor(values, dimensions).impedance[SOME]
-    return float(np.abs(found / predictor.full(values, dimensions, GRID[SOME]) - 1.0).max())
+    found = predictor(values).impedance[SOME]
+    return float(np.abs(found / predictor.full(values, GRID[SOME]) - 1.0).max())
+
+
+def model_of(predictor: Predictor) -> ReducedModel:
+    assert predictor.model is not None
+    return predictor.model
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -88,7 +98,7 @@ def test_predictions_keep_their_tolerance_while_the_parameters_wander(stack: Pro
     assert prediction.values[FREE[0]] == values[FREE[0]]
     assert prediction.values[f"{PZT}.c12"] == stack.values[f"{PZT}.c12"]
     # A basis of the first point alone would not have done.
-    alone = Predictor(stack, GRID, tolerance=1e9)
+    alone = Predictor(stack, GRID, tolerance=np.inf)
     alone({})
     assert off(alone, values) > OPTIMISM * TOLERANCE
 
@@ -125,7 +135,10 @@ def test_every_full_solve_is_counted_and_none_is_spent_twice(
     predictor(drawn(stack, 1, 0.15, 0.2))
     assert predictor.solves == len(factorised) > first
     before = predictor.solves
-    predictor.full({}, None, GRID[:3])
+    predictor.cover({}, {FREE[0]: 1e9}, TOLERANCE, corners=[drawn(stack, 2, 0.1, 0.2)])
+    assert predictor.solves == len(factorised) > before
+    before = predictor.solves
+    predictor.full({}, GRID[:3])
     assert predictor.solves == before + 3
 
 
@@ -135,242 +148,227 @@ def test_the_gradient_is_that_of_full_solves(stack: Problem) -> None:
     gradient = np.conj(predictor({}).logarithmic_gradient(FREE))[few]
     for column, name in enumerate(FREE):
         step = 1e-5 * stack.values[name].real
-        ahead, behind = (predictor.full({name: stack.values[name] + sign * step}, None, GRID[few])
-                         for sign in (1.0, -1.0))
+        ahead, behind = (predictor.full({name: stack.values[name] + sign * step}, GRID[few]) for sign in (1.0, -1.0))
         exact = np.log(ahead / behind) / (2.0 * step)
         # A difference of 1e-5: its square times the third derivative (Q^2 = 1e4 and more) is 1e-6, rounding 1e-8.
         # The state is good to the square root of the tolerance of the charge, and so is the derivative at worst.
         assert np.abs(gradient[:, column] - exact).max() < 3e-4 * np.abs(exact).max()
 
 
-def test_a_settled_basis_serves_the_neighbourhood_and_knows_its_limits(stack: Problem) -> None:
-    predictor = Predictor(stack, GRID, tangents=FREE, tolerance=TOLERANCE)
-    for seed in range(2):
-        predictor(drawn(stack, seed, 0.1, 0.2))
-    predictor({})
-    around: list[tuple[dict[str, complex], dict[str, float]]] = [({}, {})]
-    around += [({name: 1.01 * stack.values[name]}, {}) for name in FREE]
-    wide = predictor._expansion
-    assert wide is not None
-    solves = predictor.solves
-    predictor.settle(around)
-    narrow = predictor._expansion
-    assert narrow is not None
-    before, after = (e.model.basis.shape[1] for e in (wide, narrow))
-    print(f"settled from {before} to {after} columns")
-    assert after < 0.8 * before
-    # Inside, no solve is wanted; all of them together are still inside to first order.
-    for share in (0.3, 0.6):
-        values = {name: (1.0 + 0.01 * share) * stack.values[name] for name in FREE}
-        assert off(predictor, values) < OPTIMISM * TOLERANCE
-    assert predictor.solves == solves + 2 * SOME.size
-    assert off(predictor, drawn(stack, 7, 0.15, 0.2)) < OPTIMISM * TOLERANCE
-    assert predictor.solves > solves + 3 * SOME.size  # it was enriched again
-
-
-def test_settling_before_anything_is_known_does_nothing(stack: Problem) -> None:
-    predictor = Predictor(stack, GRID, tolerance=TOLERANCE)
-    predictor.settle([({}, {})])
-    assert predictor.solves == 0
+def test_the_gradient_by_what_nothing_depends_on_is_zero(stack: Problem) -> None:
+    found = Predictor(stack, GRID, tolerance=TOLERANCE)({}).logarithmic_gradient((FREE[0], "unknown.thickness"))
+    assert (found[:, 0] != 0.0).all()
+    assert not found[:, 1].any()
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Dimensions
+# Lengths
 
 
-THICKNESS, RADIUS = "transducer.thickness", "transducer.radius"
+def wandered(problem: Problem) -> list[dict[str, complex]]:
+    """Lengths one after the other, the last with other moduli too."""
+    lengths: list[dict[str, complex]] = [
+        {THICKNESS: 1.9e-3}, {THICKNESS: 2.1e-3, RADIUS: 2.9e-3}, {GEL: 80e-6, RADIUS: 3.2e-3},
+        {RADIUS: 2.65e-3, "substrate.radius": 3.8e-3, "substrate.thickness": 0.9e-3}]
+    return [*lengths, {**drawn(problem, 4, 0.05, 0.1), **lengths[-1]}]
 
 
-def everything(expansion: _Expansion) -> _Part:
-    every = np.arange(len(expansion.model.operators.integrals))
-    return expansion.part(every, every)
-
-
-@pytest.mark.parametrize("name", [THICKNESS, RADIUS, "couplant.thickness"])
-def test_the_expansion_in_a_dimension_leaves_out_the_cube(stack: Problem, chip: Chip, name: str) -> None:
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=(name,), tolerance=TOLERANCE)
-    predictor({})
-    start = chip.dimensions()[name].value
-    for share in (-0.9, -0.6, 0.3, 0.6):
-        length = start * (1.0 + share * REACH)
-        assert off(predictor, {}, {name: length}) < OPTIMISM * TOLERANCE
-    expansion = predictor._expansion
-    assert expansion is not None
-    centre = expansion.centre[0]
-    for share in (-0.6, 0.6):
-        moved = np.array([centre * (1.0 + share * REACH)])
-        found = everything(expansion).at(moved)
-        operators = assemble(stretch(stack.mesh, moved_chip(chip, (name,), moved)), stack.terms)
-        exact = projected(expansion.model, operators)
-        for ours, theirs in ((found.operators.matrices, exact.operators.matrices), (found.sketch, exact.sketch)):
-            size = np.abs(theirs).max(axis=(1, 2))
-            error = np.abs(ours - theirs).max(axis=(1, 2))[size > 0.0] / size[size > 0.0]
-            # A parabola through three points, h apart, leaves the third derivative times s (s^2 - 1) h^3 / 6, at most
-            # 0.064 h^3; that derivative is 6 of 1 / length. The radius moves into the 0.5 mm that are left of the
-            # substrate's, which change six times as much.
-            narrow = 6.0 if name.endswith("radius") else 1.0
-            assert error.max() < 2.0 * 0.064 * 6.0 * (narrow * REACH) ** 3
-
-
-def test_beyond_its_reach_the_expansion_is_made_again(stack: Problem, chip: Chip) -> None:
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, RADIUS), tolerance=TOLERANCE)
-    predictor({})
-    for lengths in ({THICKNESS: 1.9e-3}, {THICKNESS: 2.1e-3, RADIUS: 2.9e-3}):
-        assert off(predictor, {}, lengths) < OPTIMISM * TOLERANCE
-    assert predictor({}, lengths).dimensions == lengths
-    # Also where the basis is good enough, which is to say always.
-    predictor.tolerance = np.inf
-    solves = predictor.solves
-    for thickness, centre, parabola in ((2.09e-3, 2.1e-3, True), (2.04e-3, 2.04e-3, False), (2.045e-3, 2.04e-3, False),
-                                        (2.06e-3, 2.04e-3, True), (2.02e-3, 2.04e-3, True), (1.9e-3, 1.9e-3, False)):
-        predictor({}, {THICKNESS: thickness, RADIUS: 2.9e-3})
-        assert predictor._expansion is not None
-        assert predictor._expansion.centre == pytest.approx([centre, 2.9e-3])
-        assert bool(predictor._expansion.second) == parabola
-        # Against the same basis on the very lengths: first order within half a per cent leaves its square, second order
-        # within two the cube, times the quality.
-        there = projected(predictor._expansion.model, predictor._operators(np.array([thickness, 2.9e-3])))
-        exact = np.conj(there.solve(GRID, stack.values).impedance)
-        error = np.abs(predictor({}, {THICKNESS: thickness, RADIUS: 2.9e-3}).impedance / exact - 1.0).max()
-        print(f"{thickness:g} about {centre:g}: {error:.1e}")
-        assert error < 1e-3
-    assert predictor.solves == solves
-
-
-def test_breaks_that_are_close_may_be_neared_and_not_passed(
-    stacked: Callable[..., Chip], filling: dict[str, Material], meshed: Callable[..., Problem]
-) -> None:
-    chip = stacked([("transducer", 2e-3, 3e-3, None), ("couplant", 50e-6, 2.96e-3, None),
-                    ("substrate", 1e-3, 3.5e-3, None)], band=(300e3, 450e3))
-    predictor = Predictor(meshed(chip, filling, elements_per_wavelength=2.0), GRID, chip=chip,
-                          dimensions=(THICKNESS, RADIUS), tolerance=TOLERANCE)
-    for radius in (3e-3, 2.97e-3, 2.961e-3):
-        assert off(predictor, {}, {RADIUS: radius}) < OPTIMISM * TOLERANCE
-    predictor.tolerance = np.inf
-    for radius, centre in ((2.9611e-3, 2.961e-3), (2.975e-3, 2.975e-3), (2.97e-3, 2.975e-3), (3.02e-3, 3.02e-3),
-                           (2.961e-3, 2.961e-3)):
-        found = predictor({}, {RADIUS: radius}).impedance
-        expansion = predictor._expansion
-        assert expansion is not None
-        assert expansion.centre[1] == centre
-        there = projected(expansion.model, predictor._operators(np.array([2e-3, radius])))
-        error = np.abs(found / np.conj(there.solve(GRID, predictor.problem.values).impedance) - 1.0).max()
-        print(f"{radius:g} about {centre:g}: {error:.1e}")
-        # As where there is room.
-        assert error < 1e-3
-    # 2.9599 mm is near enough for any expansion.
-    for passed in (2.96e-3, 2.9599e-3, 3.51e-3):
-        with pytest.raises(MeshError, match=r"the stretch would change|lies between other breaks"):
-            predictor({}, {RADIUS: passed})
-
-
-def test_a_narrowed_basis_follows_the_same_dimensions(stack: Problem, chip: Chip) -> None:
-    """Those that change some integrals, and some that change none of a region."""
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, "couplant.thickness"), tolerance=TOLERANCE)
-    before = predictor({}).impedance
-    near = {THICKNESS: 2.004e-3}
-    there = predictor({}, near).impedance
-    predictor.settle([({}, {}), ({}, near)])
-    for lengths, exact in (({}, before), (near, there)):
-        assert np.abs(predictor({}, lengths).impedance / exact - 1.0).max() < TOLERANCE
-
-
-def test_what_a_search_made_goes_with_it(stack: Problem, chip: Chip) -> None:
-    """At once, not when the garbage collector comes by, which does not know how large arrays are."""
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS,), tolerance=TOLERANCE)
-    predictor({})
-    predictor.tolerance = np.inf
-    gc.disable()
-    try:
-        other = predictor.at(GRID[::2])
-        held: list[weakref.ref[Any]] = []
-        for thickness in (2.06e-3, 2.08e-3, 2.2e-3):
-            prediction = other({}, {THICKNESS: thickness})
-            prediction.logarithmic_slope(THICKNESS)
-            held += [weakref.ref(each) for each in (prediction, prediction.part, prediction.model, other._expansion)]
-        held.append(weakref.ref(other))
-        del prediction, other
-        assert [each() for each in held if each() is not None] == []
-    finally:
-        gc.enable()
+@pytest.mark.parametrize("tangents", [(), (THICKNESS, RADIUS, GEL)])
+def test_predictions_keep_their_tolerance_while_the_lengths_wander(flexed: Problem, tangents: tuple[str, ...]) -> None:
+    predictor = Predictor(flexed, GRID, tangents=tangents, tolerance=TOLERANCE)
+    first = predictor({}).impedance
+    errors = []
+    for values in wandered(flexed):
+        errors.append(off(predictor, values))
+        prediction = predictor(values)
+        assert prediction.error.max() <= TOLERANCE
+        assert prediction.values[RADIUS] == values.get(RADIUS, 3e-3)
+        assert np.abs(prediction.impedance / first - 1.0).max() > 0.1  # or this test says nothing
+    print(f"errors {errors}, solves {predictor.solves}, rank {model_of(predictor).basis.shape[1]}")
+    assert max(errors) < OPTIMISM * TOLERANCE
+    # A basis of the first lengths alone would not have done.
+    alone = Predictor(flexed, GRID, tangents=tangents, tolerance=np.inf)
+    alone({})
+    assert off(alone, values) > OPTIMISM * TOLERANCE
 
 
 def test_a_stretched_mesh_predicts_what_a_new_one_does(
     chip: Chip, filling: dict[str, Material], meshed: Callable[..., Problem]
 ) -> None:
-    old = meshed(chip, filling, elements_per_wavelength=6.0)
-    other = chip.with_dimensions({THICKNESS: 2.04e-3})
-    new = meshed(other, filling, elements_per_wavelength=6.0)
-    found = Predictor(old, GRID, chip=chip, dimensions=(THICKNESS,), tolerance=1e-6)({}, {THICKNESS: 2.04e-3}).impedance
+    lengths = {THICKNESS: 2.04e-3, RADIUS: 3.02e-3}
+    old = flexible(meshed(chip, filling, elements_per_wavelength=6.0), chip, [RADIUS])
+    new = meshed(chip.with_dimensions({**lengths, "couplant.radius": lengths[RADIUS]}), filling,
+                 elements_per_wavelength=6.0)
+    found = Predictor(old, GRID, tolerance=1e-6)({name: complex(length) for name, length in lengths.items()}).impedance
     exact = Predictor(new, GRID, tolerance=1e-6)({}).impedance
     started = Predictor(old, GRID, tolerance=1e-6)({}).impedance
     error, moved = (float(np.abs(np.log(z / exact)).max()) for z in (found, started))
     print(f"stretched against remeshed {error:.1e}, of a change of {moved:.1e}")
     assert moved > 0.1
-    assert new.mesh.mesh.t.shape == old.mesh.mesh.t.shape  # so that both have the same error
-    assert error < OPTIMISM * 1e-6
+    assert new.mesh.mesh.t.shape == old.mesh.mesh.t.shape
+    assert error < 1e-3
 
 
-def test_the_slope_by_a_dimension_is_that_of_full_solves(stack: Problem, chip: Chip) -> None:
-    names = (THICKNESS, RADIUS)
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=names, tolerance=1e-10)
-    centre, few = {THICKNESS: 2e-3, RADIUS: 3e-3}, SOME[::2]
-    predictor({}, centre)
-    for lengths in (centre, {THICKNESS: 2.006e-3, RADIUS: 2.99e-3}):
-        prediction = predictor({}, lengths)
-        for name in names:
-            step = 1e-5 * lengths[name]
-            ahead, behind = (predictor.full({}, {**lengths, name: lengths[name] + sign * step}, GRID[few])
+def test_the_gradient_by_a_length_is_that_of_full_solves(flexed: Problem) -> None:
+    names = (THICKNESS, RADIUS, "substrate.radius", GEL)
+    predictor = Predictor(flexed, GRID, tangents=names, tolerance=1e-8)
+    few = SOME[::2]
+    for lengths in ({}, {THICKNESS: 2.006e-3, RADIUS: 2.99e-3}):
+        values = {**flexed.values, **lengths}
+        gradient = np.conj(predictor(values).logarithmic_gradient(names))[few]
+        for column, name in enumerate(names):
+            step = 1e-5 * values[name].real
+            ahead, behind = (predictor.full({**values, name: values[name] + sign * step}, GRID[few])
                              for sign in (1.0, -1.0))
             exact = np.log(ahead / behind) / (2.0 * step)
-            found = np.conj(prediction.logarithmic_slope(name))[few]
-            # The slope of a parabola through points h = 5e-3 apart is off by h^2 / 6 times the third derivative, 6 of
-            # 1 / length and 6^2 times that where the radius moves into the half millimetre beside it; as much again
-            # away from the centre, where the slope itself has changed by 6e-3.
-            assert np.abs(found - exact).max() < 1.5e-3 * np.abs(exact).max()
+            # As for moduli, the tolerance smaller.
+            assert np.abs(gradient[:, column] - exact).max() < 1e-4 * np.abs(exact).max(), name
 
 
-def test_the_slope_of_the_expansion_is_its_own_derivative(stack: Problem, chip: Chip) -> None:
-    predictor = Predictor(stack, GRID, chip=chip, dimensions=(THICKNESS, RADIUS), tolerance=TOLERANCE)
+def test_a_radius_on_both_sides_of_its_nominal_length_and_close_to_its_neighbour(
+    stacked: Callable[..., Chip], filling: dict[str, Material], meshed: Callable[..., Problem]
+) -> None:
+    """Forty micrometres beside a radius of three millimetres: neared to a tenth, the column is stretched a lot."""
+    chip = stacked([("transducer", 2e-3, 3e-3, None), ("couplant", 50e-6, 2.96e-3, None),
+                    ("substrate", 1e-3, 3.5e-3, None)], band=(300e3, 450e3))
+    problem = flexible(meshed(chip, filling, elements_per_wavelength=2.0), chip, {RADIUS: (2.964e-3, 3.1e-3)})
+    predictor = Predictor(problem, GRID, tolerance=TOLERANCE)
+    for radius in (3e-3, 2.97e-3, 2.9645e-3, 3.09e-3):
+        assert off(predictor, {RADIUS: complex(radius)}) < OPTIMISM * TOLERANCE
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# How a model grows
+
+
+@pytest.mark.parametrize("by", ["a prediction", "cover"])
+def test_a_prediction_is_not_changed_by_what_comes_after_it(flexed: Problem, by: str) -> None:
+    predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
+    values = drawn(flexed, 1, 0.1, 0.2)
+    early = predictor(values)
+    model = early.model
+    before = copy.deepcopy((early.impedance, early.error, model.basis, model.sketch, model.operators.matrices,
+                            early.logarithmic_gradient(FREE)))
+    if by == "cover":
+        predictor.cover({RADIUS: 2.9e-3}, {THICKNESS: 1e-4}, 1e-6)
+    else:
+        predictor({**drawn(flexed, 2, 0.15, 0.2), RADIUS: 2.8e-3})
+    assert model_of(predictor).basis.shape[1] > model.basis.shape[1]  # or this test says nothing
+    assert early.model is model
+    again = model.solve(GRID, early.values)
+    for one, other in zip(before, (np.conj(again.impedance), model.error(again), model.basis, model.sketch,
+                                   model.operators.matrices, early.logarithmic_gradient(FREE)), strict=True):
+        assert np.array_equal(one, other)
+    # What is asked for now comes from the present model.
+    assert predictor(values).model is predictor.model
+
+
+def test_a_grown_basis_begins_with_the_old_one_and_is_never_worse(flexed: Problem) -> None:
+    predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
+    seen: list[dict[str, complex]] = [{}]
     predictor({})
-    expansion = predictor._expansion
-    assert expansion is not None
-    lengths = expansion.centre * [1.0 + 0.6 * REACH, 1.0 - 0.4 * REACH]
-    part = everything(expansion)
+    models = [model_of(predictor)]
+    for values in wandered(flexed)[1::2]:
+        predictor(values)
+        seen.append(values)
+        models.append(model_of(predictor))
+    predictor.cover({}, {GEL: 1e-5}, TOLERANCE)
+    models.append(model_of(predictor))
+    for old, new in itertools.pairwise(models):
+        rank = old.basis.shape[1] - 1
+        assert new.basis.shape[1] > old.basis.shape[1]
+        # All but the lift, which stays the last; that the rest is not computed again is what makes growth cheap.
+        assert np.array_equal(new.basis[:, :rank], old.basis[:, :rank])
+        assert np.array_equal(new.basis[:, -1], old.basis[:, -1])
+        assert new.operators.matrices[:, :rank, :rank] == pytest.approx(old.operators.matrices[:, :rank, :rank],
+                                                                       rel=0.0, abs=0.0)
+        assert new.test is old.test
+    exact = [np.conj(solve_full(models[0].full, GRID[SOME], {**flexed.values, **values}).impedance) for values in seen]
+    for number, model in enumerate(models):
+        for values, full in list(zip(seen, exact, strict=True))[: number + 1]:
+            solution = model.solve(GRID, {**flexed.values, **values})
+            error = np.abs(np.conj(solution.impedance[SOME]) / full - 1.0)
+            # Where the parameters have been before: no estimate has risen above what was promised then.
+            assert model.error(solution).max() <= TOLERANCE
+            assert error.max() <= OPTIMISM * TOLERANCE
 
-    def whole(slope: tuple[NDArray[np.int64], NDArray[np.float64]]) -> NDArray[np.float64]:
-        matrices = np.zeros_like(expansion.model.operators.matrices)
-        matrices[slope[0]] = slope[1]
-        return matrices
 
-    for index in range(2):
-        step = np.zeros(2)
-        step[index] = 0.3 * REACH * expansion.centre[index]
-        ahead, behind = (part.at(lengths + sign * step).operators.matrices for sign in (1.0, -1.0))
-        exact = (ahead - behind) / (2.0 * step[index])  # of a parabola, whatever the step
-        found = whole(part.slope(index, lengths))
-        # Rounding of 1e-15 over steps of 1.5e-3.
-        size = np.abs(exact).max(axis=(1, 2), keepdims=True) + np.abs(ahead).max(axis=(1, 2), keepdims=True)
-        assert (np.abs(found - exact) <= 1e-9 * size / expansion.centre[index]).all()
-        assert np.abs(found - whole(part.slope(index, expansion.centre))).max() > 1e-3 * np.abs(found).max()
-
-
-def test_dimensions_need_a_chip(stack: Problem) -> None:
-    with pytest.raises(ValueError, match="the chip of the problem"):
-        Predictor(stack, GRID, dimensions=(THICKNESS,))
+def test_a_model_that_goes_on_at_other_frequencies_keeps_its_own_count(flexed: Problem) -> None:
+    predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
+    predictor({})
+    solves, model = predictor.solves, predictor.model
+    other = predictor.at(GRID[::3], 1e-3)
+    found = other({})
+    assert other.solves == 0
+    assert other.model is model
+    assert found.impedance == pytest.approx(predictor({}).impedance[::3], rel=1e-9)
+    other({RADIUS: 2.7e-3})
+    assert other.solves > 0
+    assert (predictor.solves, predictor.model) == (solves, model)
+    assert other.tolerance == 1e-3
+    assert predictor.at(GRID).tolerance == TOLERANCE
 
 
-def test_radii_of_one_length_move_together(chip: Chip, small_chip: Chip) -> None:
-    moved = moved_chip(chip, (RADIUS, THICKNESS), np.array([3.1e-3, 2.1e-3]))
-    lengths = {name: d.value for name, d in moved.dimensions().items()}
-    assert lengths == {THICKNESS: 2.1e-3, RADIUS: 3.1e-3, "couplant.thickness": 5e-5,
-                       "couplant.radius": 3.1e-3, "substrate.thickness": 1e-3, "substrate.radius": 3.5e-3}
-    # The cavity's radius is of another length, and two lengths named are two lengths.
-    wider = moved_chip(small_chip, ("substrate.radius",), np.array([3.6e-3])).dimensions()
-    assert [wider[f"{r}.radius"].value for r in ("substrate", "sidewall", "bond", "superstrate")] == [3.6e-3] * 4
-    assert (wider["cavity.radius"].value, wider[RADIUS].value) == (1.5e-3, 3e-3)
-    both = moved_chip(chip, (RADIUS, "couplant.radius"), np.array([3.1e-3, 2.9e-3])).dimensions()
-    assert (both[RADIUS].value, both["couplant.radius"].value) == (3.1e-3, 2.9e-3)
-    # Thicknesses are nobody's but their own.
-    thick = moved_chip(small_chip, ("superstrate.thickness",), np.array([1.1e-3])).dimensions()
-    assert thick["substrate.thickness"].value == 0.85e-3
+def test_without_a_tolerance_a_model_only_grows_when_told(flexed: Problem) -> None:
+    predictor = Predictor(flexed, GRID, tangents=(THICKNESS,), tolerance=np.inf)
+    predictor({})
+    solves, model = predictor.solves, predictor.model
+    predictor({RADIUS: 2.7e-3})
+    assert (predictor.solves, predictor.model) == (solves, model)
+    predictor.cover({RADIUS: 2.7e-3}, {}, TOLERANCE)
+    assert predictor.solves > solves
+    assert off(predictor, {RADIUS: 2.7e-3}) < OPTIMISM * TOLERANCE
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Models for a neighbourhood
+
+
+def test_cover_serves_the_neighbourhood_it_is_told(flexed: Problem) -> None:
+    moves = {FREE[2]: 0.02 * abs(flexed.values[FREE[2]]), THICKNESS: 4e-5, RADIUS: 3e-5}
+    corner = {"substrate.radius": 3.85e-3 + 0.0j}
+    plain, covering = (Predictor(flexed, GRID, tolerance=np.inf) for _ in range(2))
+    plain.cover({}, {}, TOLERANCE)
+    covering.cover({}, moves, TOLERANCE, corners=[corner])
+    inside = [{name: flexed.values[name] + sign * size for name, size in moves.items()} for sign in (1.0, -0.6)]
+    for values in (*inside, corner):
+        before, after = (off(each, values) for each in (plain, covering))
+        print(f"covered {after:.1e}, at the middle only {before:.1e}")
+        assert after < 10.0 * TOLERANCE  # a derivative tells to first order where a state goes
+        assert after < 0.1 * before
+    assert off(covering, corner) < OPTIMISM * TOLERANCE
+    # Nothing is said of what it was not told of, but by the estimate.
+    elsewhere = covering({GEL: 120e-6 + 0.0j})
+    assert elsewhere.error.max() > TOLERANCE
+
+
+def test_a_narrowed_basis_serves_the_neighbourhood_and_knows_its_limits(flexed: Problem) -> None:
+    names = (*FREE, THICKNESS, RADIUS)
+    predictor = Predictor(flexed, GRID, tangents=names, tolerance=TOLERANCE)
+    for seed in range(2):
+        predictor(drawn(flexed, seed, 0.1, 0.2))
+    predictor({})
+    around: list[dict[str, complex]] = [{}]
+    around += [{name: 1.01 * flexed.values[name]} for name in names]
+    solves = predictor.solves
+    near = predictor.narrowed(around)
+    before, after = (model_of(each).basis.shape[1] for each in (predictor, near))
+    print(f"narrowed from {before} to {after} columns")
+    assert after < 0.8 * before
+    assert predictor.solves == solves
+    # Inside, no solve is wanted; all of them together are still inside to first order.
+    for share in (0.3, 0.6):
+        values = {name: (1.0 + 0.01 * share) * flexed.values[name] for name in names}
+        assert off(near, values) < OPTIMISM * TOLERANCE
+    assert near.solves == 2 * SOME.size
+    assert off(near, drawn(flexed, 7, 0.15, 0.2)) < OPTIMISM * TOLERANCE
+    assert near.solves > 3 * SOME.size  # it has grown again
+    # The one it came from is as it was.
+    assert (predictor.solves, model_of(predictor).basis.shape[1]) == (solves, before)
+
+
+def test_narrowing_before_anything_is_known_does_nothing(stack: Problem) -> None:
+    predictor = Predictor(stack, GRID, tolerance=TOLERANCE)
+    narrow = predictor.narrowed([{}])
+    assert narrow.solves == predictor.solves == 0
+    assert narrow.model is None

@@ -183,7 +183,8 @@ def test_the_projections_have_the_covariance_of_the_inverse_energy(
     filled: Problem, filled_operators: FullOperators
 ) -> None:
     system = System(filled_operators, filled.values)
-    energy, vectors = energy_matrix(system, 350e3), probes(system, 350e3)
+    energy = energy_matrix(system, 350e3)
+    vectors = probes(energy, 350e3)
     size = energy.shape[0]
     assert vectors.shape == (size + 1, PROJECTIONS)
     assert not vectors[-1].any()
@@ -222,7 +223,7 @@ def test_the_estimate_bounds_the_error_wherever_the_parameters_go(small_disc: Pr
     # A model as a fit makes it, and the same narrowed to a neighbourhood, which lacks the very modes that come up
     # where the parameters go next: what an estimate learned at other parameters is most wrong about.
     random = np.random.default_rng(11)
-    tangents = tuple(name for name in small_disc.values if name.startswith("pzt.c"))
+    tangents = {name: 0.1 * abs(value) for name, value in small_disc.values.items() if name.startswith("pzt.c")}
     model = reduce(sharp, SHARP, small_disc.values, tolerance=1e-3, tangents=tangents, confirmed=False)
     ratios: list[float] = []
     largest = 0.0

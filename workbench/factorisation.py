@@ -107,7 +107,9 @@ def chosen() -> str:
     """
     name = os.environ.get(CHOICE)
     if name is None:
-        return "rslab" if importlib.util.find_spec("rslab") else "superlu"
+        found = importlib.util.find_spec("rslab")
+        # A folder that happens to have that name is found too, without an origin.
+        return "rslab" if found is not None and found.origin is not None else "superlu"
     if name not in KNOWN:
         raise ValueError(f"{CHOICE} is {name!r}; expected one of {', '.join(KNOWN)}")
     return name

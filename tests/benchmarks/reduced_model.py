@@ -56,7 +56,8 @@ def main() -> None:
     everything = time.perf_counter() - started
     reduced_memory = memory()
 
-    pla = tuple(name for name in problem.values if name.startswith("pla/") and name.endswith("modulus"))
+    pla = {name: arguments.change / 100.0 * abs(value) for name, value in problem.values.items()
+           if name.startswith("pla/") and name.endswith("modulus")}
     started = time.perf_counter()
     kept = reduce(operators, frequencies, problem.values, tolerance=1e-5, tangents=pla)
     with_tangents = time.perf_counter() - started
