@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from workbench.fields import Fields
 
 _WIDTH, _HEIGHT, _DOTS_PER_INCH = 10.0, 6.2, 140
-#: Order of the nodes between which colours are linear.
-_FINER = 8
+#: Order of the nodes between which colours are linear: a third of a cell apart, five dots of a picture.
+_FINER = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,20 +67,20 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
             finer = raised(mesh, _FINER, name)
             shown = transfer(mesh, values * factor, finer)
             look = {"color": role_colour("cavity")} if fluid[index] else coloured
-            plotter.add_mesh(_cut_faces(finer, degrees=degrees, values=shown), lighting=False, **look)
+            plotter.add_mesh(_cut_faces(finer, degrees=degrees, values=shown), lighting=False, **look, render=False)
             number = np.cumsum(mesh.region == index) - 1
             edges = np.concatenate([edge_nodes(finer, side, number[cells[mesh.region[cells] == index]])
                                     for side, cells in skin])
             if len(edges):
                 swept = _swept(finer, edges, degrees=degrees, values=shown)
-                plotter.add_mesh(swept, ambient=0.6, diffuse=0.42, **look)
-        plotter.add_mesh(_section_outlines(mesh, degrees), color="#303030", line_width=1.0, lighting=False)
+                plotter.add_mesh(swept, ambient=0.6, diffuse=0.42, **look, render=False)
+        plotter.add_mesh(_section_outlines(mesh, degrees), color="#303030", line_width=1.0, lighting=False, render=False)
         _look_from(plotter, azimuth=(degrees + 360.0) / 2.0, elevation=24.0, zoom=2.3)
 
     picture = photograph(arrange, width=round(_WIDTH * _DOTS_PER_INCH), height=round(0.74 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
     axes = figure.add_axes((0.0, 0.15, 1.0, 0.74))
-    axes.imshow(picture)
+    axes.imshow(picture, interpolation="nearest")
     axes.axis("off")
     axes.set_title(
         f"{phase_title(fields, phase)}; "
@@ -122,18 +122,18 @@ def draw_solids(
             surface = module.PolyData.from_regular_faces(lifted, solid.triangles)
             if cut_open:
                 surface = surface.clean().clip_closed_surface(normal=(0.0, 1.0, 0.0), origin=(0.0, 0.0, 0.0))
-            plotter.add_mesh(surface, color=colour, opacity=opacity, ambient=0.3, diffuse=0.7, specular=0.15)
+            plotter.add_mesh(surface, color=colour, opacity=opacity, ambient=0.3, diffuse=0.7, specular=0.15, render=False)
             # Edges where faces meet at an angle show the shape; the triangles would hide it.
             edges = surface.clean().extract_feature_edges(feature_angle=25.0)
             if edges.n_cells:
-                plotter.add_mesh(edges, color="#303030", line_width=1.2, lighting=False)
+                plotter.add_mesh(edges, color="#303030", line_width=1.2, lighting=False, render=False)
         _look_from(plotter, azimuth=-75.0 if cut_open else -60.0, elevation=28.0, zoom=1.3)
 
     width, height = round(0.8 * _WIDTH * _DOTS_PER_INCH), round(0.9 * _HEIGHT * _DOTS_PER_INCH)
     picture = photograph(arrange, width=width, height=height)
     figure = new_figure(_WIDTH, _HEIGHT)
     axes = figure.add_axes((0.0, 0.0, 0.8, 0.9))
-    axes.imshow(picture)
+    axes.imshow(picture, interpolation="nearest")
     axes.axis("off")
     span = np.concatenate([solid.vertices for solid in solids])
     size = " × ".join(f"{1e3 * extent:.3g}" for extent in np.ptp(span, axis=0))
