@@ -146,7 +146,7 @@ def test_the_energy_density_integrates_to_the_systems_quadratic_forms(
         negative = integral.coefficient.omega_power == 0 if fluid else inertia or electric
         energy[integral.place] += 0.25 * complex(coefficient).real * form * (-1.0 if negative else 1.0)
     for region, expected in energy.items():
-        # Recovered gradients against the elements' own: observed 7e-4 in the substrate, with its corners, 1e-5 in water.
+        # Recovered gradients against the elements' own: observed 7e-4 in the substrate, 1e-5 in water.
         actual = float(integrate(found.mesh, found.energy_density, [region]))
         assert actual == pytest.approx(expected, rel=2e-3), region
         assert expected > 0.0

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from inputs import replacing
 from workbench.elements import Lagrange, polynomials
 from workbench.nodal import NodalMesh
-from workbench.render.canvas import pyvista
 
 if TYPE_CHECKING:
     from workbench.fields import Fields
@@ -40,10 +39,11 @@ def write_vtu(fields: Fields, path: Path) -> Path:
         "displacement": fields.displacement, "potential": fields.potential, "pressure": fields.pressure,
         "velocity": fields.velocity, "stress": fields.stress, "energy_density": fields.energy_density,
     }
-    module = pyvista()
+    import pyvista
+
     flat = np.column_stack([_equally_spaced(mesh, mesh.points), np.zeros(len(mesh.points))])
     along_r, along_z = np.array(Lagrange(mesh.order).indices).T
-    grid = module.UnstructuredGrid({module.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
+    grid = pyvista.UnstructuredGrid({pyvista.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
     for name, at_nodes in arrays.items():
         # A field that lives nowhere has no range, which makes readers complain.
         if np.isnan(at_nodes).all():
