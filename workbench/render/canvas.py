@@ -194,6 +194,10 @@ def save(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path:
     if kind not in ("png", "svg"):
         raise ValueError(f"cannot write {path.name!r}: the suffix is {path.suffix!r}; expected .png or .svg")
     with replacing(path) as whole:
-        # Without a date, the same figure is the same file.
-        figure.savefig(whole, format=kind, dpi=dots_per_inch, metadata={"Date": None} if kind == "svg" else None)
+        if kind == "svg":
+            # Without a date, the same figure is the same file.
+            figure.savefig(whole, format=kind, dpi=dots_per_inch, metadata={"Date": None})
+        else:
+            # A quarter larger than at the usual level of 6, in half of the time.
+            figure.savefig(whole, format=kind, dpi=dots_per_inch, pil_kwargs={"compress_level": 4})
     return path

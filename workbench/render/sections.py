@@ -185,7 +185,8 @@ def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
     axes.set_autoscale_on(False)
     axes.set_xlabel("r (mm)", fontsize=11)
     axes.set_ylabel("z (mm)", fontsize=11)
-    axes.set_title(title, fontsize=12)
+    # A place of its own spares the axes measuring everything above them.
+    axes.set_title(title, fontsize=12, y=1.0)
     # A radius has no sign: the left half is the right half again.
     axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
     return figure, axes, bar

@@ -65,7 +65,7 @@ def write_vtu(fields: Fields, path: Path) -> Path:
 
 def _equally_spaced(mesh: NodalMesh, values: NDArray[Any]) -> NDArray[Any]:
     """The interpolant of nodal `values` (N, ...) at as many points, equally spaced in every cell: (N, ...)."""
-    weights = polynomials(mesh.order, np.linspace(0.0, 1.0, mesh.order + 1))[0]
+    weights = polynomials(mesh.order, np.linspace(0.0, 1.0, mesh.order + 1))
     result = np.empty_like(values)
     # Cells agree on the nodes they share: what an edge holds depends on its own nodes alone.
     result[mesh.cells] = np.einsum("ia,jb,mij...->mab...", weights, weights, values[mesh.cells], optimize=True)
