@@ -118,11 +118,18 @@ class Piece:
     column: tuple[float, float] | None
 
 
-def tied(chip: Chip) -> dict[str, str]:
-    """Every radius of `chip` by name, with the first name among those of the same length, which move together."""
-    known = {name: each.value for name, each in chip.dimensions().items() if name.endswith("radius")}
-    return {name: next(other for other, length in known.items() if abs(length - value) < SAME_LENGTH)
-            for name, value in known.items()}
+def tied(*chips: Chip) -> dict[str, str]:
+    """Every radius of some chips by name, with the first name among those of one length in any, which move together."""
+    first: dict[str, str] = {}
+    for chip in chips:
+        known = {name: each.value for name, each in chip.dimensions().items() if name.endswith("radius")}
+        for name, value in known.items():
+            alike = [other for other, length in known.items() if abs(length - value) < SAME_LENGTH]
+            names = [first[other] for other in alike if other in first] or [name]
+            for other, chosen in [*first.items(), *((other, names[0]) for other in alike)]:
+                # What was apart and coincides here is one from now on.
+                first[other] = names[0] if chosen in names else chosen
+    return first
 
 
 def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[SectionMesh, dict[str, list[Piece]]]:

@@ -56,15 +56,31 @@ def gauss_lobatto(order: int) -> Real:
     return np.asarray(0.5 * (1.0 + np.concatenate([[-1.0], np.sort(inner), [1.0]])))
 
 
+def lobatto_weights(order: int) -> Real:
+    """Weights (order + 1,) of the Gauss-Lobatto rule on [0, 1], exact for polynomials of twice the order less one."""
+    at_nodes = legendre.legval(2.0 * gauss_lobatto(order) - 1.0, [0.0] * order + [1.0])
+    return np.asarray(1.0 / (order * (order + 1) * at_nodes**2))
+
+
 @lru_cache(maxsize=64)
 def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real]:
-    """(order + 1, *shape) polynomials, each 1 at one node and 0 at the others, at some points, and their slopes."""
+    """:func:`polynomials` at some points, and their slopes: two (order + 1, *shape)."""
     x, nodes = np.frombuffer(points).reshape(shape), gauss_lobatto(order)
-    values, slopes = [], []
+    slopes = []
     for node in range(order + 1):
         others = np.delete(nodes, node)
         gaps = x[..., None] - others
         scale = np.prod(nodes[node] - others)
-        values.append(np.prod(gaps, axis=-1) / scale)
         slopes.append(sum(np.prod(np.delete(gaps, k, axis=-1), axis=-1) for k in range(order)) / scale)
-    return np.array(values), np.array(slopes)
+    return polynomials(order, x), np.array(slopes)
+
+
+def polynomials(order: int, x: Real) -> Real:
+    """Values (order + 1, ...) at points `x` (...) of the polynomials of [0, 1] that are each 1 at one Gauss-Lobatto
+    node and 0 at the others."""
+    nodes = gauss_lobatto(order)
+    values = []
+    for node in range(order + 1):
+        others = np.delete(nodes, node)
+        values.append(np.prod(x[..., None] - others, axis=-1) / np.prod(nodes[node] - others))
+    return np.array(values)

@@ -51,11 +51,11 @@ CORNER_DEPTH = 3
 DEPENDENT = 1e-9
 
 #: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows.
-FIRST, WATCHED = 4, 97
+FIRST, WATCHED = 5, 97
 
-#: What is left out of a basis has at most this share of the root of the error that Z may have, in the root of energy
+#: What is left out of a basis has at most this times the root of the error that Z may have, in the root of energy
 #: over charge: the error of the charge is at most the energy of what is left out of the state.
-UNNEEDED, TIGHTER = 0.3, 0.3
+UNNEEDED, TIGHTER = 1.0, 0.3
 
 #: No parameter is about to move.
 NO_TANGENTS: Mapping[str, float] = MappingProxyType({})

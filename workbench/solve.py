@@ -31,7 +31,7 @@ RESIDUAL_LIMIT = 1e-10
 
 #: Unknowns and frequencies from which on a reduced model is narrowed before it is solved at all frequencies, the first
 #: frequencies and the vectors from each, and the largest residual that leaves; Z has its square.
-LARGE, MANY, NODES, DEPTH, NARROWED = 80, 60, 6, 6, 1e-6
+LARGE, MANY, NODES, DEPTH, NARROWED = 80, 60, 6, 6, 1e-5
 
 #: Entries of the reduced systems that are solved at once: what that takes stays in the processor's cache.
 ENTRIES = 500_000

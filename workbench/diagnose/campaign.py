@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ import numpy as np
 
 from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY, TRANSDUCER
+from geometry.stretch import tied
 from inputs import InputError, nearest_names, parse_quantity, read_toml, refuse_unknown_keys
 from materials.kinds import Fluid, Material
 from materials.registry import Registry, user_registry
@@ -84,7 +86,7 @@ class Campaign:
     """A device, its states, and what is known of it.
 
     ``known`` maps parameter names (see `workbench.fit.parameter`) to standard uncertainties in SI; ``fixed`` names
-    what may not move.
+    what may not move. Radii that coincide in a chip are one parameter, under the first of their names.
     """
 
     name: str
@@ -93,6 +95,16 @@ class Campaign:
     known: Mapping[str, float]
     fixed: tuple[str, ...]
     registry: Registry
+
+    @cached_property
+    def tied(self) -> Mapping[str, tuple[str, ...]]:
+        """The other names of every radius that stands for several."""
+        first = tied(*(state.chip for state in self.states))
+        found: dict[str, tuple[str, ...]] = {}
+        for name, chosen in first.items():
+            if name != chosen:
+                found[chosen] = (*found.get(chosen, ()), name)
+        return found
 
     @property
     def fitted(self) -> tuple[DeviceState, ...]:
@@ -290,15 +302,19 @@ def value_of(name: str, states: Sequence[DeviceState]) -> float:
 
 def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str) -> dict[str, float]:
     result: dict[str, float] = {}
+    stated: dict[str, str] = {}
+    first = tied(*(state.chip for state in states))
     for written, entry in table.items():
         field = f"known.{written}"
-        name = _full_name(written, states)
+        own = _full_name(written, states)
+        name = first.get(own, own)
         unit = unit_of(name, states)
         if not unit:
             raise InputError(source, field, written, "the name of a material's coefficient, a dimension of a chip or a "
                              "bench element that a state has", nearest_names(written, names(states)))
-        if name in result:
+        if name in result and own not in first:
             raise InputError(source, field, written, f"each parameter once ({name})")
+        before = result.get(name)
         if isinstance(entry, str) and entry.strip().endswith("%"):
             share = parse_quantity(entry, "dimensionless", source=source, field=field)
             size = abs(value_of(name, states))
@@ -310,14 +326,18 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
             result[name] = share * size
         else:
             result[name] = parse_quantity(entry, DIMENSIONS[unit], source=source, field=field)
+        if before is not None and abs(result[name] - before) > 1e-9 * before:
+            raise InputError(source, field, entry, f"the uncertainty that known.{stated[name]} has: the two radii "
+                             f"coincide, so they are one parameter")
+        stated[name] = written
         if not result[name] > 0.0:
             raise InputError(source, field, entry, "a standard uncertainty above zero; what is exact is left out")
         if name.rpartition(".")[2] in LENGTHS:
             for state in states:
-                stated = state.chip.dimensions().get(name)
-                if stated is not None and stated.tolerance == 0.0:
-                    raise InputError(source, field, entry, f"nothing: {state.chip.file} states {name} as exact "
-                                     "(a tolerance of 0)")
+                for each, length in state.chip.dimensions().items():
+                    if first.get(each, each) == name and length.tolerance == 0.0:
+                        raise InputError(source, field, entry, f"nothing: {state.chip.file} states {each} as exact "
+                                         "(a tolerance of 0)")
     return result
 
 
@@ -349,6 +369,7 @@ def _fixed(
         region, _, rest = written.partition(".")
         material = next((s.materials[region].name for s in states if region in s.materials), None)
         name = _full_name(written, states)
+        name = tied(*(state.chip for state in states)).get(name, name)
         if rest == "density" and material is not None:
             name = f"{material}.density"
         if not unit_of(name, states):

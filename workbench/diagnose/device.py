@@ -67,8 +67,7 @@ def model(
     """
     device = Device(campaign.states, campaign.known, campaign.fixed, campaign.registry)
     hypotheses = effects(device)
-    recordings: dict[str, Recording] = {}
-    meshes: dict[Section, SectionMesh] = {}
+    problems: list[Problem] = []
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
         terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
@@ -81,17 +80,23 @@ def model(
             values = {name: complex(value) for name, value in effect.values.get(state.name, {}).items()
                       if name not in problem.values}
             problem = problem.with_terms(effect.terms.get(state.name, ()), values)
-        # One mesh for states of one chip, so that they share what is solved on it.
-        problem = flexible(problem, state.chip)
-        problem = replace(problem, mesh=meshes.setdefault(problem.mesh.section, problem.mesh))
-        recordings[state.name] = Recording(state.name, problem, state.measured, state.chip)
-    problems = [r.problem for r in recordings.values()]
+        problems.append(problem)
     known = tuple(_known(name, error, campaign, problems) for name, error in campaign.known.items())
     more: dict[str, Parameter] = {}
     for effect in hypotheses:
         for parameter in effect.parameters:
             more.setdefault(parameter.name, parameter)
     parameters = (*known, *more.values())
+    recordings: dict[str, Recording] = {}
+    meshes: dict[Section, SectionMesh] = {}
+    for state, problem in zip(campaign.states, problems, strict=True):
+        lengths = state.chip.dimensions()
+        radii = {name: (p.low, p.high) for p in parameters if p.is_dimension
+                 for name in p.names if name.endswith("radius") and name in lengths}
+        problem = flexible(problem, state.chip, radii)
+        # One mesh for states of one chip, so that they share what is solved on it.
+        problem = replace(problem, mesh=meshes.setdefault(problem.mesh.section, problem.mesh))
+        recordings[state.name] = Recording(state.name, problem, state.measured, state.chip)
 
     # Models grow where they are told to (`Objective.cover`), not on the way.
     whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
@@ -109,7 +114,10 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
     if name.rpartition(".")[2] in LENGTHS:
         limit = mistaken_length(name, value)
         low, high = min(limit.lowest, value - 5.0 * error), max(limit.highest, value + 5.0 * error)
-        return Parameter(name, value, *stretchable([s.chip for s in campaign.states], name, low, high), error, unit)
+        others = campaign.tied.get(name, ())
+        for each in (name, *others):
+            low, high = stretchable([s.chip for s in campaign.states], each, low, high)
+        return Parameter(name, value, low, high, error, unit, tied=others)
     material = name.removesuffix(LOSS).rpartition(".")[0]
     problem = next(p for p in problems if f"{material}.{_coefficient(name)}" in p.values)
     if any(isinstance(m, Fluid) and m.name == material for m in problem.materials.values()):

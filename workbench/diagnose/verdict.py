@@ -34,6 +34,7 @@ from workbench.diagnose.refit import (
     without,
 )
 from workbench.diagnose.score import Score, confusion, scores_at
+from workbench.fit.joint import refused_steps
 from workbench.solve import one_thread
 from workbench.spectrum import Spectrum
 
@@ -410,7 +411,10 @@ def _judged(
     worse = held - _held(model, held_before)
     outdone = found and _besides(base, best, location)
     accepted = found and complete and worse < RIVAL and not outdone
-    findings = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}."]
+    findings = [f"The known parameters alone leave a reduced chi-square of {base.reduced:.3g}.",
+                *(f"{name} stands for {' and '.join(others)} too, which are as long."
+                  for name, others in model.campaign.tied.items() if name in model.campaign.known),
+                *refused_steps(model.fitted.refusals)]
     if found:
         findings.append(_closest(base, best, gained, held_before, held_after))
         if complete and not best.good:

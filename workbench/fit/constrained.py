@@ -71,6 +71,7 @@ class Minimum:
 
     ``x`` (p,), ``residual`` there; ``cost`` half the sum of squares; ``converged`` whether no step promised a further
     relative decrease of more than the tolerance; ``iterations`` accepted and rejected steps; ``reason`` in words.
+    ``refusals`` says of every step that could not be taken, since the function has no value there, why not.
     """
 
     x: Real
@@ -79,6 +80,7 @@ class Minimum:
     converged: bool
     iterations: int
     reason: str
+    refusals: tuple[str, ...]
 
 
 def minimise(
@@ -108,18 +110,19 @@ def minimise(
     at = function(x)
     cost = 0.5 * float(at.vector @ at.vector)
     reason = f"the limit of {limit} steps was reached"
-    refusing = False
+    refusing, refusals = False, list[str]()
     for iteration in range(1, limit + 1):
         step, promised = _step(at, cost, _Region(x, np.maximum(low, x - radius * scale),
                                                  np.minimum(high, x + radius * scale), scale, together), centre)
         held = refusing and float(np.abs(step / scale).max()) > 0.9 * radius
         if promised <= tolerance * max(cost, NOTHING) and not held:
-            return Minimum(x, at, cost, True, iteration, "no step promises a decrease")
+            return Minimum(x, at, cost, True, iteration, "no step promises a decrease", tuple(refusals))
         try:
             trial = function(x + step)
             now, refusing = 0.5 * float(trial.vector @ trial.vector), False
-        except refused:
+        except refused as error:
             trial, now, refusing = at, np.inf, True
+            refusals.append(f"{type(error).__name__}: {error}")
         gain = (cost - now) / promised
         length = float(np.abs(step / scale).max())
         if gain > 0.0:
@@ -129,8 +132,11 @@ def minimise(
         elif gain > 0.75 and length > 0.8 * radius:
             radius *= 3.0
         if radius < 1e-9:
-            return Minimum(x, at, cost, False, iteration, "steps became too short to change anything")
-    return Minimum(x, at, cost, False, limit, reason)
+            reason = "steps became too short to change anything"
+            if refusing:
+                reason = f"no step could be taken any more ({refusals[-1]})"
+            return Minimum(x, at, cost, False, iteration, reason, tuple(refusals))
+    return Minimum(x, at, cost, False, limit, reason, tuple(refusals))
 
 
 def interior(start: Real, low: Real, high: Real, inequalities: Sequence[Inequality]) -> Real:

@@ -18,6 +18,7 @@ import copy
 import itertools
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -244,6 +245,7 @@ class Search:
         found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
                          inequalities=self._conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
                          refused=REFUSED)
+        self.objective.refusals.extend(found.refusals)
         return replace(found, x=whole(found.x))
 
     def inside(self, x: Real) -> Real:
@@ -280,7 +282,8 @@ class Search:
             ended = width == 0.0
             if not ended and rival is not None and found.cost > WORSE * rival.costs.get(number, np.inf):
                 break
-        return Descent(x, found.residual, found.cost, found.converged, steps, found.reason, costs, ended)
+        return Descent(x, found.residual, found.cost, found.converged, steps, found.reason, found.refusals, costs,
+                       ended)
 
     def widths(self) -> list[float]:
         """Half widths (Hz) of the smoothed problems: those that a recording's points can show, then none."""
@@ -358,7 +361,8 @@ def fit(
     return FitResult(
         "joint", matches, verdict.estimates, verdict.covariance, verdict.undetermined, listed, left_out, check,
         minimum.converged, improved, minimum.iterations,
-        (*_findings(minimum, improved, listed, matches, left_out, check), *verdict.findings),
+        (*_findings(minimum, improved, listed, matches, left_out, check), *verdict.findings,
+         *refused_steps([*scout.objective.refusals, *search.objective.refusals])),
         time.perf_counter() - started, solves,
     )
 
@@ -548,6 +552,15 @@ def _findings(
     if check[0] > 10.0 * FINE:
         result.append(f"The reduced model is {check[0]:.1e} off a full solve at {check[1] / 1e3:.1f} kHz.")
     return result
+
+
+def refused_steps(refusals: Sequence[str]) -> list[str]:
+    """A statement of how many steps of a search could not be taken, and why; none where all could."""
+    if not refusals:
+        return []
+    kinds = Counter(refusals).most_common()
+    return [f"{len(refusals)} steps of the search could not be taken and were shortened; most often, {kinds[0][1]} "
+            f"times: {kinds[0][0]}"]
 
 
 def _ends(starts: Sequence[Start]) -> str:

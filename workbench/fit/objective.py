@@ -111,6 +111,8 @@ class Objective:
                 shared[alike] = Predictor(r.problem, frequency, tolerance=tolerance, tangents=tangents)
             predictors.append(shared[alike])
         self.predictors = tuple(predictors)
+        #: Why steps of searches could not be taken, one entry for each; shared by all that are made of this.
+        self.refusals: list[str] = []
 
     @property
     def solves(self) -> int:
