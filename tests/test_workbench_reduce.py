@@ -414,13 +414,14 @@ def test_a_covering_model_holds_states_changes_and_corners(wide: Problem, operat
     assert plain.basis.shape[1] < found.basis.shape[1]
     moved = {**wide.values, shear: 1.05 * wide.values[shear]}
     between = 0.5 * (band[:-1] + band[1:])[::6]
-    for values, few in ((wide.values, 10.0), (moved, 100.0), (corner, 10.0)):
+    # Derivatives are of the nodes' states, and tell to first order.
+    for values, most, share in ((wide.values, 1e-5, np.inf), (moved, 1e-3, 0.3), (corner, 1e-4, 0.1)):
         exact = solve_full(operators, between, values).impedance
         error, alone = (float(np.abs(each.solve(between, values).impedance / exact - 1.0).max())
                         for each in (found, plain))
         print(f"covered {error:.1e}, without {alone:.1e}")
-        assert error < few * TOLERANCE
-        assert values is wide.values or error < 0.1 * alone
+        assert error < most
+        assert error < share * alone
     # From a start it goes on.
     again = covering(operators, band, moved, {}, tolerance=TOLERANCE, start=plain)
     assert begins_with(again, plain)
