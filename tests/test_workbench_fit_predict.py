@@ -373,3 +373,34 @@ def test_narrowing_before_anything_is_known_does_nothing(stack: Problem) -> None
     narrow = predictor.narrowed([{}])
     assert narrow.solves == predictor.solves == 0
     assert narrow.model is None
+
+
+def test_a_basis_that_came_a_long_way_is_let_go(flexed: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("workbench.fit.predict.WIDE", 40)
+    predictor, ranks = Predictor(flexed, GRID, tangents=FREE, tolerance=TOLERANCE), []
+    for seed in range(4):
+        values = drawn(flexed, seed, 0.1, 0.2)
+        solves = predictor.solves
+        assert predictor(values).error.max() <= TOLERANCE
+        assert predictor.solves > solves  # or this test says nothing
+        ranks.append(model_of(predictor).basis.shape[1])
+        assert off(predictor, values) <= OPTIMISM * TOLERANCE
+    endless = Predictor(flexed, GRID, tangents=FREE, tolerance=TOLERANCE)
+    monkeypatch.setattr("workbench.fit.predict.WIDE", 10_000)
+    for seed in range(4):
+        endless(drawn(flexed, seed, 0.1, 0.2))
+    print(f"ranks {ranks}, and {model_of(endless).basis.shape[1]} without")
+    assert ranks[-1] < 0.9 * model_of(endless).basis.shape[1]
+
+
+def test_a_prediction_elsewhere_leaves_its_model_behind(flexed: Problem) -> None:
+    predictor = Predictor(flexed, GRID, tolerance=TOLERANCE)
+    found = predictor.elsewhere(GRID[::3], 0.1 * TOLERANCE, {})
+    assert found.error.max() <= 0.1 * TOLERANCE
+    assert predictor.model is found.model
+    solves = predictor.solves
+    assert solves == found.model.solves > 0
+    assert np.array_equal(predictor.frequencies, GRID)
+    assert predictor.tolerance == TOLERANCE
+    assert predictor({}).impedance[::3] == pytest.approx(found.impedance, rel=2.0 * TOLERANCE)
+    assert predictor.solves <= solves + 2  # most of it is known

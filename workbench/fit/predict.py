@@ -34,6 +34,10 @@ MOVED = 0.1
 NEGLIGIBLE = 1e-6
 
 
+#: Vectors from which on a basis forgets where it has been, and how small directions it then leaves out, relative.
+WIDE, LEFT_BEHIND = 140, 1e-4
+
+
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """A predicted spectrum and what it would do if parameters moved.
@@ -163,6 +167,9 @@ class Predictor:
 
     def _grow(self, values: Mapping[str, complex]) -> None:
         start = self.model
+        if start is not None and self._latest is not None and start.basis.shape[1] > WIDE:
+            # Of a long way what was needed at its last place: dense solves cost the cube of the rank.
+            start, _ = narrowed(start, start.solve(self.frequencies, self._latest.values).states, LEFT_BEHIND)
         moves = {name: MOVED * abs(values[name]) for name in self.tangents}
         tolerance = 0.5 * self.tolerance if math.isfinite(self.tolerance) else 1e-3
         model = reduce(self.operators, self.frequencies, values, tolerance=tolerance, tangents=moves, start=start,
