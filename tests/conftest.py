@@ -175,15 +175,15 @@ def _modes(operators: FullOperators, values: Mapping[str, complex], rows: NDArra
 
 def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavelength: float, thickness: int = 2,
             corner_refinement: float = 1.0, skins: Mapping[str, float] | None = None) -> Problem:
-    """The base model of a chip, meshed by the workbench's own rule for the top of its band."""
-    from geometry.mesh import MeshSize, mesh_section
+    """The base model of a chip on quadratic elements, of a size that the top of its band rules."""
+    from geometry.mesh import mesh_section
     from geometry.section import cut_section
-    from workbench.problem import mesh_speeds, problem
+    from workbench.discretisation import Discretisation
+    from workbench.problem import problem
 
     section = cut_section(chip)
-    size = MeshSize(mesh_speeds(section.regions, materials), chip.band[1],
-                    elements_per_wavelength=elements_per_wavelength, minimum_through_thickness=thickness,
-                    corner_refinement=corner_refinement, skins=skins or {})
+    made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement, 1.2, 1.5, 0.5)
+    size = made.mesh_size(section.regions, materials, chip.band[1], skins=skins)
     return problem(mesh_section(section, size), materials, chip.band)
 
 

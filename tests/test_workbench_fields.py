@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support import quadratic
 
 from geometry.chip import Chip, parse_chip
 from materials.kinds import Fluid, Piezoelectric
@@ -33,7 +34,7 @@ def made(layers: list[dict[str, str]], **content: Any) -> Chip:
 
 
 def solved(chip: Chip, frequency: float, *, elements: float) -> tuple[Problem, FullOperators, Solution]:
-    problem = build(chip, chip.states[-1].name, Registry(), elements_per_wavelength=elements)
+    problem = build(chip, chip.states[-1].name, Registry(), accuracy=quadratic(elements))
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([frequency]), problem.values)
 

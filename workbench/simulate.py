@@ -22,11 +22,12 @@ from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
 from workbench import particles
+from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.merit import Figures, NoResonance, figures
 from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem, build, mesh_speeds
+from workbench.problem import Problem, build
 from workbench.reduce import reduce
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
@@ -112,7 +113,7 @@ def simulate(
     full: bool = False,
     tolerance: float = 1e-5,
     drive: Drive | None = None,
-    elements_per_wavelength: float = 10.0,
+    accuracy: float | Discretisation = ACCURACY,
     mesh_cache: Path | None = None,
     on_point: Callable[[float, complex], None] | None = None,
     known: Mapping[float, complex] | None = None,
@@ -128,6 +129,7 @@ def simulate(
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
         tolerance: relative error of the reduced model's impedance.
         drive: how the device is driven; 10 Vpp at the electrodes if not given.
+        accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
 
     Raises:
         InputError: something in the chip, its materials or the arguments.
@@ -148,7 +150,7 @@ def simulate(
     frequencies = frequency_grid(chip.band if band is None else band, points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem = build(chip, name, registry, band=span, elements_per_wavelength=elements_per_wavelength, cache=mesh_cache)
+    problem = build(chip, name, registry, band=span, accuracy=accuracy, cache=mesh_cache)
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     lap("assembly")
@@ -168,7 +170,7 @@ def simulate(
     except NoResonance as missing:
         merit, reason = None, missing.reason
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
-    check_mesh(problem, frequency, elements_per_wavelength)
+    check_mesh(problem, frequency)
     progress("fields", 0.0)
     shot = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
     lap("fields")
@@ -188,7 +190,7 @@ def snapshot(
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
     drive: Drive | None = None,
-    elements_per_wavelength: float = 10.0,
+    accuracy: float | Discretisation = ACCURACY,
     mesh_cache: Path | None = None,
     progress: Progress = quiet,
 ) -> Snapshot:
@@ -200,8 +202,8 @@ def snapshot(
     """
     name, registry = state_name(chip, state), registry or Registry()
     progress("mesh", 0.0)
-    problem = build(chip, name, registry, band=band, elements_per_wavelength=elements_per_wavelength, cache=mesh_cache)
-    check_mesh(problem, frequency, elements_per_wavelength)
+    problem = build(chip, name, registry, band=band, accuracy=accuracy, cache=mesh_cache)
+    check_mesh(problem, frequency)
     progress("fields", 0.5)
     operators = assemble(problem.mesh, problem.terms)
     found = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
@@ -243,9 +245,15 @@ def _full_spectrum(
     return impedance, int(missing.size), residual
 
 
-def check_mesh(problem: Problem, frequency: float, wanted: float) -> None:
-    """Warn, once for the problem, of every region with too few elements per wavelength at `frequency` (Hz)."""
-    speeds = {region: speed for region, speed in mesh_speeds(problem.mesh.section.regions, problem.materials).items()
+def check_mesh(problem: Problem, frequency: float) -> None:
+    """Warn, once for the problem, of every region with fewer elements per wavelength at `frequency` (Hz) than its
+    discretisation has. A mesh of the caller's own is not checked."""
+    made = problem.discretisation
+    if made is None:
+        return
+    wanted = made.elements_per_wavelength
+    speeds = {region: speed
+              for region, speed in made.mesh_speeds(problem.mesh.section.regions, problem.materials).items()
               if np.isfinite(speed)}
     counts = geometry.mesh.elements_per_wavelength(problem.mesh, speeds, frequency)
     coarse = {region: count for region, count in counts.items() if count < wanted * (1.0 - 1e-9)}

@@ -1,0 +1,89 @@
+"""How fine a mesh and of what order the fields on it are, chosen by the accuracy that is asked of Z."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from geometry.mesh import MeshSize
+from geometry.names import TRANSDUCER
+from inputs import InputError
+from materials.kinds import Fluid
+from materials.registry import Material
+
+#: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.
+GAS_IMPEDANCE = 1e4
+
+
+@dataclass(frozen=True)
+class Discretisation:
+    """The order of the fields, and the size of the elements.
+
+    ``elements_per_wavelength`` of the slowest wave of a region at the top of the band. The transducer has
+    ``transducer_finer`` times as many: its radial overtones are sharp and its losses small. A gas has ``gas_finer``
+    times as many, that is fewer: behind solid walls all of it changes Z by 0.3 % at most, and its short waves would
+    rule every element above and below. The others as in `geometry.mesh.MeshSize`.
+    """
+
+    order: int
+    elements_per_wavelength: float
+    through_thickness: int = 1
+    corner_refinement: float = 0.1
+    growth: float = 4.0
+    transducer_finer: float = 1.25
+    gas_finer: float = 0.7
+
+    def refined(self, factor: float) -> Discretisation:
+        """The same with elements smaller by `factor`."""
+        return replace(self, elements_per_wavelength=self.elements_per_wavelength * factor,
+                       through_thickness=math.ceil(self.through_thickness * factor))
+
+    def mesh_size(
+        self, regions: tuple[str, ...], materials: Mapping[str, Material], frequency: float, *,
+        skins: Mapping[str, float] | None = None,
+    ) -> MeshSize:
+        """The size of the elements in these regions at `frequency` (Hz); `skins` as in `geometry.mesh.MeshSize`."""
+        return MeshSize(self.mesh_speeds(regions, materials), frequency, order=self.order,
+                        elements_per_wavelength=self.elements_per_wavelength,
+                        minimum_through_thickness=self.through_thickness, corner_refinement=self.corner_refinement,
+                        growth=self.growth, skins=skins or {})
+
+    def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
+        """The speed (m/s) whose wavelength rules the mesh size in every region; infinite where there is nothing."""
+        return {region: materials[region].slowest_wave_speed() / self._finer(region, materials[region])
+                if region in materials else math.inf for region in regions}
+
+    def _finer(self, region: str, material: Material) -> float:
+        if isinstance(material, Fluid) and material.density * material.sound_speed < GAS_IMPEDANCE:
+            return self.gas_finer
+        return self.transducer_finer if region == TRANSDUCER else 1.0
+
+
+#: What it takes for an rms error of ln Z of at most so much over the band of every chip in `geometry/chips`, in every
+#: state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
+ROWS: Mapping[float, Discretisation] = {
+    5e-3: Discretisation(4, 1.5),
+    5e-4: Discretisation(4, 2.0),
+    2e-4: Discretisation(4, 3.0),
+}
+
+#: Relative accuracy of Z that meshes are made for unless another is asked for.
+ACCURACY = 5e-4
+
+
+def discretisation(accuracy: float | Discretisation) -> Discretisation:
+    """The coarsest of :data:`ROWS` that is as accurate as asked for: rms of ln Z. A `Discretisation` is itself.
+
+    Raises:
+        InputError: no accuracy, or one finer than that of the last row.
+    """
+    if isinstance(accuracy, Discretisation):
+        return accuracy
+    finest = min(ROWS)
+    if not finest * (1.0 - 1e-9) <= accuracy < 1.0:
+        raise InputError("mesh", "accuracy", f"{accuracy:g}",
+                         f"a relative error of Z of {finest:g} ({100.0 * finest:g} %), the finest there is, or more, "
+                         f"below 1; {ACCURACY:g} is usual")
+    fit = [row for row in ROWS if row <= accuracy * (1.0 + 1e-9)]
+    return ROWS[max(fit)]
