@@ -56,10 +56,21 @@ def gauss_lobatto(order: int) -> Real:
     return np.asarray(0.5 * (1.0 + np.concatenate([[-1.0], np.sort(inner), [1.0]])))
 
 
+def lobatto_weights(order: int) -> Real:
+    """Weights (order + 1,) of the Gauss-Lobatto rule on [0, 1], exact for polynomials of twice the order less one."""
+    at_nodes = legendre.legval(2.0 * gauss_lobatto(order) - 1.0, [0.0] * order + [1.0])
+    return np.asarray(1.0 / (order * (order + 1) * at_nodes**2))
+
+
 @lru_cache(maxsize=64)
 def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real]:
-    """(order + 1, *shape) polynomials, each 1 at one node and 0 at the others, at some points, and their slopes."""
-    x, nodes = np.frombuffer(points).reshape(shape), gauss_lobatto(order)
+    return polynomials(order, np.frombuffer(points).reshape(shape))
+
+
+def polynomials(order: int, x: Real) -> tuple[Real, Real]:
+    """The polynomials of [0, 1], each 1 at one Gauss-Lobatto node and 0 at the others, and their slopes, at points `x`
+    (...): two (order + 1, ...)."""
+    nodes = gauss_lobatto(order)
     values, slopes = [], []
     for node in range(order + 1):
         others = np.delete(nodes, node)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from skfem import Basis
+from skfem.assembly.dofs import Dofs
 
 from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from workbench.drive import Drive, VoltageDrive
 from workbench.elements import Lagrange
-from workbench.nodal import NodalMesh, gradient
+from workbench.nodal import NodalMesh, gradient, grid_nodes
 from workbench.operators import FullOperators
 from workbench.physics.piezoelectric import VACUUM_PERMITTIVITY
 from workbench.physics.term import Values
@@ -62,13 +62,8 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
     """The fields of a full `solution` of `operators` at one frequency, under `drive`.
 
     Stress and velocity in fluids come from gradients recovered at the nodes (`nodal.gradient`).
-
-    Raises:
-        ValueError: a mesh for fields of another order than the second.
     """
     frequency, omega = float(solution.frequency[0]), float(solution.omega[0])
-    if operators.mesh.order != 2:
-        raise ValueError(f"fields of order {operators.mesh.order} cannot be shown node by node; expected order 2")
     mesh, dofs = section_nodes(operators.mesh)
     values = problem.values
     impedance = complex(solution.impedance[0])
@@ -115,18 +110,24 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
 
 
 def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
-    """The mesh with its nodes doubled between regions, and the scalar dof (N,) of every node in the second order."""
-    basis = Basis(mesh.mesh, Lagrange(2), intorder=1)
-    locations = np.asarray(basis.doflocs)
+    """The nodes of the fields on `mesh`, doubled between regions, and the scalar dof (N,) of every node."""
+    element = Lagrange(mesh.order)
+    element_dofs = np.asarray(Dofs(mesh.mesh, element).element_dofs)
+    along_r, along_z = np.array(element.indices).T
+    corners = mesh.mesh.p[:, mesh.mesh.t]  # (2, 4, cells)
     cells, region, points, dofs = [], [], [], []
     names = mesh.section.regions
     offset = 0
     for index, name in enumerate(names):
-        members = np.asarray(basis.element_dofs)[:, mesh.mesh.subdomains[name]].T
-        own, local = np.unique(members, return_inverse=True)
-        cells.append(offset + local.reshape(members.shape))
+        chosen = mesh.mesh.subdomains[name]
+        own, local = np.unique(element_dofs[:, chosen].T, return_inverse=True)
+        members = np.empty((len(chosen), mesh.order + 1, mesh.order + 1), dtype=np.int64)
+        members[:, along_r, along_z] = local.reshape(len(chosen), -1)
+        place = np.empty((own.size, 2))
+        place[members] = grid_nodes(corners[:, 0, chosen].T, corners[:, 2, chosen].T, mesh.order)
+        cells.append(offset + members)
         region.append(np.full(len(members), index))
-        points.append(locations[:, own].T)
+        points.append(place)
         dofs.append(own)
         offset += own.size
     nodal = NodalMesh(np.concatenate(points), np.concatenate(cells), np.concatenate(region), tuple(names))

@@ -10,21 +10,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polyval2d, polyvander2d
+from numpy.polynomial.legendre import legder, legval2d, legvander2d
 from numpy.typing import NDArray
 from scipy.integrate import simpson
-from scipy.sparse import coo_array, csr_array
 
-from workbench.nodal import FloatArray, IntArray, NodalMesh, gradient, integrate, sample
+from workbench.nodal import FloatArray, NodalMesh, gradient, integrate, raised, raster, sample, transfer
 
 if TYPE_CHECKING:
     from workbench.fields import Fields
 
 #: Standard gravity, m/s^2; it acts along -z.
 GRAVITY = 9.80665
+
+#: Points a wavelength of sound at which minima and passes of the potential are looked for: 32 a period of the potential
+#: of a standing wave, so a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span off.
+RASTER_POINTS = 64
+#: Degree of the polynomial fitted about a minimum; over half a period it leaves 1e-6 of the curvature.
+FIT_DEGREE = 8
+_NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
 class FluidProperties(Protocol):
@@ -312,7 +319,8 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParticleForces:
-    """Potential (N,) J and radiation force (N, 2) N on a particle at the nodes of ``mesh``; NaN outside ``region``."""
+    """Potential (N,) J and radiation force (N, 2) N on a particle at the nodes of ``mesh``, which is that of ``region``
+    alone."""
 
     excitation: Excitation
     mesh: NodalMesh
@@ -382,7 +390,7 @@ def particle_forces(
     region: str,
     scattering: Scattering | None = None,
 ) -> ParticleForces:
-    """Potential and radiation force on `particle` at every node of the fluid `region`.
+    """Potential and radiation force on `particle` in the fluid `region`, on nodes of twice the order of the fields'.
 
     `scattering` is :func:`viscous_scattering` at the field's frequency unless given.
 
@@ -390,24 +398,21 @@ def particle_forces(
         ValueError: unknown region, or a region without pressure.
     """
     mesh = fields.mesh
-    nodes = mesh.nodes_of([region])
-    if not np.isfinite(fields.pressure[nodes]).all():
+    if not np.isfinite(fields.pressure[mesh.nodes_of([region])]).all():
         raise ValueError(f"region {region!r} carries no pressure; choose a fluid region")
     if scattering is None:
         scattering = viscous_scattering(particle, fluid, fields.frequency)
-    potential = np.full(len(mesh.points), np.nan)
-    force = np.full((len(mesh.points), 2), np.nan)
-    velocity_gradient = gradient(mesh, fields.velocity, [region])
-    pressure_gradient = gradient(mesh, fields.pressure, [region])
-    potential[nodes] = gorkov_potential(
-        particle, fluid, scattering=scattering, pressure=fields.pressure[nodes], velocity=fields.velocity[nodes]
+    finer = raised(mesh, 2 * mesh.order, region)
+    pressure, velocity, pressure_gradient, velocity_gradient = (transfer(mesh, values, finer) for values in (
+        fields.pressure, fields.velocity, gradient(mesh, fields.pressure, [region]),
+        gradient(mesh, fields.velocity, [region]),
+    ))
+    potential = gorkov_potential(particle, fluid, scattering=scattering, pressure=pressure, velocity=velocity)
+    force = radiation_force(
+        particle, fluid, scattering=scattering, pressure=pressure, pressure_gradient=pressure_gradient,
+        velocity=velocity, velocity_gradient=velocity_gradient,
     )
-    force[nodes] = radiation_force(
-        particle, fluid, scattering=scattering,
-        pressure=fields.pressure[nodes], pressure_gradient=pressure_gradient[nodes],
-        velocity=fields.velocity[nodes], velocity_gradient=velocity_gradient[nodes],
-    )
-    amplitude = float(np.abs(fields.pressure[nodes]).max())
+    amplitude = float(np.abs(pressure).max())
     one = np.ones(len(mesh.points))
     mean = float(integrate(mesh, fields.energy_density, [region]) / integrate(mesh, one, [region]))
     excitation = Excitation(
@@ -415,7 +420,7 @@ def particle_forces(
         energy_density=acoustic_energy_density(amplitude, fluid), mean_energy_density=mean,
     )
     return ParticleForces(
-        excitation=excitation, mesh=mesh, region=region, particle=particle, fluid=fluid, scattering=scattering,
+        excitation=excitation, mesh=finer, region=region, particle=particle, fluid=fluid, scattering=scattering,
         potential=potential, force=force,
     )
 
@@ -429,26 +434,28 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
     """Minima of the potential, deepest first.
 
     A minimum shallower than `least_depth` times the span of the potential in the region is left out: it may be no more
-    than the mesh showing. Depths are topological (the lowest pass to a deeper minimum over the nodes); place and
-    stiffness come from a polynomial fitted to the nodes around, mirrored where they reach the axis.
+    than the mesh showing. Depths are topological: the lowest pass to a deeper minimum, on a raster of
+    :data:`RASTER_POINTS` a wavelength. Place, value and stiffness come from a polynomial fitted to the potential
+    around, mirrored where that reaches the axis.
     """
     mesh, potential = forces.mesh, forces.potential
-    cells = mesh.cells[mesh.cells_of([forces.region])]
-    neighbours = _neighbours(cells, len(mesh.points))
-    span = float(np.nanmax(potential) - np.nanmin(potential))
-    walls = _wall_nodes(mesh, cells)
+    wavelength = forces.fluid.sound_speed / forces.excitation.frequency
+    r, z = (_subdivided(lines, wavelength / RASTER_POINTS) for lines in (mesh.grid.r, mesh.grid.z))
+    values = raster(mesh, potential, r, z, [forces.region])
+    span = float(np.nanmax(values) - np.nanmin(values))
+    walls = _walls(np.isfinite(values), on_axis=bool(r[0] < 1e-9 * r[-1]))
     traps = []
-    for node, depth in _basins(potential, neighbours, mesh.nodes_of([forces.region])):
-        if depth <= least_depth * span:
+    for (i, j), highest in _basins(values):
+        if highest - values[i, j] <= least_depth * span:
             continue
-        place, value, curvature = _refine(mesh, potential, neighbours, node)
+        place, value, curvature = _refine(forces, np.array([r[i], z[j]]), wavelength)
         if not np.isfinite(sample(mesh, potential, place[None, :], [forces.region])[0]):
-            place, value = mesh.points[node], float(potential[node])
+            place, value = np.array([r[i], z[j]]), float(values[i, j])
         # A trap on the axis is on it, not a rounding error beside it.
-        radius = 0.0 if place[0] < 1e-9 * mesh.points[:, 0].max() else float(place[0])
+        radius = 0.0 if place[0] < 1e-9 * r[-1] else float(place[0])
         traps.append(Trap(
-            radius=radius, height=float(place[1]), potential=value, depth=depth,
-            radial_stiffness=float(curvature[0]), axial_stiffness=float(curvature[1]), on_wall=bool(walls[node]),
+            radius=radius, height=float(place[1]), potential=value, depth=highest - value,
+            radial_stiffness=float(curvature[0]), axial_stiffness=float(curvature[1]), on_wall=bool(walls[i, j]),
         ))
     return TrapReport(forces=forces, traps=tuple(sorted(traps, key=lambda trap: -trap.depth)))
 
@@ -493,80 +500,96 @@ def focus_time(report: TrapReport) -> float | None:
         return None
 
 
-def _neighbours(cells: IntArray, count: int) -> csr_array:
-    """Which nodes share a cell: a (count, count) pattern."""
-    incidence = coo_array(
-        (np.ones(cells.size), (cells.ravel(), np.repeat(np.arange(len(cells)), 9))), shape=(count, len(cells))
-    ).tocsr()
-    return csr_array(incidence @ incidence.T)
+def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:
+    """`lines` with equally spaced ones between, no further apart than `spacing`."""
+    parts = [np.linspace(low, high, math.ceil((high - low) / spacing), endpoint=False)
+             for low, high in pairwise(lines)]
+    return np.concatenate([*parts, lines[-1:]])
 
 
-def _wall_nodes(mesh: NodalMesh, cells: IntArray) -> NDArray[np.bool_]:
-    """Which nodes (N,) lie on an edge of only one cell, the axis excepted: the field goes on behind it."""
-    edges = np.concatenate([cells[:, [0, 4, 1]], cells[:, [1, 5, 2]], cells[:, [2, 6, 3]], cells[:, [3, 7, 0]]])
-    _, first, counts = np.unique(edges[:, 1], return_index=True, return_counts=True)
-    lonely = edges[first[counts == 1]]
-    on_axis = (mesh.points[lonely, 0] <= 1e-9 * mesh.points[:, 0].max()).all(axis=1)
-    walls = np.zeros(len(mesh.points), dtype=bool)
-    walls[lonely[~on_axis]] = True
-    return walls
+def _around(values: NDArray[Any], outside: Any) -> NDArray[Any]:
+    """The eight neighbours (8, n, m) of every point of a raster (n, m), those beyond its edge `outside`."""
+    rows, columns = values.shape
+    padded = np.pad(values, 1, constant_values=outside)
+    return np.stack([padded[1 + i:1 + i + rows, 1 + j:1 + j + columns] for i, j in _NEIGHBOURS])
 
 
-def _basins(potential: FloatArray, neighbours: csr_array, nodes: IntArray) -> list[tuple[int, float]]:
-    """Every local minimum among `nodes` and its depth (J).
+def _walls(inside: NDArray[np.bool_], *, on_axis: bool) -> NDArray[np.bool_]:
+    """Which points (n, m) of a region on a raster have no neighbour on some side; the field goes on behind the axis."""
+    if on_axis:
+        return _walls(np.concatenate([inside[1::-1], inside[1:]]), on_axis=False)[1:]
+    return inside & ~_around(inside, outside=False).all(axis=0)
 
-    The region is flooded from below: two basins meet at a pass, where the shallower one ends (the persistence of
-    topological data analysis). The deepest never ends; its depth is taken up to the highest potential.
+
+def _basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
+    """Every local minimum of a raster (n, m), NaN outside the region, and how high its basin reaches (J).
+
+    Every point belongs to the minimum to which the steepest way down leads. From the lowest up, the passes between
+    basins join them: at a pass the shallower one ends (the persistence of topological data analysis). The deepest never
+    ends; it reaches up to the highest potential.
     """
-    basin: dict[int, int] = {}
+    height = np.where(np.isfinite(values), values, np.inf)
+    number = np.arange(height.size).reshape(height.shape)
+    beside, numbers = _around(height, np.inf), _around(number, -1)
+    steepest = beside.argmin(axis=0)[None]
+    lower = np.take_along_axis(beside, steepest, axis=0)[0]
+    goal = np.take_along_axis(numbers, steepest, axis=0)[0]
+    # Of equal points the one with the smaller number is the lower.
+    down = (lower < height) | ((lower == height) & (goal < number))
+    basin = np.where(down & np.isfinite(height), goal, number).ravel()
+    while True:
+        further = basin[basin]
+        if (further == basin).all():
+            break
+        basin = further
+    label = basin.reshape(height.shape)
+    passes: dict[tuple[int, int], float] = {}
+    for other_height, other in zip(beside, numbers, strict=True):
+        meet = np.isfinite(height) & np.isfinite(other_height)
+        meet[meet] = label[meet] < basin[other[meet]]
+        for one, two, at in zip(label[meet].tolist(), basin[other[meet]].tolist(),
+                                np.maximum(height, other_height)[meet].tolist(), strict=True):
+            passes[one, two] = min(at, passes.get((one, two), math.inf))
+    flat = height.ravel()
+    minima = [int(each) for each in np.unique(label[np.isfinite(height)])]
+    joined = {each: each for each in minima}
 
-    def bottom(node: int) -> int:
-        while basin[node] != node:
-            basin[node] = basin[basin[node]]
-            node = basin[node]
-        return node
+    def bottom(each: int) -> int:
+        while joined[each] != each:
+            each = joined[each]
+        return each
 
-    ended: list[tuple[int, float]] = []
-    pointer, index = neighbours.indptr, neighbours.indices
-    ascending = nodes[np.argsort(potential[nodes], kind="stable")]
-    for node in ascending.tolist():
-        around = {bottom(other) for other in index[pointer[node]:pointer[node + 1]].tolist() if other in basin}
-        lowest = min(around, key=lambda other: (potential[other], other), default=node)
-        basin[node] = lowest
-        for other in around - {lowest}:
-            basin[other] = lowest
-            ended.append((other, float(potential[node] - potential[other])))
-    deepest = int(ascending[0])
-    return [(deepest, float(potential[ascending[-1]] - potential[deepest])), *ended]
+    reach = dict.fromkeys(minima, float(flat[np.isfinite(flat)].max()))
+    for (one, two), at in sorted(passes.items(), key=lambda item: item[1]):
+        deeper, shallower = sorted((bottom(one), bottom(two)), key=lambda each: (flat[each], each))
+        if deeper != shallower:
+            joined[shallower] = deeper
+            reach[shallower] = at
+    return [((each // height.shape[1], each % height.shape[1]), high) for each, high in reach.items()]
 
 
-def _refine(
-    mesh: NodalMesh, potential: FloatArray, neighbours: csr_array, node: int
-) -> tuple[FloatArray, float, FloatArray]:
-    """Place (2,), value and second derivatives (2,) along r and z of the minimum next to `node`.
+def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tuple[FloatArray, float, FloatArray]:
+    """Place (2,), value and second derivatives (2,) along r and z of the minimum next to `start` (2,).
 
-    Newton's method on a polynomial fitted to the two rings of cells around the node, of sixth degree along r and along
-    z (less where there are fewer lines of nodes): at ten cells a sound wavelength the rings span most of a period of
-    the potential. The potential is even in r, so nodes near the axis count once more behind it.
+    Newton's method on a polynomial of :data:`FIT_DEGREE` along r and along z, fitted to the potential within an eighth
+    of the `wavelength` of sound on all sides: that is half a period of the potential of a standing wave. The potential
+    is even in r, so behind the axis it is as before it.
     """
-    pointer, index = neighbours.indptr, neighbours.indices
-    ring = index[pointer[node]:pointer[node + 1]]
-    patch = np.unique(np.concatenate([index[pointer[other]:pointer[other + 1]] for other in ring]))
-    centre = mesh.points[node]
-    offset, values = mesh.points[patch] - centre, potential[patch]
-    scale = np.abs(offset).max(axis=0)
-    behind = np.stack([-mesh.points[patch, 0], mesh.points[patch, 1]], axis=1) - centre
-    mirrored = (np.abs(behind[:, 0]) <= scale[0]) & (mesh.points[patch, 0] > 0.0)
-    local = np.concatenate([offset, behind[mirrored]]) / scale
-    values = np.concatenate([values, values[mirrored]])
-    lines = [len(np.unique(local[:, axis].round(6))) for axis in (0, 1)]
-    degree = [min(6, count - 1) for count in lines]
-    design = polyvander2d(local[:, 0], local[:, 1], degree)
+    reach = wavelength / 8.0
+    across = np.linspace(-1.0, 1.0, 2 * FIT_DEGREE + 1)
+    local = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = start + reach * local
+    points[:, 0] = np.abs(points[:, 0])
+    values = sample(forces.mesh, forces.potential, points, [forces.region])
+    inside = np.isfinite(values)
+    local, values = local[inside], values[inside]
+    degree = [min(FIT_DEGREE, len(np.unique(local[:, axis])) - 1) for axis in (0, 1)]
+    design = legvander2d(local[:, 0], local[:, 1], degree)
     fitted = np.linalg.lstsq(design, values, rcond=None)[0].reshape(degree[0] + 1, degree[1] + 1)
 
     def derivative(along_r: int, along_z: int, at: FloatArray) -> float:
-        polynomial = polyder(polyder(fitted, along_r, axis=0), along_z, axis=1)
-        return float(polyval2d(at[0], at[1], polynomial))
+        polynomial = legder(legder(fitted, along_r, axis=0), along_z, axis=1)
+        return float(legval2d(at[0], at[1], polynomial))
 
     place = np.zeros(2)
     for _ in range(20):
@@ -578,14 +601,14 @@ def _refine(
             break
         step = np.linalg.solve(hessian, slope)
         place = place - step
-        # A minimum that is not within half the patch belongs to another node, or to a wall.
+        # A minimum that is not within half the patch belongs to another point, or to a wall.
         if np.abs(place).max() > 0.5:
             place = np.zeros(2)
             break
         if np.abs(step).max() < 1e-12:
             break
-    curvature = np.array([derivative(2, 0, place), derivative(0, 2, place)]) / scale**2
-    minimum = centre + place * scale
+    curvature = np.array([derivative(2, 0, place), derivative(0, 2, place)]) / reach**2
+    minimum = start + place * reach
     # Rounding may put a minimum on the axis a hair behind it.
     minimum[0] = max(minimum[0], 0.0)
     return minimum, derivative(0, 0, place), curvature

@@ -1,12 +1,13 @@
 """The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, regions and mesh.
 
-VTK draws the biquadratic cells off screen, matplotlib frames them: axes in millimetres at equal scale, a colour bar
-with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is largest.
+Every dot is the value of its cell's own polynomial there, so a picture is smooth however large the cells are.
+Matplotlib frames it: axes in millimetres at equal scale, a colour bar with its unit, a title with frequency and drive.
+A complex amplitude is drawn at the phase at which it is largest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,19 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.nodal import FloatArray, IntArray, NodalMesh
+from workbench.nodal import FloatArray, NodalMesh, borders, cell_raster, edge_nodes, raster
 from workbench.particles import TrapReport
-from workbench.render.canvas import (
-    PLAIN_COLOURS,
-    SIGNED_COLOURS,
-    new_figure,
-    photograph,
-    prefixed,
-    pyvista,
-    role_colour,
-    save,
-    typeset,
-)
+from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, new_figure, prefixed, role_colour, save, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,6 +28,8 @@ if TYPE_CHECKING:
 #: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is more than a dot wide.
 _WIDTH = 13.0
 _DOTS_PER_INCH = 160
+#: Points of the raster along each side of a dot, whose mean it is: edges and thin layers are smooth.
+_POINTS = 2
 _OUTLINE = "#303030"
 
 
@@ -80,15 +73,13 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
     factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
     values = forces.potential * factor
     limits = float(np.nanmin(values)), float(np.nanmax(values))
-    cells = forces.mesh.cells_of([forces.region])
-    window = _window(forces.mesh.points[forces.mesh.cells[cells]].reshape(-1, 2))
+    window = _window(forces.mesh.points)
     figure, axes, bar = _frame(window, title=(
         f"Gor'kov potential of a {2e6 * forces.particle.radius:.3g} µm {forces.particle.name} sphere "
         f"in the {forces.region}\n"
         f"{typeset(forces.excitation)}"
     ))
-    axes.imshow(_photograph_cells(forces.mesh, cells, values, window, limits=limits, colours=PLAIN_COLOURS),
-                extent=_extent(window), interpolation="antialiased")
+    _show(axes, window, _nodal(forces.mesh, values, window), limits=limits, colours=PLAIN_COLOURS)
     for trap in report.traps:
         place = [sign * trap.radius * 1e3 for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,))]
         axes.plot(place, [trap.height * 1e3] * len(place), linestyle="", marker="x", color="white", markersize=7,
@@ -100,21 +91,18 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
 
 def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Path:
     """The regions in colour with their names, and the cells of the mesh unless `show_cells` is off. Writes `path`."""
+    from matplotlib.collections import LineCollection
     from matplotlib.patches import Patch
 
     window = _window(mesh.points)
-    figure, axes, bar = _frame(window, title=f"{len(mesh.regions)} regions, {len(mesh.cells)} biquadratic cells")
+    figure, axes, bar = _frame(
+        window, title=f"{len(mesh.regions)} regions, {len(mesh.cells)} cells with fields of order {mesh.order}")
     colours = [role_colour(name) for name in mesh.regions]
-    lines = mesh.cells[:, :4]
-
-    def arrange(plotter: Any) -> None:
-        for mirror in (1.0, -1.0):
-            for index, colour in enumerate(colours):
-                quads = _grid(mesh.points, lines[mesh.region == index], mirror=mirror, kind="QUAD")
-                plotter.add_mesh(quads, color=colour, lighting=False, show_edges=show_cells, edge_color="#606060",
-                                 edge_opacity=0.4, line_width=0.5)
-
-    axes.imshow(_photograph(window, arrange), extent=_extent(window), interpolation="antialiased")
+    _show(axes, window, cell_raster(mesh, mesh.region, *_raster_points(window)), limits=(0.0, len(colours) - 1.0),
+          colours=colours)
+    if show_cells:
+        lines = _segments(mesh, np.arange(len(mesh.cells)))
+        axes.add_collection(LineCollection(lines, colors="#606060", alpha=0.5, linewidths=0.4))
     _outline(axes, mesh)
     bar.axis("off")
     bar.legend(handles=[Patch(facecolor=colour, edgecolor=_OUTLINE, linewidth=0.5, label=name)
@@ -128,15 +116,7 @@ def draw_cells(mesh: NodalMesh, values: FloatArray, path: Path, *, label: str, t
     window = _window(mesh.points)
     limits = (0.0, float(values.max()) or 1.0)
     figure, axes, bar = _frame(window, title=title)
-
-    def arrange(plotter: Any) -> None:
-        for mirror in (1.0, -1.0):
-            quads = _grid(mesh.points, mesh.cells[:, :4], mirror=mirror, kind="QUAD")
-            quads.cell_data["value"] = values
-            plotter.add_mesh(quads, scalars="value", cmap=PLAIN_COLOURS, clim=limits, lighting=False,
-                             show_scalar_bar=False)
-
-    axes.imshow(_photograph(window, arrange), extent=_extent(window), interpolation="antialiased")
+    _show(axes, window, cell_raster(mesh, values, *_raster_points(window)), limits=limits, colours=PLAIN_COLOURS)
     _outline(axes, mesh)
     _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=label)
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
@@ -169,14 +149,12 @@ def phase_title(fields: Fields, phase: float) -> str:
 def _draw_signed(
     mesh: NodalMesh, values: FloatArray, path: Path, *, unit: str, label: str, window: _Window, title: str
 ) -> Path:
-    """The cells all of whose nodes have a value, in colours symmetric about zero; the others stay white."""
+    """The regions all of whose nodes have a value, in colours symmetric about zero; the others stay white."""
     largest = float(np.nanmax(np.abs(values)))
     factor, shown_unit = prefixed(largest, unit)
     limits = (-largest * factor or -1.0, largest * factor or 1.0)
-    cells = np.flatnonzero(np.isfinite(values[mesh.cells]).all(axis=1))
     figure, axes, bar = _frame(window, title=title)
-    axes.imshow(_photograph_cells(mesh, cells, values * factor, window, limits=limits, colours=SIGNED_COLOURS),
-                extent=_extent(window), interpolation="antialiased")
+    _show(axes, window, _nodal(mesh, values * factor, window), limits=limits, colours=SIGNED_COLOURS)
     _outline(axes, mesh)
     _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS, label=f"{label} ({shown_unit})")
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
@@ -221,60 +199,53 @@ def _colour_bar(figure: Figure, bar: Axes, *, limits: tuple[float, float], colou
     bar.set_xlabel(label, fontsize=11)
 
 
-def _photograph_cells(
-    mesh: NodalMesh, cells: IntArray, values: FloatArray, window: _Window, *, limits: tuple[float, float], colours: str
-) -> NDArray[np.uint8]:
-    """The `cells` and their mirror images coloured by nodal `values`; the rest white."""
-
-    def arrange(plotter: Any) -> None:
-        for mirror in (1.0, -1.0):
-            grid = _grid(mesh.points, mesh.cells[cells], mirror=mirror, kind="BIQUADRATIC_QUAD")
-            grid.point_data["value"] = values
-            plotter.add_mesh(grid, scalars="value", cmap=colours, clim=limits, lighting=False, show_scalar_bar=False)
-
-    return _photograph(window, arrange)
+def _dots(window: _Window) -> tuple[int, int]:
+    """Width and height in dots of a picture of `window`; the width is even."""
+    width = 2 * round((_WIDTH - 1.0) * _DOTS_PER_INCH / 2.0)
+    return width, round(width * (window.top - window.bottom) / (window.right - window.left))
 
 
-def _photograph(window: _Window, arrange: Callable[[Any], None]) -> NDArray[np.uint8]:
-    """A scene in the plane of the section as exactly `window` shows it."""
-    width = round((_WIDTH - 1.0) * _DOTS_PER_INCH)
-    height = round(width * (window.top - window.bottom) / (window.right - window.left))
-
-    def arrange_flat(plotter: Any) -> None:
-        arrange(plotter)
-        centre = ((window.left + window.right) / 2.0, (window.bottom + window.top) / 2.0)
-        plotter.camera.parallel_projection = True
-        plotter.camera.focal_point = (*centre, 0.0)
-        plotter.camera.position = (*centre, window.right)
-        plotter.camera.up = (0.0, 1.0, 0.0)
-        plotter.camera.parallel_scale = (window.top - window.bottom) / 2.0
-        plotter.camera.clipping_range = (0.5 * window.right, 2.0 * window.right)
-
-    return photograph(arrange_flat, width=width, height=height)
+def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
+    """Radii and heights (m) of the points of a picture of `window`, ascending: those at and right of the axis."""
+    width, height = _dots(window)
+    across, up = _POINTS * width // 2, _POINTS * height
+    return ((np.arange(across) + 0.5) * window.right / across,
+            window.bottom + (np.arange(up) + 0.5) * (window.top - window.bottom) / up)
 
 
-def _grid(points: FloatArray, cells: IntArray, *, mirror: float, kind: str) -> Any:
-    """A pyvista grid of `cells` (m, k) in the plane z = 0 of VTK, r times `mirror` along x."""
-    module = pyvista()
-    flat = np.column_stack([mirror * points[:, 0], points[:, 1], np.zeros(len(points))])
-    return module.UnstructuredGrid({getattr(module.CellType, kind): cells}, flat)
+def _nodal(mesh: NodalMesh, values: FloatArray, window: _Window) -> FloatArray:
+    """Nodal `values` (N,) at the points of a picture of `window`; NaN in the regions that lack any."""
+    regions = [name for name in mesh.regions if np.isfinite(values[mesh.nodes_of([name])]).all()]
+    return raster(mesh, values, *_raster_points(window), regions)
+
+
+def _show(
+    axes: Axes, window: _Window, values: FloatArray, *, limits: tuple[float, float], colours: str | Sequence[str]
+) -> None:
+    """Draw `values` at the points of :func:`_raster_points` and their mirror images, NaN white; `colours` is the name
+    of a map or one colour for every step between `limits`."""
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap, Normalize
+
+    shades = colormaps[colours] if isinstance(colours, str) else ListedColormap(list(colours))
+    seen = np.ma.masked_invalid(values.T[::-1])
+    coloured = shades.with_extremes(bad="white")(Normalize(*limits)(seen), bytes=True)[:, :, :3]
+    width, height = _dots(window)
+    right = coloured.reshape(height, _POINTS, width // 2, _POINTS, 3).mean(axis=(1, 3))
+    picture = np.concatenate([right[:, ::-1], right], axis=1).round().astype(np.uint8)
+    axes.imshow(picture, extent=_extent(window), interpolation="antialiased")
 
 
 def _outline(axes: Axes, mesh: NodalMesh) -> None:
     """Hair lines around every region."""
     from matplotlib.collections import LineCollection
 
-    lines = mesh.points[outline_nodes(mesh, mesh.regions)[:, :2]] * 1e3
-    for mirror in (1.0, -1.0):
-        axes.add_collection(LineCollection(list(lines * [mirror, 1.0]), colors=_OUTLINE, linewidths=0.25))
+    axes.add_collection(LineCollection(_segments(mesh, mesh.region), colors=_OUTLINE, linewidths=0.25))
 
 
-def outline_nodes(mesh: NodalMesh, regions: Sequence[str]) -> IntArray:
-    """Edges (L, 3) of the outlines of `regions`, each first node, last node and middle; the axis is left out."""
-    cells = mesh.cells[mesh.cells_of(regions)]
-    edges = np.concatenate([cells[:, [0, 1, 4]], cells[:, [1, 2, 5]], cells[:, [2, 3, 6]], cells[:, [3, 0, 7]]])
-    # Nodes are not shared between regions, so an edge between two regions counts once in each.
-    _, first, counts = np.unique(edges[:, 2], return_index=True, return_counts=True)
-    outline: IntArray = edges[first[counts == 1]]
-    on_axis = (mesh.points[outline, 0] <= 1e-9 * mesh.points[:, 0].max()).all(axis=1)
-    return outline[~on_axis]
+def _segments(mesh: NodalMesh, label: NDArray[np.int64]) -> list[FloatArray]:
+    """Edges (2, 2) in mm between cells of different `label` (M,), and their mirror images; each once."""
+    nodes = np.concatenate([edge_nodes(mesh, side, cells)[:, [0, -1]] for side, cells in borders(mesh, label)])
+    ends = mesh.points[nodes] * 1e3
+    whole = np.unique(ends.round(6).reshape(-1, 4), axis=0).reshape(-1, 2, 2)
+    return list(np.concatenate([whole, whole * [-1.0, 1.0]]))

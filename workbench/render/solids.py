@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.nodal import FloatArray, IntArray, NodalMesh
+from workbench.nodal import FloatArray, IntArray, NodalMesh, borders, edge_nodes, raised, transfer
 from workbench.render.canvas import SIGNED_COLOURS, new_figure, photograph, prefixed, pyvista, role_colour, save
-from workbench.render.sections import at_largest, outline_nodes, phase_title
+from workbench.render.sections import at_largest, phase_title
 
 if TYPE_CHECKING:
     from workbench.fields import Fields
 
 _WIDTH, _HEIGHT, _DOTS_PER_INCH = 10.0, 6.2, 140
+#: Order of the nodes between which colours are linear.
+_FINER = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,20 +60,21 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
     def arrange(plotter: Any) -> None:
         # The cut faces are unlit, so that their colours are those of the colour bar.
         coloured = {"scalars": "value", "cmap": SIGNED_COLOURS, "clim": limits, "show_scalar_bar": False}
-        skin = _skin(mesh, there)
+        skin = borders(mesh, np.where(np.isin(mesh.region, [mesh.regions.index(name) for name in there]), 0, -1))
         for index, name in enumerate(mesh.regions):
             if name not in there:
                 continue
-            inside = mesh.region == index
+            finer = raised(mesh, _FINER, name)
+            shown = transfer(mesh, values * factor, finer)
             look = {"color": role_colour("cavity")} if fluid[index] else coloured
-            for face in _cut_faces(mesh, mesh.cells[inside], degrees=degrees, values=values * factor):
-                plotter.add_mesh(face, lighting=False, **look)
-            edges = skin[np.isin(skin[:, 2], mesh.cells[inside])]
+            plotter.add_mesh(_cut_faces(finer, degrees=degrees, values=shown), lighting=False, **look)
+            number = np.cumsum(mesh.region == index) - 1
+            edges = np.concatenate([edge_nodes(finer, side, number[cells[mesh.region[cells] == index]])
+                                    for side, cells in skin])
             if len(edges):
-                swept = _swept(mesh, edges, degrees=degrees, values=values * factor)
+                swept = _swept(finer, edges, degrees=degrees, values=shown)
                 plotter.add_mesh(swept, ambient=0.6, diffuse=0.42, **look)
-        for line in _section_outlines(mesh, degrees):
-            plotter.add_mesh(line, color="#303030", line_width=1.0, lighting=False)
+        plotter.add_mesh(_section_outlines(mesh, degrees), color="#303030", line_width=1.0, lighting=False)
         _look_from(plotter, azimuth=(degrees + 360.0) / 2.0, elevation=24.0, zoom=2.3)
 
     picture = photograph(arrange, width=round(_WIDTH * _DOTS_PER_INCH), height=round(0.74 * _HEIGHT * _DOTS_PER_INCH))
@@ -156,45 +159,42 @@ def _turned(points: FloatArray, angle: float) -> FloatArray:
     return np.column_stack([points[:, 0] * np.cos(angle), points[:, 0] * np.sin(angle), points[:, 1]])
 
 
-def _cut_faces(mesh: NodalMesh, cells: IntArray, *, degrees: float, values: FloatArray) -> list[Any]:
-    """`cells` on the two faces of the cut, with point array "value"."""
-    module = pyvista()
-    faces = []
-    for angle in (0.0, np.radians(degrees)):
-        grid = module.UnstructuredGrid({module.CellType.BIQUADRATIC_QUAD: cells}, _turned(mesh.points, angle))
-        grid.point_data["value"] = values
-        faces.append(grid)
+def _cut_faces(mesh: NodalMesh, *, degrees: float, values: FloatArray) -> Any:
+    """The cells of `mesh` on the two faces of the cut, one quadrilateral between four nodes, with point array "value".
+    """
+    cells = mesh.cells
+    quads = np.stack([cells[:, :-1, :-1], cells[:, 1:, :-1], cells[:, 1:, 1:], cells[:, :-1, 1:]], axis=-1)
+    quads = quads.reshape(-1, 4)
+    both = np.concatenate([quads, quads + len(mesh.points)])
+    faces = pyvista().PolyData.from_regular_faces(
+        np.concatenate([_turned(mesh.points, angle) for angle in (0.0, np.radians(degrees))]), both)
+    faces.point_data["value"] = np.tile(values, 2)
     return faces
 
 
-def _skin(mesh: NodalMesh, regions: Sequence[str]) -> IntArray:
-    """Edges (L, 3) as of :func:`outline_nodes` that only one of `regions` has: nothing else is seen from outside."""
-    edges = outline_nodes(mesh, regions)
-    middle = mesh.points[edges[:, 2]]
-    _, same, counts = np.unique((middle / (1e-6 * np.ptp(mesh.points))).round(), axis=0, return_inverse=True,
-                                return_counts=True)
-    return edges[counts[same] == 1]
-
-
 def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float, values: FloatArray) -> Any:
-    """The surface swept by `edges` (L, 3), with point array "value"."""
+    """The surface swept by `edges` (L, k), lines through k nodes, with point array "value"."""
     nodes, numbers = np.unique(edges, return_inverse=True)
-    links = numbers.reshape(-1, 3)[:, [0, 2, 2, 1]].reshape(-1, 2)
-    outline = pyvista().PolyData(_turned(mesh.points[nodes], 0.0),
-                                 lines=np.column_stack([np.full(len(links), 2), links]).ravel())
-    outline.point_data["value"] = values[nodes]
-    return outline.extrude_rotate(resolution=round(degrees / 2.0), angle=degrees, rotation_axis=(0.0, 0.0, 1.0),
-                                  capping=False)
+    numbers = numbers.reshape(edges.shape)
+    turns = np.radians(np.linspace(0.0, degrees, round(degrees / 2.0) + 1))
+    points = np.concatenate([_turned(mesh.points[nodes], angle) for angle in turns])
+    first = np.arange(len(turns) - 1)[:, None, None] * len(nodes) + numbers
+    quads = np.stack([first[:, :, :-1], first[:, :, 1:], first[:, :, 1:] + len(nodes), first[:, :, :-1] + len(nodes)],
+                     axis=-1).reshape(-1, 4)
+    surface = pyvista().PolyData.from_regular_faces(points, quads)
+    surface.point_data["value"] = np.tile(values[nodes], len(turns))
+    return surface
 
 
-def _section_outlines(mesh: NodalMesh, degrees: float) -> list[Any]:
+def _section_outlines(mesh: NodalMesh, degrees: float) -> Any:
     """The outlines of the regions on the two cut faces, a hair in front of them."""
-    edges = outline_nodes(mesh, mesh.regions)
-    links = np.column_stack([np.full(len(edges), 2), np.arange(2 * len(edges)).reshape(-1, 2)]).ravel()
-    pieces = mesh.points[edges[:, :2]].reshape(-1, 2)
+    edges = np.concatenate([edge_nodes(mesh, side, cells)[:, [0, -1]] for side, cells in borders(mesh, mesh.region)])
+    pieces = mesh.points[edges].reshape(-1, 2)
     front = 1e-3 * mesh.points[:, 0].max()
-    result = []
+    points = []
     for angle, side in ((0.0, -1.0), (np.radians(degrees), 1.0)):
         normal = side * front * np.array([-np.sin(angle), np.cos(angle), 0.0])
-        result.append(pyvista().PolyData(_turned(pieces, angle) + normal, lines=links))
-    return result
+        points.append(_turned(pieces, angle) + normal)
+    count = 2 * len(edges)
+    links = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)]).ravel()
+    return pyvista().PolyData(np.concatenate(points), lines=links)

@@ -1,8 +1,12 @@
-"""A field as a VTU file for ParaView: all regions, biquadratic cells, complex amplitudes as two real arrays."""
+"""A field as a VTU file for ParaView: all regions, Lagrange cells of the fields' order, complex amplitudes as two real
+arrays.
+
+VTK takes the nodes of a Lagrange cell to be equally spaced, so the fields' polynomials are given by their values there
+instead of at the Gauss-Lobatto nodes. What is probed or plotted along a line is then the solution itself.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inputs import replacing
+from workbench.elements import Lagrange, polynomials
+from workbench.nodal import NodalMesh
 from workbench.render.canvas import pyvista
 
 if TYPE_CHECKING:
     from workbench.fields import Fields
 
 
-def write_vtu(fields: Fields, path: Path, *, extra: Mapping[str, NDArray[Any]] | None = None) -> Path:
-    """Write every array of `fields` and the `extra` nodal arrays (N, ...) to `path`, all at once; returns `path`.
+def write_vtu(fields: Fields, path: Path) -> Path:
+    """Write every array of `fields` to `path`, all at once; returns `path`.
 
     r is VTK's x and z its y, in metres; vectors get a third component of zero. Complex `name` becomes `name_real` and
     `name_imag` (time factor e^{-i w t}); what a region does not carry is NaN there, and a field that no region carries
@@ -25,7 +31,7 @@ def write_vtu(fields: Fields, path: Path, *, extra: Mapping[str, NDArray[Any]] |
     (Hz) and `voltage` (V, complex as two) are kept.
 
     Raises:
-        ValueError: a suffix other than .vtu, or an extra array of another length or that hides a field.
+        ValueError: a suffix other than .vtu.
     """
     if path.suffix.lower() != ".vtu":
         raise ValueError(f"cannot write {path.name!r}: the suffix is {path.suffix!r}; expected .vtu")
@@ -34,19 +40,15 @@ def write_vtu(fields: Fields, path: Path, *, extra: Mapping[str, NDArray[Any]] |
         "displacement": fields.displacement, "potential": fields.potential, "pressure": fields.pressure,
         "velocity": fields.velocity, "stress": fields.stress, "energy_density": fields.energy_density,
     }
-    for name, values in (extra or {}).items():
-        if name in arrays:
-            raise ValueError(f"extra array {name!r} has the name of a field")
-        if len(values) != len(mesh.points):
-            raise ValueError(f"extra array {name!r} has {len(values)} rows; the mesh has {len(mesh.points)} points")
-        arrays[name] = values
     module = pyvista()
-    flat = np.column_stack([mesh.points, np.zeros(len(mesh.points))])
-    grid = module.UnstructuredGrid({module.CellType.BIQUADRATIC_QUAD: mesh.cells}, flat)
-    for name, values in arrays.items():
+    flat = np.column_stack([_equally_spaced(mesh, mesh.points), np.zeros(len(mesh.points))])
+    along_r, along_z = np.array(Lagrange(mesh.order).indices).T
+    grid = module.UnstructuredGrid({module.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
+    for name, at_nodes in arrays.items():
         # A field that lives nowhere has no range, which makes readers complain.
-        if np.isnan(values).all():
+        if np.isnan(at_nodes).all():
             continue
+        values = _equally_spaced(mesh, at_nodes)
         padded = np.column_stack([values, np.zeros(len(values))]) if values.shape[1:] == (2,) else values
         if np.iscomplexobj(padded):
             grid.point_data[f"{name}_real"], grid.point_data[f"{name}_imag"] = padded.real.copy(), padded.imag.copy()
@@ -59,3 +61,12 @@ def write_vtu(fields: Fields, path: Path, *, extra: Mapping[str, NDArray[Any]] |
     with replacing(path) as whole:
         grid.save(whole)
     return path
+
+
+def _equally_spaced(mesh: NodalMesh, values: NDArray[Any]) -> NDArray[Any]:
+    """The interpolant of nodal `values` (N, ...) at as many points, equally spaced in every cell: (N, ...)."""
+    weights = polynomials(mesh.order, np.linspace(0.0, 1.0, mesh.order + 1))[0]
+    result = np.empty_like(values)
+    # Cells agree on the nodes they share: what an edge holds depends on its own nodes alone.
+    result[mesh.cells] = np.einsum("ia,jb,mij...->mab...", weights, weights, values[mesh.cells], optimize=True)
+    return result
