@@ -125,8 +125,7 @@ def _uniform_mesh(chip: Chip, edge: float, skins: Mapping[str, float] | None = N
     from geometry.section import cut_section
 
     section = cut_section(chip)
-    size = MeshSize(dict.fromkeys(section.regions, edge), 1.0, elements_per_wavelength=1.0, minimum_through_thickness=1,
-                    corner_refinement=1.0, skins=skins or {})
+    size = MeshSize(dict.fromkeys(section.regions, edge), 1.0, elements_per_wavelength=1.0, order=2, skins=skins or {})
     return mesh_section(section, size)
 
 
@@ -182,7 +181,7 @@ def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavel
     from workbench.problem import problem
 
     section = cut_section(chip)
-    made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement, 1.2, 1.5, 0.5)
+    made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement, 1.5, 1.5, 0.5)
     size = made.mesh_size(section.regions, materials, chip.band[1], skins=skins)
     return problem(mesh_section(section, size), materials, chip.band)
 

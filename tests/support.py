@@ -86,7 +86,7 @@ def check_report(path: Path) -> str:
 
 def quadratic(elements_per_wavelength: float) -> Discretisation:
     """Quadratic elements hardly graded: few unknowns, for statements that hold on any mesh."""
-    return Discretisation(2, elements_per_wavelength, through_thickness=2, corner_refinement=0.5, growth=1.2,
+    return Discretisation(2, elements_per_wavelength, through_thickness=2, corner_refinement=0.5, growth=1.5,
                           transducer_finer=1.5, gas_finer=0.5)
 
 

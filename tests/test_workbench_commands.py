@@ -187,7 +187,7 @@ def test_points_of_another_model_are_not_taken_over(
 
 def recorded(path: Path, chip: Path, *, scale: complex = 1.0) -> Spectrum:
     """A recording made of the simulation itself: every 750 Hz, times `scale`."""
-    run = simulate_state(read_chip(chip), points=201, accuracy=quadratic(3.0))
+    run = simulate_state(read_chip(chip), points=201, accuracy=5e-3)
     spectrum = Spectrum(run.spectrum.frequency, scale * run.spectrum.impedance)
     write_csv(spectrum, path)
     return spectrum

@@ -29,10 +29,10 @@ class Discretisation:
     order: int
     elements_per_wavelength: float
     through_thickness: int = 1
-    corner_refinement: float = 0.1
-    growth: float = 4.0
-    transducer_finer: float = 1.25
-    gas_finer: float = 0.7
+    corner_refinement: float = 0.12
+    growth: float = 8.0
+    transducer_finer: float = 1.5
+    gas_finer: float = 0.8
 
     def refined(self, factor: float) -> Discretisation:
         """The same with elements smaller by `factor`."""
@@ -63,9 +63,12 @@ class Discretisation:
 #: What it takes for an rms error of ln Z of at most so much over the band of every chip in `geometry/chips`, in every
 #: state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
 ROWS: Mapping[float, Discretisation] = {
-    5e-3: Discretisation(4, 1.5),
+    5e-3: Discretisation(4, 1.4),
+    2e-3: Discretisation(4, 1.6),
+    1e-3: Discretisation(4, 1.8),
     5e-4: Discretisation(4, 2.0),
-    2e-4: Discretisation(4, 3.0),
+    2e-4: Discretisation(6, 1.2, transducer_finer=1.15, gas_finer=0.85),
+    1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),
 }
 
 #: Relative accuracy of Z that meshes are made for unless another is asked for.

@@ -26,6 +26,8 @@ from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.merit import Figures, NoResonance, figures
+from workbench.mesh_error import MeshError
+from workbench.mesh_error import estimate as mesh_error
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem, build
 from workbench.reduce import reduce
@@ -70,7 +72,8 @@ class Simulation(Snapshot):
     """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
 
     ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
-    estimated relative error of the impedance (0 for a full solve), ``solves`` the number of full solves, ``residual``
+    estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
+    (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual``
     the largest scaled residual of one. ``seconds`` by step.
     """
 
@@ -79,6 +82,7 @@ class Simulation(Snapshot):
     figures: Figures | None
     no_resonance: str
     error: float
+    mesh_error: MeshError | None
     solves: int
     seconds: Mapping[str, float]
 
@@ -156,15 +160,19 @@ def simulate(
     lap("assembly")
     if full:
         impedance, solves, residual = _full_spectrum(operators, frequencies, problem, known or {}, on_point, progress)
-        error = 0.0
+        error, of_mesh = 0.0, None
     else:
         model = reduce(operators, frequencies, problem.values, tolerance=tolerance,
                        progress=lambda fraction: progress("reduced model", fraction))
         solution = model.solve(frequencies, problem.values)
         impedance, solves, residual = solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
-    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, full, error))
-    lap("spectrum")
+        lap("spectrum")
+        of_mesh = mesh_error(model, frequencies, problem.values)
+        lap("error of the mesh")
+    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, error, of_mesh))
+    if full:
+        lap("spectrum")
     try:
         merit, reason = figures(spectrum), ""
     except NoResonance as missing:
@@ -178,7 +186,7 @@ def simulate(
     return Simulation(
         chip=chip, state=name, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
-        no_resonance=reason, error=error, solves=solves + 1, seconds=seconds,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
     )
 
 
@@ -290,8 +298,9 @@ def _traps(
     return particles.find_traps(forces)
 
 
-def _origin(chip: Chip, state: str, problem: Problem, full: bool, error: float) -> Origin:
-    method = "full solves" if full else f"reduced model, estimated relative error at most {error:.1e}"
+def _origin(chip: Chip, state: str, problem: Problem, error: float, of_mesh: MeshError | None) -> Origin:
+    method = "full solves" if of_mesh is None else (
+        f"reduced model, estimated relative error at most {error:.1e}, of its mesh {of_mesh.rms:.1e} rms")
     settings = {"chip": chip.name, "state": state, "method": method,
                 **{f"material of {region}": material.name for region, material in problem.materials.items()}}
     return Origin(kind="simulated", source=chip.file, settings=settings)

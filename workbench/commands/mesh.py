@@ -68,11 +68,14 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
         if run.figures is None:
             raise InputError(str(options.chip), "band", f"{asked.band[0]:g} to {asked.band[1]:g} Hz",
                              f"a band with a resonance in it ({run.no_resonance})")
-        rows.append((run.unknowns, run.figures.f0, run.figures.z_min, run.figures.q, _difference(run, finest)))
-    columns = ("accuracy", "unknowns", "f0 (MHz)", "Z_min (ohm)", "Q", "error of Z (%)")
+        estimated = run.mesh_error.rms if run.mesh_error else math.nan
+        rows.append((run.unknowns, run.figures.f0, run.figures.z_min, run.figures.q, estimated,
+                     _difference(run, finest)))
+    columns = ("accuracy", "unknowns", "f0 (MHz)", "Z_min (ohm)", "Q", "error (%)", "estimate")
     table = Table(columns, tuple(
-        (label, str(size), f"{f0 / 1e6:.5f}", number(z), number(q), f"{100.0 * error:.4f}" if error else "")
-        for label, (size, f0, z, q, error) in zip(runs, rows, strict=True)))
+        (label, str(size), f"{f0 / 1e6:.5f}", number(z), number(q),
+         "" if runs[label] is finest else f"{100.0 * error:.4f}", f"{100.0 * estimated:.4f}")
+        for label, (size, f0, z, q, estimated, error) in zip(runs, rows, strict=True)))
     print_table(f"meshes of {chip.name}, {state}", table)
     error = dict(zip(accuracies, (row[-1] for row in rows), strict=False))[wanted]
     print_line(f"{'accurate' if error <= wanted else 'NOT accurate'}: {100.0 * error:.2g} % rms in Z at an "
@@ -85,6 +88,8 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
 
 def _difference(run: Simulation, finest: Simulation) -> float:
     """Rms of ln Z of one spectrum against another."""
+    if run is finest:
+        return 0.0
     ratio = run.spectrum.impedance / finest.spectrum.impedance
     return float(np.sqrt(np.mean(np.abs(np.log(ratio)) ** 2)))
 
@@ -100,19 +105,20 @@ def _renamed(show: Show, label: str, _state: str, activity: str, fraction: float
 
 
 def _write_convergence(
-    folder: Path, chip: Chip, state: str, accuracies: list[float], rows: list[tuple[int, float, float, float, float]],
-    sizes: Real, table: Table
+    folder: Path, chip: Chip, state: str, accuracies: list[float],
+    rows: list[tuple[int, float, float, float, float, float]], sizes: Real, table: Table
 ) -> None:
     from workbench.render.plots import draw_convergence
 
     figures_of = np.array(rows)
     errors = {"f0": np.abs(figures_of[:-1, 1] / figures_of[-1, 1] - 1.0),
-              "Z_min": np.abs(figures_of[:-1, 2] / figures_of[-1, 2] - 1.0), "Z, rms": figures_of[:-1, 4]}
+              "Z_min": np.abs(figures_of[:-1, 2] / figures_of[-1, 2] - 1.0), "Z, rms": figures_of[:-1, 5],
+              "Z, rms, estimated": figures_of[:-1, 4]}
     path = draw_convergence(sizes, errors, folder / "convergence.png",
                             title=f"{chip.name}, {state}: difference from the finest mesh")
     blocks: list[Block] = [table, Picture(path, "difference from the finest mesh against the mean size of the "
                                                 "elements, whose order is not the same everywhere")]
-    columns = ["accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "rms_error"]
+    columns = ["accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "estimated_rms_error", "rms_error"]
     named = [*accuracies, math.nan]
     write_json(folder / "convergence.json", {"columns": columns, "rows": [
         [None if math.isnan(accuracy) else accuracy, *row] for accuracy, row in zip(named, rows, strict=True)]})
