@@ -182,7 +182,7 @@ def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavel
 
     section = cut_section(chip)
     made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement, 1.5, 1.5, 0.5)
-    size = made.mesh_size(section.regions, materials, chip.band[1], skins=skins)
+    size = made.mesh_size(section, materials, chip.band[1], skins=skins)
     return problem(mesh_section(section, size), materials, chip.band)
 
 

@@ -29,7 +29,7 @@ def coarse(small_chip: Chip, filled_materials: dict[str, Material]) -> Problem:
 
 def made(chip: Chip, materials: Mapping[str, Material], how: Discretisation) -> Problem:
     section = cut_section(chip)
-    size = how.mesh_size(section.regions, materials, chip.band[1])
+    size = how.mesh_size(section, materials, chip.band[1])
     return problem(mesh_section(section, size), materials, chip.band)
 
 

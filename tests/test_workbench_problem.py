@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip, State, read_chip
 from geometry.mesh import SectionMesh, elements_per_wavelength
+from geometry.section import cut_section
 from inputs import InputError, parse_quantity
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench import options
-from workbench.discretisation import ACCURACY, ROWS, Discretisation, discretisation
+from workbench.discretisation import ACCURACY, ROWS, Discretisation, discretisation, film_speeds
 from workbench.operators import assemble
 from workbench.physics import absorption, electrode_mass, electrodes, fluid, piezoelectric, solid
 from workbench.problem import (
@@ -259,6 +260,26 @@ def test_air_changes_an_empty_chip_by_less_than_its_dimensions_are_known(
 def test_the_options_name_the_usual_accuracy() -> None:
     assert parse_quantity(options.ACCURACY, "dimensionless", source="", field="") == pytest.approx(ACCURACY, rel=1e-12)
     assert ACCURACY in ROWS
+
+
+def test_the_wave_along_a_thin_film_of_gel_rules_its_mesh(
+    stacked: Callable[..., Chip], reference_materials: Callable[[str], dict[str, Material]]
+) -> None:
+    materials = reference_materials("disc_gel_PLA")
+    pla, gel = materials["substrate"], materials["couplant"]
+    assert isinstance(pla, IsotropicSolid)
+    assert isinstance(gel, Fluid)
+    sizes = {}
+    for thickness in (5e-6, 20e-6, 1e-3):
+        section = cut_section(stacked([("transducer", 2e-3, 3e-3, None), ("couplant", thickness, 3e-3, None),
+                                       ("substrate", 1e-3, 3e-3, None)], band=(0.9e6, 1.1e6)))
+        speed = film_speeds(section, materials, 1.1e6)["couplant"]
+        k, omega = 2.0 * math.pi * 1.1e6 / speed, 2.0 * math.pi * 1.1e6
+        bulk, shear = complex(pla.bulk_modulus).real, complex(pla.shear_modulus).real
+        poisson = (3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear))
+        assert thickness * k**3 == pytest.approx(omega**2 * gel.density * (1.0 - poisson) / shear, rel=1e-9)
+        sizes[thickness] = discretisation(ACCURACY).mesh_size(section, materials, 1.1e6).slowest_wave["couplant"]
+    assert sizes[5e-6] < sizes[20e-6] < sizes[1e-3] == gel.slowest_wave_speed()
 
 
 def test_an_accuracy_between_two_rows_is_that_of_the_finer() -> None:

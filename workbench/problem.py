@@ -188,7 +188,7 @@ def build(
     low, high = chip.band if band is None else band
     check_use(materials.values(), band=(low, high))
     section = cut_section(chip)
-    size = fineness.mesh_size(section.regions, materials, high, skins=skins)
+    size = fineness.mesh_size(section, materials, high, skins=skins)
     made = problem(mesh_section(section, size, cache=cache), materials, (low, high), name=f"{chip.name}, {state}")
     return replace(made, discretisation=fineness)
 

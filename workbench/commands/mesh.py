@@ -78,8 +78,8 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
         for label, (size, f0, z, q, estimated, error) in zip(runs, rows, strict=True)))
     print_table(f"meshes of {chip.name}, {state}", table)
     error = dict(zip(accuracies, (row[-1] for row in rows), strict=False))[wanted]
-    print_line(f"{'accurate' if error <= wanted else 'NOT accurate'}: {100.0 * error:.2g} % rms in Z at an "
-               f"accuracy of {100.0 * wanted:g} %, against elements smaller by {FINER:g} than the finest")
+    print_line(f"{'accurate' if error <= wanted else 'NOT accurate'}: Z is {100.0 * error:.2g} % rms off the finer "
+               f"mesh, {100.0 * wanted:g} % asked")
     if options.output is not None:
         sizes = np.array([_mean_element(run) for run in runs.values()][:-1])
         _write_convergence(output_folder(options.output), chip, state, accuracies, rows, sizes, table)
