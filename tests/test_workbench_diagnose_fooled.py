@@ -21,7 +21,7 @@ from materials.kinds import Fluid
 from materials.registry import user_registry
 from workbench.diagnose.belong import cleared, each_alone
 from workbench.diagnose.campaign import read_campaign
-from workbench.diagnose.device import ORDER, Model, model
+from workbench.diagnose.device import Model, model
 from workbench.diagnose.refit import MODELLED, UNNEEDED, base_fit, checked, refit
 from workbench.diagnose.score import scores_at
 from workbench.diagnose.verdict import Diagnosis, diagnose
@@ -65,7 +65,7 @@ class Bench:
     ) -> None:
         """A state whose parameters are the stated ones times `factors`; `colour` correlates neighbouring points."""
         there = read_chip(self.folder / f"{chip}.toml")
-        problem = with_boundary_layers(build(there, there.states[0].name, user_registry([MATERIALS]), order=ORDER))
+        problem = with_boundary_layers(build(there, there.states[0].name, user_registry([MATERIALS])))
         values = {**problem.values, **{key: problem.values[key] * factor for key, factor in (factors or {}).items()}}
         solved = reduce(assemble(problem.mesh, problem.terms), FREQUENCIES, values).solve(FREQUENCIES, values)
         clean, _, _ = through_bench(np.conj(solved.impedance), 2.0 * np.pi * FREQUENCIES, dict(bench or {}))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip, parse_chip
 from materials.kinds import Fluid, Piezoelectric
 from materials.registry import Registry
+from workbench.discretisation import Discretisation
 from workbench.drive import GeneratorDrive, PowerDrive, VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
@@ -33,7 +34,7 @@ def made(layers: list[dict[str, str]], **content: Any) -> Chip:
 
 
 def solved(chip: Chip, frequency: float, *, elements: float) -> tuple[Problem, FullOperators, Solution]:
-    problem = build(chip, chip.states[-1].name, Registry(), order=4, elements_per_wavelength=elements)
+    problem = build(chip, chip.states[-1].name, Registry(), accuracy=Discretisation(4, elements, corner_refinement=0.1, growth=4.0))
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([frequency]), problem.values)
 

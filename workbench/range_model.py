@@ -33,6 +33,7 @@ from geometry.stretch import tied
 from inputs import InputError, choose, replacing
 from materials.registry import Registry
 from workbench.dimensions import flexible
+from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fit.parameter import LOSS, part, placed
 from workbench.operators import FullOperators, ReducedOperators, assemble
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
@@ -188,7 +189,7 @@ def range_model(
     limit: int = LIMIT,
     seed: int = 0,
     progress: Progress | None = None,
-    **mesh: Any,
+    accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
     """A model of a chip's spectrum over `ranges` of its lengths and of its materials' coefficients.
 
@@ -200,6 +201,7 @@ def range_model(
         tolerance: relative error of the impedance, against the full solution on the same mesh.
         limit: most full solves.
         seed: of the points that it is grown and checked at.
+        accuracy: of the mesh, see `discretisation`.
 
     Raises:
         InputError: something in the chip or its materials, or a range that names nothing or holds no number.
@@ -208,7 +210,7 @@ def range_model(
     started = time.perf_counter()
     name = chip.states[-1].name if state is None else chip.state(state).name
     low, high = chip.band if band is None else band
-    problem, ranges = with_ranges(build(chip, name, registry or Registry(), band=(low, high), **mesh), chip, ranges)
+    problem, ranges = with_ranges(build(chip, name, registry or Registry(), band=(low, high), accuracy=accuracy), chip, ranges)
     frequency = np.linspace(low, high, points)
     centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
     moves: dict[str, float] = {}
@@ -356,7 +358,8 @@ def fingerprint(problem: Problem) -> str:
 
 
 def load(
-    path: Path, chip: Chip, state: str | None = None, *, registry: Registry | None = None, **mesh: Any
+    path: Path, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
+    accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
     """A model that :meth:`RangeModel.save` has kept, with the chip it is of.
 
@@ -375,7 +378,7 @@ def load(
         raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
     name = chip.states[-1].name if state is None else chip.state(state).name
     band = float(frequency[0]), float(frequency[-1])
-    problem, _ = with_ranges(build(chip, name, registry or Registry(), band=band, **mesh), chip, ranges)
+    problem, _ = with_ranges(build(chip, name, registry or Registry(), band=band, accuracy=accuracy), chip, ranges)
     if fingerprint(problem) != content["problem"]:
         raise InputError(str(path), "chip", f"{chip.name}, {name}", "the chip, state, materials and mesh that the "
                          "model was made for")
