@@ -101,9 +101,10 @@ def test_the_exact_gradient_is_the_curvature_of_the_cost(small_disc: Problem, na
 def test_a_spectrum_that_a_poor_model_cannot_give_is_noticed(
     small_disc: Problem, found: Sensitivity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Of every solve next to nothing is kept: every spectrum must be noticed, and no cost may suffer.
+    # Every solve gives its own state and nothing beside it: each spectrum must be noticed, and no cost may suffer.
     plain = sensitivity(small_disc, FREQUENCIES, names=("c33",), scalings=5)
-    monkeypatch.setattr("workbench.reduce.UNNEEDED", 10.0)
+    monkeypatch.setattr("workbench.fit.predict.FIRST_DEPTH", 1)
+    monkeypatch.setattr("workbench.fit.predict.DEPTH", 1)
     again = sensitivity(small_disc, FREQUENCIES, names=("c33",), scalings=5)
     assert again.solves > plain.solves
     assert again.error <= 1e-3

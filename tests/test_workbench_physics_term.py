@@ -51,7 +51,7 @@ def relaxation(omega: Real, symbols: Mapping[str, complex]) -> tuple[Complex, Ma
     """x / (1 - i w y / 1e6)"""
     x, y = symbols["x"], symbols["y"]
     below = 1.0 / (1.0 - 1e-6j * omega * y)
-    return x * below, {"x": below, "y": 1e-6j * omega * x * below**2}
+    return np.asarray(x * below), {"x": np.asarray(below), "y": np.asarray(1e-6j * omega * x * below**2)}
 
 
 POWER = Monomial(3.0, 2, (("a", 1), ("t", -2)))

@@ -20,9 +20,11 @@ from workbench.reduce import (
     PROJECTIONS,
     NotEnriched,
     ReducedModel,
+    covering,
     energy_matrix,
     narrowed,
     reduce,
+    smallest,
 )
 from workbench.reduce import (
     test_vectors as probes,  # or pytest takes it for a test
@@ -283,6 +285,147 @@ def test_a_basis_that_is_exact_at_its_own_parameters_does_not_vouch_for_others(s
     assert estimate.max() > TOLERANCE
     # An estimate a thousand times too large is none.
     assert estimate.max() < 1000.0 * error.max()
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# How a model grows
+
+
+def coordinates(model: ReducedModel, vectors: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """What of vectors (size, n) lies outside the basis of a model, relative (n,), in its norm."""
+    weighted = model.weights[:, None] * (vectors - np.outer(model.basis[:, -1], vectors[-1]))
+    basis = model.weights[:, None] * model.basis[:, :-1]
+    outside = weighted - basis @ (basis.T @ weighted)
+    return np.asarray(np.linalg.norm(outside, axis=0) / np.linalg.norm(weighted, axis=0))
+
+
+def begins_with(new: ReducedModel, old: ReducedModel) -> bool:
+    """Whether one basis, and what is projected on it, goes on as the other."""
+    rank = old.basis.shape[1] - 1
+    kept = np.append(np.arange(rank), new.basis.shape[1] - 1)
+    return (np.array_equal(new.basis[:, kept], old.basis)
+            and np.array_equal(new.sketch[:, :, kept], old.sketch)
+            and np.array_equal(new.operators.matrices[:, kept[:, None], kept], old.operators.matrices))
+
+
+def assert_consistent(model: ReducedModel) -> None:
+    """Matrices and sketch are those of the basis, the basis is orthonormal, and its last column lifts."""
+    expected = model.full.project(model.basis, model.test)
+    rank = model.basis.shape[1]
+    size = np.abs(expected).max(axis=(1, 2), keepdims=True)
+    assert (np.abs(model.operators.matrices - expected[:, :rank]) < 1e-9 * size).all()
+    assert (np.abs(model.sketch - expected[:, rank:]) < 1e-9 * size).all()
+    assert model.basis[-1].tolist() == [0.0] * (rank - 1) + [1.0]
+    columns = model.weights[:, None] * model.basis[:, :-1]
+    assert np.abs(columns.T @ columns - np.eye(rank - 1)).max() < 1e-6
+
+
+def test_an_extended_model_spans_what_it_is_given(
+    wide: Problem, operators: FullOperators, reduced: ReducedModel
+) -> None:
+    values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
+    states = solve_full(operators, GRID[[10, 70]], values).states
+    assert coordinates(reduced, states).min() > 1e-4  # or this test says nothing
+    found = reduced.extended(states)
+    assert begins_with(found, reduced)
+    assert found.basis.shape[1] == reduced.basis.shape[1] + 4  # real and imaginary parts
+    assert coordinates(found, states).max() < 1e-9
+    assert_consistent(found)
+    # Again there is nothing new.
+    assert found.extended(states).basis.shape == found.basis.shape
+    solution = found.solve(GRID[[10, 70]], values)
+    exact = solve_full(operators, GRID[[10, 70]], values).impedance
+    assert solution.impedance == pytest.approx(exact, rel=1e-9)
+
+
+def test_changes_are_taken_by_their_energy_and_no_further_than_needed(
+    wide: Problem, operators: FullOperators, reduced: ReducedModel
+) -> None:
+    system = System(operators, wide.values)
+    states, _ = system.krylov(GRID[40], 1, tangents=("pla.shear_modulus", "pla.bulk_modulus"))
+    size = np.sqrt(abs(system.charge(GRID[40], states[:, 0])))
+    reach = np.array([0.05, 1e-7]) * [abs(wide.values[f"pla.{name}_modulus"]) for name in ("shear", "bulk")]
+    changes = states[:, 1:] * reach / size
+    outside = changes[:-1] - (reduced.basis[:, :-1] @ (reduced.weights[:, None] ** 2 * reduced.basis[:, :-1]).T
+                              @ changes)[:-1]
+    energy = np.sqrt(np.einsum("in,in->n", outside.conj(), reduced.energy @ outside).real)
+    print(f"energy of what is outside: {energy}")
+    unneeded = float(np.sqrt(energy.prod()))
+    assert energy[0] > 10.0 * unneeded > 100.0 * energy[1]
+    found = reduced.extended(states[:, :1], changes, unneeded)
+    assert begins_with(found, reduced)
+    assert_consistent(found)
+    left = coordinates(found, changes)
+    assert left[0] < 1e-3 < left[1]
+    assert 1 <= found.basis.shape[1] - reduced.extended(states[:, :1]).basis.shape[1] <= 2
+
+
+def test_a_grown_model_keeps_only_what_the_given_values_need(
+    wide: Problem, operators: FullOperators, reduced: ReducedModel
+) -> None:
+    values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
+    states = np.concatenate([System(operators, values).krylov(float(f), DEPTH)[0] for f in GRID[[10, 70, 130]]], axis=1)
+    whole = reduced.extended(states)
+    ranks, errors = [], []
+    exact = solve_full(operators, BETWEEN, values).impedance
+    for tolerance in (1e-2, 1e-4, 1e-6):
+        found = reduced.grown(states, None, [(GRID, values)], smallest(tolerance))
+        assert begins_with(found, reduced)
+        assert_consistent(found)
+        ranks.append(found.basis.shape[1])
+        errors.append(float(np.abs(found.solve(BETWEEN, values).impedance / exact - 1.0).max()))
+        # What is left out is a small part of each state over the root of its charge, and of that the square counts.
+        reference = float(np.abs(whole.solve(BETWEEN, values).impedance / exact - 1.0).max())
+        assert errors[-1] < tolerance + 2.0 * reference
+    print(f"ranks {ranks} of {whole.basis.shape[1]}, begun with {reduced.basis.shape[1]}; errors {errors}")
+    assert reduced.basis.shape[1] < ranks[0] < ranks[1] < ranks[2] <= whole.basis.shape[1]
+
+
+def test_a_model_within_a_part_of_its_basis_is_projected_again(wide: Problem, reduced: ReducedModel) -> None:
+    rank = reduced.basis.shape[1]
+    part = np.zeros((rank, rank // 2))
+    part[:-1, :-1] = np.linalg.qr(np.random.default_rng(1).standard_normal((rank - 1, rank // 2 - 1)))[0]
+    part[-1, -1] = 1.0
+    found = reduced.within(part)
+    assert found.basis == pytest.approx(reduced.basis @ part)
+    assert_consistent(found)
+
+
+def test_the_worst_frequency_is_where_the_estimate_is_largest(
+    reduced: ReducedModel, changed: list[tuple[dict[str, complex], NDArray[np.complex128]]]
+) -> None:
+    values, _ = changed[0]
+    solution, estimate, index = reduced.worst(GRID, values)
+    every = reduced.error(solution)
+    assert (estimate, index) == (every.max(), int(np.argmax(every)))
+    assert np.array_equal(solution.states, reduced.solve(GRID, values).states)
+
+
+def test_a_covering_model_holds_states_changes_and_corners(wide: Problem, operators: FullOperators) -> None:
+    shear, bulk = (f"pla.{name}_modulus" for name in ("shear", "bulk"))
+    band = GRID[:61]
+    moves = {shear: 0.05 * abs(wide.values[shear])}
+    corner = {**wide.values, bulk: 0.8 * wide.values[bulk]}
+    found = covering(operators, band, wide.values, moves, tolerance=TOLERANCE, corners=[corner])
+    assert found.solves == 10  # five nodes, here and in the corner
+    assert 0.0 < found.residual < 1e-10
+    assert_consistent(found)
+    plain = covering(operators, band, wide.values, {}, tolerance=TOLERANCE)
+    assert plain.basis.shape[1] < found.basis.shape[1]
+    moved = {**wide.values, shear: 1.05 * wide.values[shear]}
+    between = 0.5 * (band[:-1] + band[1:])[::6]
+    # Derivatives are of the nodes' states, and tell to first order.
+    for values, most, share in ((wide.values, 1e-5, np.inf), (moved, 1e-3, 0.3), (corner, 1e-4, 0.1)):
+        exact = solve_full(operators, between, values).impedance
+        error, alone = (float(np.abs(each.solve(between, values).impedance / exact - 1.0).max())
+                        for each in (found, plain))
+        print(f"covered {error:.1e}, without {alone:.1e}")
+        assert error < most
+        assert error < share * alone
+    # From a start it goes on.
+    again = covering(operators, band, moved, {}, tolerance=TOLERANCE, start=plain)
+    assert begins_with(again, plain)
+    assert again.solves == plain.solves + 5
 
 
 def test_the_reduced_state_stands_for_the_full_one(

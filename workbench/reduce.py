@@ -135,29 +135,38 @@ class ReducedModel:
         return replace(self, operators=replace(self.operators, matrices=matrices), basis=basis, sketch=sketch)
 
     def grown(
-        self, states: Complex, changes: Complex | None, needed_at: Sequence[tuple[Real, Values]], unneeded: float
+        self, states: Complex, changes: Complex | None, needed_at: Sequence[tuple[Real, Values]], unneeded: float,
+        tolerance: float = np.inf,
     ) -> ReducedModel:
         """:meth:`extended` by no more than is needed.
 
         Of the new directions those are kept that `changes`, or the states at some frequencies (Hz) and parameter
-        values over the root of their charge, have more of than `unneeded` (:func:`smallest`).
+        values over the root of their charge, have more of than `unneeded` (:func:`smallest`). Where all of them
+        together bring the estimated errors there within a `tolerance`, so many are kept that it stays so: a resonance
+        magnifies what is left out.
         """
         wide = self.extended(states, changes, unneeded)
         old, rank = self.basis.shape[1] - 1, wide.basis.shape[1] - 1
-        wanted = []
+        wanted, enough = [], np.isfinite(tolerance)
         for frequencies, values in needed_at:
             found = wide.solve(frequencies, values)
             wanted.append(found.states[:-1] / np.sqrt(np.abs(found.charge)))
+            enough = enough and bool(wide.error(found).max() <= tolerance)
         if changes is not None and changes.size:
             wanted.append((wide.weights[:, None] ** 2 * wide.basis[:, :-1]).T @ changes)
         whole = np.concatenate(wanted, axis=1)[old:]
         new = wide.basis[:-1, old:-1]
         root = np.linalg.cholesky(new.T @ (wide.energy @ new)).T
-        directions, sizes, _ = np.linalg.svd(root @ np.column_stack([whole.real, whole.imag]), full_matrices=False)
-        directions, _ = np.linalg.qr(np.linalg.solve(root, directions[:, sizes > unneeded]))
-        within = np.zeros((rank + 1, old + directions.shape[1] + 1))
-        within[:old, :old], within[old:rank, old:-1], within[rank, -1] = np.eye(old), directions, 1.0
-        return wide.within(within)
+        every, sizes, _ = np.linalg.svd(root @ np.column_stack([whole.real, whole.imag]), full_matrices=False)
+        while True:
+            kept = sizes > unneeded
+            directions, _ = np.linalg.qr(np.linalg.solve(root, every[:, kept]))
+            within = np.zeros((rank + 1, old + directions.shape[1] + 1))
+            within[:old, :old], within[old:rank, old:-1], within[rank, -1] = np.eye(old), directions, 1.0
+            result = wide.within(within)
+            if not enough or kept.all() or all(result.worst(*each)[1] <= tolerance for each in needed_at):
+                return result
+            unneeded *= TIGHTER
 
     def within(self, part: Real) -> ReducedModel:
         """The model on a part (r, k) of its basis, given in that."""
@@ -203,7 +212,7 @@ def reduce(
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    watched = frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]
+    watched = _watched(frequencies)
     wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]] if start is None else np.zeros(0)
     model, spent, unneeded = start, 0, smallest(tolerance)
 
@@ -229,8 +238,8 @@ def reduce(
                     report()
                 assert model is not None
                 model = model.grown(np.concatenate(found, axis=1), np.concatenate(changes, axis=1),
-                                    [(watched, values)], unneeded)
-                # A resonance magnifies what is left out: where that was too much, a further solve brings in more of it.
+                                    [(watched, values)], unneeded, tolerance)
+                # Where the new directions were not enough, too much may have been left out before them.
                 unneeded *= TIGHTER
             assert model is not None
             solution, estimate, index = model.worst(watched, values)
@@ -403,7 +412,8 @@ def covering(
     that is enough, :meth:`ReducedModel.error` says.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    at, names, reach = frequencies[chebyshev(frequencies.size, nodes)], tuple(moves), np.array(list(moves.values()))
+    at, watched = frequencies[chebyshev(frequencies.size, nodes)], _watched(frequencies)
+    names, reach = tuple(moves), np.array(list(moves.values()))
     model, worst = start, 0.0
     states: list[Complex] = []
     changes: list[Complex] = []
@@ -423,7 +433,7 @@ def covering(
                 states.append(found)
         assert model is not None
         model = model.grown(np.concatenate(states, axis=1), np.concatenate(changes, axis=1),
-                            [(at, each) for each in (values, *corners)], smallest(tolerance))
+                            [(watched, each) for each in (values, *corners)], smallest(tolerance), tolerance)
     return replace(model, solves=model.solves + at.size * (1 + len(corners)), residual=max(model.residual, worst))
 
 
@@ -431,6 +441,10 @@ def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
     """Indices of `count` frequencies next to Chebyshev's nodes, as many as those fall on."""
     angles = np.pi * (np.arange(nodes) + 0.5) / nodes
     return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
+
+
+def _watched(frequencies: Real) -> Real:
+    return frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]
 
 
 def _joined(basis: Real, new: Real) -> Real:

@@ -248,7 +248,7 @@ def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence
 def unrefined(coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float) -> Complex:
     """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz)."""
     values, bench = coarser.settings(x, index)
-    prediction = coarser.predictors[index].at(frequency, tolerance)(values)
+    prediction = coarser.predictors[index].elsewhere(frequency, tolerance, values)
     return through_bench(prediction.impedance, prediction.solution.omega, bench)[0]
 
 

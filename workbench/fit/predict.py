@@ -118,6 +118,13 @@ class Predictor:
         other.tolerance = self.tolerance if tolerance is None else tolerance
         return other
 
+    def elsewhere(self, frequencies: Real, tolerance: float, values: Mapping[str, complex]) -> Prediction:
+        """A prediction at other frequencies (n,) Hz and to another tolerance; the model it takes is kept."""
+        other = self.at(frequencies, tolerance)
+        prediction = other(values)
+        self.model, self.solves = other.model, self.solves + other.solves
+        return prediction
+
     def narrowed(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
         """The same, beginning with no more of the basis than the spectra at these values need.
 
