@@ -34,7 +34,8 @@ def made(layers: list[dict[str, str]], **content: Any) -> Chip:
 
 
 def solved(chip: Chip, frequency: float, *, elements: float) -> tuple[Problem, FullOperators, Solution]:
-    problem = build(chip, chip.states[-1].name, Registry(), accuracy=Discretisation(4, elements, corner_refinement=0.1, growth=4.0))
+    fine = Discretisation(4, elements, corner_refinement=0.1, growth=4.0)
+    problem = build(chip, chip.states[-1].name, Registry(), accuracy=fine)
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([frequency]), problem.values)
 

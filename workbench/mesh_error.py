@@ -92,7 +92,8 @@ def estimate(model: ReducedModel, frequency: Real, values: Values) -> MeshError:
         factor = factorise(System(surplus.operators, values).matrix(middle), middle)
         added = factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * residual)
         right = model.basis[:, :-1].T @ (surplus.embedding.T @ surplus.images(surplus.basis @ added, g))
-        whole = np.einsum("nq,qij->nij", g, model.operators.matrices[:, :-1, :-1], optimize=True)
+        summed = model.operators.combinations(np.array([constants for _, constants in solution.groups]))
+        whole = np.einsum("gn,gij->nij", np.stack([h for h, _ in solution.groups]), summed[:, :-1, :-1])
         moved = np.linalg.solve(whole, right.T[:, :, None])[:, :, 0]
     direct, resonant = np.sum(residual * added, axis=0), np.sum(right * moved.T, axis=0)
     changed = direct**2 / (direct - resonant)

@@ -210,7 +210,8 @@ def range_model(
     started = time.perf_counter()
     name = chip.states[-1].name if state is None else chip.state(state).name
     low, high = chip.band if band is None else band
-    problem, ranges = with_ranges(build(chip, name, registry or Registry(), band=(low, high), accuracy=accuracy), chip, ranges)
+    plain = build(chip, name, registry or Registry(), band=(low, high), accuracy=accuracy)
+    problem, ranges = with_ranges(plain, chip, ranges)
     frequency = np.linspace(low, high, points)
     centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
     moves: dict[str, float] = {}
@@ -318,10 +319,10 @@ def compacted(model: ReducedModel, moving: set[str], values: Mapping[str, comple
             if each.any():
                 integrals.append(Integral(times(coefficient, Monomial(turn, 0)), "", ()))
                 weights.append(each)
-    combine = np.array(weights)
+    combine = model.operators.by_form(np.array(weights, dtype=complex)).real
     matrices = np.tensordot(combine, model.operators.matrices, axes=1)
-    return replace(model, operators=ReducedOperators(tuple(integrals), matrices),
-                   sketch=np.tensordot(combine, model.sketch, axes=1))
+    operators = ReducedOperators(tuple(integrals), matrices, np.arange(len(integrals)))
+    return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
 
 
 def _separated(
@@ -384,7 +385,7 @@ def load(
                          "model was made for")
     operators = assemble(problem.mesh, problem.terms)
     energy = energy_matrix(System(operators, problem.values), float(np.median(frequency)))
-    reduced = ReducedModel(operators, ReducedOperators(operators.integrals, stored["matrices"]), stored["basis"],
-                           stored["weights"], stored["test"], stored["sketch"], energy, content["solves"],
-                           content["residual"])
+    inner = ReducedOperators(operators.integrals, stored["matrices"], operators.forms)
+    reduced = ReducedModel(operators, inner, stored["basis"], stored["weights"], stored["test"], stored["sketch"],
+                           energy, content["solves"], content["residual"])
     return RangeModel(problem, ranges, frequency, reduced, content["tolerance"], content["error"], content["seconds"])
