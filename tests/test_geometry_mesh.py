@@ -244,14 +244,19 @@ def test_the_mesh_is_graded_to_what_makes_a_singular_field_only() -> None:
     layers = [layer("backing", "2 mm", "7 mm"), layer("transducer", "2 mm", "10 mm", electrodes=ends),
               layer("couplant", "20 um", "9 mm"), layer("sample", "1 mm", "11 mm")]
     section = cut_section(make(layers))
-    coarse = replace(uniform(section), corner_refinement=0.1, growth=4.0, minimum_through_thickness=1)
+    coarse = replace(uniform(section), corner_refinement=0.1, growth=9.0, minimum_through_thickness=1)
     r, z = node_lines(mesh_section(section, coarse))
     # The corner between backing and disc, the end of the electrode, the rim of the gel; the rims of solids are none.
     for radius, graded in ((4e-3, True), (7e-3, True), (9e-3, True), (10e-3, False)):
-        assert (smallest_beside(r, radius) < 0.1 * 0.2e-3) is graded, radius
-    for height, graded in ((2e-3, True), (4e-3, True), (4.02e-3, False)):
-        assert (smallest_beside(z, height) < 0.019e-3) is graded, height
-    assert np.count_nonzero((z > 4e-3 + 1e-9) & (z < 4.02e-3 - 1e-9)) == 0
+        assert (smallest_beside(r, radius) < 0.021e-3) is graded, radius
+    # The end of an electrode, in radius and height: smaller by the cube.
+    assert max(smallest_beside(r, 4e-3), smallest_beside(z, 4e-3)) < 0.21e-6
+    assert smallest_beside(z, 2e-3) < 0.021e-3
+    # With electrodes that cover the disc there is nothing across the gel, and nothing at its faces.
+    layers[1]["electrodes"] = {"live": "top"}
+    section = cut_section(make(layers))
+    z = node_lines(mesh_section(section, coarse))[1]
+    assert np.diff(z)[np.searchsorted(z, 4e-3 - 1e-9) - 1 :][:3] == pytest.approx([0.2e-3, 0.02e-3, 0.2e-3], rel=1e-6)
 
 
 def test_nodes_run_anticlockwise_from_bottom_left(mesh: SectionMesh) -> None:

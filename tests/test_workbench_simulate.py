@@ -163,3 +163,16 @@ def test_what_cannot_be_simulated_is_refused(disc: Chip, cell: Chip) -> None:
     states = tuple(replace(state, particle="water") if state.particle else state for state in cell.states)
     with pytest.raises(InputError, match=r"states\.filled\.particle: received 'water'; expected an isotropic solid"):
         snapshot(replace(cell, states=states), None, 400e3, accuracy=quadratic(ELEMENTS))
+
+
+def test_a_mesh_that_is_not_as_accurate_as_asked_is_warned_of(disc: Chip, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = simulate(disc, points=13, accuracy=5e-3)
+    assert run.mesh_error is not None
+    assert 0.0 < run.mesh_error.rms < 5e-3
+    worse = replace(run.mesh_error, log_impedance=run.mesh_error.log_impedance * 6e-3 / run.mesh_error.rms)
+    monkeypatch.setattr("workbench.simulate.mesh_error", lambda *_arguments: worse)
+    with pytest.warns(MeshTooCoarse, match=r"estimated 0\.6 % rms in Z, above the 0\.5 % asked for"):
+        simulate(disc, points=13, accuracy=5e-3)
+    # Whoever gives a discretisation has asked for no accuracy.
+    assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS)).mesh_error is worse
+    assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS), full=True).mesh_error is None

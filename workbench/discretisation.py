@@ -100,10 +100,11 @@ def _softness(solid: IsotropicSolid) -> float:
 #: What it takes for an rms error of ln Z of at most so much over the band of every chip in `geometry/chips`, in every
 #: state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
 ROWS: Mapping[float, Discretisation] = {
-    5e-3: Discretisation(4, 1.4),
-    1e-3: Discretisation(4, 1.8),
-    5e-4: Discretisation(4, 2.0),
-    2e-4: Discretisation(6, 1.2, transducer_finer=1.15, gas_finer=0.85),
+    5e-3: Discretisation(4, 1.4),  # 0.38 %, 2 100 (disc_20x2) to 17 000 unknowns (acevedo_2026_chip empty)
+    1e-3: Discretisation(4, 1.8),  # 0.077 %, to 26 000
+    5e-4: Discretisation(4, 2.0),  # 0.045 %, 3 800 to 30 200
+    2e-4: Discretisation(6, 1.2, transducer_finer=1.15, gas_finer=0.85),  # 0.018 %, to 31 000
+    # 0.0098 %, to 53 000
     1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),
 }
 

@@ -42,7 +42,8 @@ Progress = Callable[[str, float], None]
 
 
 class MeshTooCoarse(UserWarning):
-    """The mesh has fewer elements per wavelength than asked for at some frequency in some region."""
+    """The mesh has fewer elements per wavelength than its discretisation at some frequency in some region, or leaves a
+    larger error than asked for."""
 
 
 def quiet(_activity: str, _fraction: float) -> None:
@@ -169,6 +170,9 @@ def simulate(
         error = float(model.error(solution).max())
         lap("spectrum")
         of_mesh = mesh_error(model, frequencies, problem.values)
+        if isinstance(accuracy, float) and of_mesh.rms > accuracy:
+            warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * of_mesh.rms:.2g} % rms in Z, above "
+                          f"the {100.0 * accuracy:g} % asked for; ask for less", MeshTooCoarse, stacklevel=2)
         lap("error of the mesh")
     spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, error, of_mesh))
     if full:
