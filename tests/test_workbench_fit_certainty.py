@@ -49,6 +49,7 @@ class Made(Objective):
 
     def __init__(self, model: Model, recording: Recording, free: Sequence[Parameter]) -> None:
         self.model, self.recordings, self.parameters, self.predictors = model, (recording,), tuple(free), ()
+        self.refusals = []
 
     def __call__(
         self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
