@@ -23,6 +23,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from threading import RLock
 from types import ModuleType
 
 import numpy as np
@@ -189,6 +190,10 @@ def user_cache() -> Path:
     return (Path(root) if root else Path.home() / ".cache") / "acoustofluidic-chip-workbench" / "meshes"
 
 
+#: gmsh is one session for the whole process: threads take turns.
+_TURN = RLock()
+
+
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
     """gmsh, started with its own defaults and shut down on leaving, error or not.
@@ -203,14 +208,15 @@ def gmsh_session() -> Iterator[ModuleType]:
         import gmsh
     except (ImportError, OSError) as error:
         raise MeshError(f"meshing needs gmsh and its system libraries: {error}") from error
-    if gmsh.isInitialized():
-        raise MeshError("a gmsh session is open already; close it before meshing a section")
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        yield gmsh
-    finally:
-        gmsh.finalize()
+    with _TURN:
+        if gmsh.isInitialized():
+            raise MeshError("a gmsh session is open already; close it before meshing a section")
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            yield gmsh
+        finally:
+            gmsh.finalize()
 
 
 # --------------------------------------------------------------------------------------------------------------------

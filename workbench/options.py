@@ -82,6 +82,8 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
     sub.add_argument("--tolerance", type=float, default=1e-5, metavar="ERROR",
                      help="relative error of the reduced model's impedance (default 1e-5)")
+    sub.add_argument("--no-pictures", action="store_true",
+                     help="leave out the pictures of fields and solid model (default: drawn)")
     sub.add_argument("--no-cad", action="store_true", help="leave out the solid model (default: STEP, STL, view)")
     sub.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
