@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import quadratic
 
 from geometry.chip import Chip, parse_chip
 from materials.kinds import Fluid, Piezoelectric
 from materials.registry import Registry
+from workbench.discretisation import Discretisation
 from workbench.drive import GeneratorDrive, PowerDrive, VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
@@ -34,7 +34,8 @@ def made(layers: list[dict[str, str]], **content: Any) -> Chip:
 
 
 def solved(chip: Chip, frequency: float, *, elements: float) -> tuple[Problem, FullOperators, Solution]:
-    problem = build(chip, chip.states[-1].name, Registry(), accuracy=quadratic(elements))
+    fine = Discretisation(4, elements, corner_refinement=0.1, growth=3.0)
+    problem = build(chip, chip.states[-1].name, Registry(), accuracy=fine)
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([frequency]), problem.values)
 
@@ -47,7 +48,7 @@ LOW, INERTIA = 1e3, 5e-5
 
 @pytest.fixture(scope="module")
 def static() -> Fields:
-    problem, operators, solution = solved(made([layer("transducer", "pic255/plutho", "2 mm")]), LOW, elements=3.0)
+    problem, operators, solution = solved(made([layer("transducer", "pic255/plutho", "2 mm")]), LOW, elements=2.0)
     return fields(problem, operators, solution, VoltageDrive(10.0))
 
 
@@ -102,14 +103,17 @@ def test_a_disc_has_no_pressure(static: Fields) -> None:
 FREQUENCY = 480e3
 
 
-@pytest.fixture(scope="module")
-def filled() -> tuple[Problem, FullOperators, Solution]:
-    chip = made(
+def cell() -> Chip:
+    return made(
         [layer("transducer", "pzt4/acevedo_2026_initial", "2 mm"), layer("substrate", "pla", "0.85 mm"),
          layer("sidewall", "pla", "0.72 mm", cavity_radius="1.5 mm"), layer("superstrate", "pmma", "1 mm")],
         states={"filled": {"cavity": "water"}},
     )
-    return solved(chip, FREQUENCY, elements=14.0)
+
+
+@pytest.fixture(scope="module")
+def filled() -> tuple[Problem, FullOperators, Solution]:
+    return solved(cell(), FREQUENCY, elements=3.0)
 
 
 @pytest.fixture(scope="module")
@@ -144,9 +148,9 @@ def test_the_energy_density_integrates_to_the_systems_quadratic_forms(
         negative = integral.coefficient.omega_power == 0 if fluid else inertia or electric
         energy[integral.place] += 0.25 * complex(coefficient).real * form * (-1.0 if negative else 1.0)
     for region, expected in energy.items():
-        # Recovered gradients against the elements' own: within the mesh error of a gradient, (1/14 wavelength)^2.
+        # Recovered gradients against the elements' own: observed 7e-4 in the substrate, 1e-5 in water.
         actual = float(integrate(found.mesh, found.energy_density, [region]))
-        assert actual == pytest.approx(expected, rel=0.02), region
+        assert actual == pytest.approx(expected, rel=2e-3), region
         assert expected > 0.0
 
 
@@ -157,8 +161,8 @@ def test_the_fluid_moves_as_the_pressure_slopes(found: Fields) -> None:
                     for side in (step, -step))
     expected = (above - below) / (2 * step) / (1j * 2 * math.pi * FREQUENCY * 998.2)
     actual = sample(found.mesh, found.velocity, np.stack([0 * z + 0.5e-3, z], axis=1), ["cavity"])[:, 1]
-    # The difference crosses cells whose gradients jump by the mesh error, a per cent or less.
-    np.testing.assert_allclose(actual, expected, atol=0.02 * np.abs(expected).max())
+    # The difference itself is off by (k step)^2 / 6 of short evanescent waves: 1.3e-3 however fine the mesh.
+    np.testing.assert_allclose(actual, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def both_sides(found: Fields, solid: str, *, top: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -181,21 +185,39 @@ def test_traction_and_normal_motion_are_continuous_where_solid_meets_fluid(
     found: Fields, solid: str, top: bool
 ) -> None:
     one, other = both_sides(found, solid, top=top)
-    # Recovered at the wall from one side only: 6, 2.6, 1.0, 0.4 % of the largest at 10, 14, 20, 28 elements (h^2.6).
+    # Recovered at the wall from one side only: 0.9, 0.27, 0.09 % of the largest at 2, 3, 4 elements per wavelength. Of
+    # second order it was 6 % at 10, with more unknowns than 3 of fourth.
     stress, pressure = found.stress[one, 2], found.pressure[other]
     largest = np.abs(found.stress[found.mesh.nodes_of([solid]), 2]).max()
-    np.testing.assert_allclose(stress, -pressure, atol=0.05 * largest)
-    np.testing.assert_allclose(found.stress[one, 3], 0.0, atol=0.05 * np.nanmax(np.abs(found.stress[:, 3])))
+    np.testing.assert_allclose(stress, -pressure, atol=0.005 * largest)
+    np.testing.assert_allclose(found.stress[one, 3], 0.0, atol=0.002 * np.nanmax(np.abs(found.stress[:, 3])))
+    # Observed 2e-6: the pressure is smoother than the stress.
     np.testing.assert_allclose(found.velocity[one, 1], found.velocity[other, 1],
-                               atol=0.05 * np.abs(found.velocity[other, 1]).max())
+                               atol=1e-5 * np.abs(found.velocity[other, 1]).max())
 
 
 def test_the_free_surface_has_no_stress_of_its_own(found: Fields) -> None:
     points = found.mesh.points
     lid = found.mesh.nodes_of(["superstrate"])
     top = lid[(points[lid, 1] > points[:, 1].max() - 1e-9) & (points[lid, 0] < 2.5e-3)]
-    assert np.abs(found.stress[top, 2]).max() < 0.05 * np.abs(found.stress[lid]).max()
-    assert np.abs(found.stress[top, 3]).max() < 0.05 * np.abs(found.stress[lid]).max()
+    # Observed 0.09 and 0.02 %.
+    assert np.abs(found.stress[top, 2]).max() < 0.003 * np.abs(found.stress[lid]).max()
+    assert np.abs(found.stress[top, 3]).max() < 0.001 * np.abs(found.stress[lid]).max()
+
+
+def test_recovered_fields_are_those_of_a_finer_mesh(found: Fields) -> None:
+    # `tests/benchmarks/recovered_fields.py` does so for the reference chip, and against second order.
+    finer = fields(*solved(cell(), FREQUENCY, elements=7.0), VoltageDrive(10.0))
+    random = np.random.default_rng(8)
+    for region, bottom, top in (("transducer", 0.0, 2e-3), ("substrate", 2e-3, 2.85e-3), ("cavity", 2.85e-3, 3.57e-3),
+                                ("superstrate", 3.57e-3, 4.57e-3)):
+        # Everywhere but within 0.3 mm of the corners at the rims of cavity and chip, where stresses are infinite.
+        limit = 1.2e-3
+        points = np.stack([limit * random.random(400), bottom + (top - bottom) * random.random(400)], axis=1)
+        for name in ("velocity", "stress") if region != "cavity" else ("velocity", "pressure"):
+            one, other = (sample(each.mesh, getattr(each, name), points, [region]) for each in (found, finer))
+            # Observed 0.01 to 0.24 % rms; of second order at 10 per wavelength, a third more unknowns, 0.04 to 1.1 %.
+            assert np.linalg.norm(one - other) < 3e-3 * np.linalg.norm(other), (region, name)
 
 
 def test_on_the_axis_nothing_moves_sideways_and_hoop_and_radial_stress_agree(found: Fields) -> None:

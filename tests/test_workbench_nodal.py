@@ -153,7 +153,8 @@ def test_interpolation_of_a_wave_gains_an_order_over_that_of_the_cells(order: in
 
 def test_a_raster_is_what_samples_are() -> None:
     mesh = two_layers(5, 4)
-    values = wave(mesh.points)
+    # A jump between the regions shows which of them a point on their border has its value from.
+    values = wave(mesh.points) + np.isin(np.arange(len(mesh.points)), mesh.nodes_of(["couplant"]))
     # Lines of the grid, the border of the regions and the outside among them.
     r, z = np.linspace(-0.1, 1.1, 61), np.array([-0.01, 0.0, 0.2, 0.37, 0.999, 1.0, 1.0007, 1.001, 1.2])
     points = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -352,6 +352,8 @@ def test_a_particle_that_does_not_arrive_is_said_so() -> None:
         axial_focus_time(forces, radius=0.0, start=0.2 * HEIGHT, stop=0.6 * HEIGHT)
     with pytest.raises(ValueError, match="lies outside region 'cavity'"):
         axial_focus_time(forces, radius=0.0, start=0.2 * HEIGHT, stop=1.2 * HEIGHT)
+    with pytest.raises(ValueError, match="10 points; expected an odd number"):
+        axial_focus_time(forces, radius=0.0, start=0.2 * HEIGHT, stop=0.4 * HEIGHT, points=10)
 
 
 def test_the_plane_wave_has_its_mean_energy_density() -> None:

@@ -159,6 +159,23 @@ def test_the_revolved_chip_shows_field_and_water(fields: Any, tmp_path: Path) ->
     assert dark_red > 0.05
     assert water > 0.005
     assert (flat > 0.99).all(axis=1).mean() > 0.2
+    # Upright: one looks into the cut from above, so the water at the axis is higher in the picture than at the rim.
+    rows, columns = np.nonzero((np.abs(picture[130:-180] - [0.749, 0.890, 0.949]) < 0.03).all(axis=2))
+    middle = np.abs(columns - columns.mean()) < 0.1 * np.ptp(columns)
+    rim = np.abs(columns - columns.mean()) > 0.4 * np.ptp(columns)
+    assert rows[middle].mean() < rows[rim].mean() - 50
+
+
+def test_a_swept_surface_turns_every_node_by_the_same_angles(fields: Any) -> None:
+    mesh = fields.mesh
+    edges = mesh.cells[:3, -1, :]
+    points, quads, nodes = solids._swept(mesh, edges, degrees=250.0)
+    np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), mesh.points[nodes, 0], rtol=1e-12)
+    np.testing.assert_array_equal(points[:, 2], mesh.points[nodes, 1])
+    # Four quadrilaterals an edge of order 4, and one more turn of points than of quadrilaterals.
+    assert len(quads) == 3 * 4 * (len(points) // len(np.unique(edges)) - 1)
+    turned = np.degrees(np.arctan2(points[quads, 1], points[quads, 0])) % 360.0
+    np.testing.assert_allclose(np.ptp(turned, axis=1), 2.0, rtol=1e-9)
 
 
 @needs_graphics

@@ -64,18 +64,23 @@ def lobatto_weights(order: int) -> Real:
 
 @lru_cache(maxsize=64)
 def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real]:
-    return polynomials(order, np.frombuffer(points).reshape(shape))
-
-
-def polynomials(order: int, x: Real) -> tuple[Real, Real]:
-    """The polynomials of [0, 1], each 1 at one Gauss-Lobatto node and 0 at the others, and their slopes, at points `x`
-    (...): two (order + 1, ...)."""
-    nodes = gauss_lobatto(order)
-    values, slopes = [], []
+    """:func:`polynomials` at some points, and their slopes: two (order + 1, *shape)."""
+    x, nodes = np.frombuffer(points).reshape(shape), gauss_lobatto(order)
+    slopes = []
     for node in range(order + 1):
         others = np.delete(nodes, node)
         gaps = x[..., None] - others
         scale = np.prod(nodes[node] - others)
-        values.append(np.prod(gaps, axis=-1) / scale)
         slopes.append(sum(np.prod(np.delete(gaps, k, axis=-1), axis=-1) for k in range(order)) / scale)
-    return np.array(values), np.array(slopes)
+    return polynomials(order, x), np.array(slopes)
+
+
+def polynomials(order: int, x: Real) -> Real:
+    """Values (order + 1, ...) at points `x` (...) of the polynomials of [0, 1] that are each 1 at one Gauss-Lobatto
+    node and 0 at the others."""
+    nodes = gauss_lobatto(order)
+    values = []
+    for node in range(order + 1):
+        others = np.delete(nodes, node)
+        values.append(np.prod(x[..., None] - others, axis=-1) / np.prod(nodes[node] - others))
+    return np.array(values)

@@ -172,7 +172,7 @@ def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
 
 def transfer(mesh: NodalMesh, values: NodalArray, finer: NodalMesh) -> NodalArray:
     """`values` (N, ...) of `mesh` at the nodes of `finer`, which :func:`raised` made of it: (N', ...)."""
-    weights = polynomials(mesh.order, gauss_lobatto(finer.order))[0]
+    weights = polynomials(mesh.order, gauss_lobatto(finer.order))
     (region,) = finer.regions
     inside = values[mesh.cells[mesh.cells_of([region])]]
     result = np.empty((len(finer.points), *values.shape[1:]), dtype=values.dtype)
@@ -287,7 +287,7 @@ def sample(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Seq
     cell, local = locate(mesh, points, regions)
     found = cell >= 0
     result = np.full((len(points), *values.shape[1:]), np.nan, dtype=np.result_type(values.dtype, float))
-    along_r, along_z = (polynomials(mesh.order, local[found, axis])[0] for axis in (0, 1))
+    along_r, along_z = (polynomials(mesh.order, local[found, axis]) for axis in (0, 1))
     result[found] = np.einsum("ik,jk,kij...->k...", along_r, along_z, values[mesh.cells[cell[found]]])
     return result
 
@@ -377,7 +377,7 @@ def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slic
     last = np.searchsorted(place, lines[1:] + slack, side="right")
     parts = []
     for begin, end, low, high in zip(first, last, lines[:-1], lines[1:], strict=True):
-        parts.append((slice(begin, end), polynomials(order, (place[begin:end] - low) / (high - low))[0]))
+        parts.append((slice(begin, end), polynomials(order, (place[begin:end] - low) / (high - low))))
     return parts
 
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.polynomial.legendre import legder, legval2d, legvander2d
 from numpy.typing import NDArray
-from scipy.integrate import simpson
 
 from workbench.nodal import FloatArray, NodalMesh, gradient, integrate, raised, raster, sample, transfer
 
@@ -468,8 +467,11 @@ def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, sto
     over an odd number of `points`.
 
     Raises:
-        ValueError: part of the way lies outside the region, or the force stops or turns before `stop`.
+        ValueError: part of the way lies outside the region, the force stops or turns before `stop`, or an even number
+            of points.
     """
+    if points < 3 or points % 2 == 0:
+        raise ValueError(f"{points} points; expected an odd number of 3 or more")
     height = np.linspace(start, stop, points)
     line = np.stack([np.full(points, radius), height], axis=1)
     net = force_at(forces, line)[:, 1] - net_weight(forces.particle, forces.fluid)
@@ -480,7 +482,10 @@ def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, sto
     if against.any():
         raise ValueError(f"the particle does not get from z = {start:.6g} m to {stop:.6g} m: at "
                          f"{height[against][0]:.6g} m the net force is {net[against][0]:.3g} N")
-    return float(simpson(drag_coefficient(forces.particle, forces.fluid) / net, x=height))
+    weights = np.full(points, 2.0)
+    weights[1::2], weights[[0, -1]] = 4.0, 1.0
+    step = (stop - start) / (points - 1)
+    return float(drag_coefficient(forces.particle, forces.fluid) * step / 3.0 * np.sum(weights / net))
 
 
 def focus_time(report: TrapReport) -> float | None:

@@ -10,15 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from workbench.nodal import FloatArray, IntArray, NodalMesh, borders, edge_nodes, raised, transfer
-from workbench.render.canvas import SIGNED_COLOURS, new_figure, photograph, prefixed, pyvista, role_colour, save
+from workbench.render.canvas import (
+    SIGNED_COLOURS,
+    Shape,
+    new_figure,
+    photograph,
+    prefixed,
+    role_colour,
+    save,
+    surface,
+    vtk_modules,
+)
 from workbench.render.sections import at_largest, phase_title
 
 if TYPE_CHECKING:
     from workbench.fields import Fields
 
 _WIDTH, _HEIGHT, _DOTS_PER_INCH = 10.0, 6.2, 140
-#: Order of the nodes between which colours are linear.
-_FINER = 8
+#: Order of the nodes between which colours are linear: a third of a cell apart, five dots of a picture.
+_FINER = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +48,12 @@ def read_stl(path: Path, *, metres_per_unit: float) -> Solid:
     """
     if not path.is_file():
         raise FileNotFoundError(f"no STL file at {path}")
-    surface = pyvista().read(path)
-    return Solid(path.stem, np.asarray(surface.points, dtype=float) * metres_per_unit, surface.regular_faces)
+    (files,) = vtk_modules("vtkIOGeometry")
+    reader = files.vtkSTLReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    points, triangles = _arrays(reader.GetOutput(), 3)
+    return Solid(path.stem, points * metres_per_unit, triangles)
 
 
 def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path:
@@ -48,6 +62,10 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
 
     Drawn at the phase at which u_z is largest. Writes `path`.
     """
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
     mesh = fields.mesh
     values, phase = at_largest(fields.displacement[:, 1])
     largest = float(np.nanmax(np.abs(values)))
@@ -57,30 +75,29 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
                     for field in (values, fields.pressure))
     there = [name for name, *any_of in zip(mesh.regions, solid, fluid, strict=True) if any(any_of)]
 
-    def arrange(plotter: Any) -> None:
-        # The cut faces are unlit, so that their colours are those of the colour bar.
-        coloured = {"scalars": "value", "cmap": SIGNED_COLOURS, "clim": limits, "show_scalar_bar": False}
-        skin = borders(mesh, np.where(np.isin(mesh.region, [mesh.regions.index(name) for name in there]), 0, -1))
-        for index, name in enumerate(mesh.regions):
-            if name not in there:
-                continue
-            finer = raised(mesh, _FINER, name)
-            shown = transfer(mesh, values * factor, finer)
-            look = {"color": role_colour("cavity")} if fluid[index] else coloured
-            plotter.add_mesh(_cut_faces(finer, degrees=degrees, values=shown), lighting=False, **look)
-            number = np.cumsum(mesh.region == index) - 1
-            edges = np.concatenate([edge_nodes(finer, side, number[cells[mesh.region[cells] == index]])
-                                    for side, cells in skin])
-            if len(edges):
-                swept = _swept(finer, edges, degrees=degrees, values=shown)
-                plotter.add_mesh(swept, ambient=0.6, diffuse=0.42, **look)
-        plotter.add_mesh(_section_outlines(mesh, degrees), color="#303030", line_width=1.0, lighting=False)
-        _look_from(plotter, azimuth=(degrees + 360.0) / 2.0, elevation=24.0, zoom=2.3)
-
-    picture = photograph(arrange, width=round(_WIDTH * _DOTS_PER_INCH), height=round(0.74 * _HEIGHT * _DOTS_PER_INCH))
+    shades, scale = colormaps[SIGNED_COLOURS], Normalize(*limits)
+    # The cut faces are unlit, so that their colours are those of the colour bar.
+    shapes = [Shape(*_section_outlines(mesh, degrees), "#303030")]
+    skin = borders(mesh, np.where(np.isin(mesh.region, [mesh.regions.index(name) for name in there]), 0, -1))
+    for index, name in enumerate(mesh.regions):
+        if name not in there:
+            continue
+        finer = raised(mesh, _FINER, name)
+        colours = shades(scale(transfer(mesh, values * factor, finer)), bytes=True)[:, :3]
+        plain = role_colour("cavity") if fluid[index] else None
+        points, cells = _cut_faces(finer, degrees=degrees)
+        shapes.append(Shape(points, cells, plain or np.tile(colours, (2, 1))))
+        number = np.cumsum(mesh.region == index) - 1
+        edges = np.concatenate([edge_nodes(finer, side, number[cells[mesh.region[cells] == index]])
+                                for side, cells in skin])
+        if len(edges):
+            points, cells, nodes = _swept(finer, edges, degrees=degrees)
+            shapes.append(Shape(points, cells, plain or colours[nodes], light=(0.6, 0.42, 0.0)))
+    picture = photograph(shapes, azimuth=(degrees + 360.0) / 2.0, elevation=24.0, zoom=2.3,
+                         width=round(_WIDTH * _DOTS_PER_INCH), height=round(0.74 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
     axes = figure.add_axes((0.0, 0.15, 1.0, 0.74))
-    axes.imshow(picture)
+    axes.imshow(picture, interpolation="nearest")
     axes.axis("off")
     axes.set_title(
         f"{phase_title(fields, phase)}; "
@@ -89,10 +106,7 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
         fontsize=11,
     )
     bar = figure.add_axes((0.3, 0.1, 0.4, 0.025))
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    figure.colorbar(ScalarMappable(Normalize(*limits), SIGNED_COLOURS), cax=bar, orientation="horizontal")
+    figure.colorbar(ScalarMappable(scale, shades), cax=bar, orientation="horizontal")
     bar.set_xlabel(f"axial displacement $u_z$ ({unit})", fontsize=11)
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
@@ -114,26 +128,21 @@ def draw_solids(
     from matplotlib.patches import Patch
 
     colours = [role_colour(solid.name) for solid in solids]
-    module = pyvista()
-
-    def arrange(plotter: Any) -> None:
-        for index, (solid, colour) in enumerate(zip(solids, colours, strict=True)):
-            lifted = solid.vertices + np.array([0.0, 0.0, explode * index])
-            surface = module.PolyData.from_regular_faces(lifted, solid.triangles)
-            if cut_open:
-                surface = surface.clean().clip_closed_surface(normal=(0.0, 1.0, 0.0), origin=(0.0, 0.0, 0.0))
-            plotter.add_mesh(surface, color=colour, opacity=opacity, ambient=0.3, diffuse=0.7, specular=0.15)
-            # Edges where faces meet at an angle show the shape; the triangles would hide it.
-            edges = surface.clean().extract_feature_edges(feature_angle=25.0)
-            if edges.n_cells:
-                plotter.add_mesh(edges, color="#303030", line_width=1.2, lighting=False)
-        _look_from(plotter, azimuth=-75.0 if cut_open else -60.0, elevation=28.0, zoom=1.3)
-
-    width, height = round(0.8 * _WIDTH * _DOTS_PER_INCH), round(0.9 * _HEIGHT * _DOTS_PER_INCH)
-    picture = photograph(arrange, width=width, height=height)
+    shapes = []
+    for index, (solid, colour) in enumerate(zip(solids, colours, strict=True)):
+        body = surface(solid.vertices + np.array([0.0, 0.0, explode * index]), solid.triangles)
+        if cut_open:
+            body = _halved(body)
+        shapes.append(Shape(*_arrays(body, 3), colour, light=(0.3, 0.7, 0.15), opacity=opacity))
+        # Edges where faces meet at an angle show the shape; the triangles would hide it.
+        points, edges = _arrays(_sharp_edges(body), 2)
+        if len(edges):
+            shapes.append(Shape(points, edges, "#303030", width=1.2))
+    picture = photograph(shapes, azimuth=-75.0 if cut_open else -60.0, elevation=28.0, zoom=1.3,
+                         width=round(0.8 * _WIDTH * _DOTS_PER_INCH), height=round(0.9 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
     axes = figure.add_axes((0.0, 0.0, 0.8, 0.9))
-    axes.imshow(picture)
+    axes.imshow(picture, interpolation="nearest")
     axes.axis("off")
     span = np.concatenate([solid.vertices for solid in solids])
     size = " × ".join(f"{1e3 * extent:.3g}" for extent in np.ptp(span, axis=0))
@@ -144,14 +153,48 @@ def draw_solids(
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
-def _look_from(plotter: Any, *, azimuth: float, elevation: float, zoom: float) -> None:
-    """Parallel projection from `azimuth` (degrees from +x, about z) and `elevation`, everything in view."""
-    turn, rise = np.radians(azimuth), np.radians(elevation)
-    direction = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
-    plotter.camera.parallel_projection = True
-    plotter.view_vector(direction, viewup=(0.0, 0.0, 1.0))
-    plotter.reset_camera()
-    plotter.camera.zoom(zoom)
+def _arrays(data: Any, corners: int) -> tuple[FloatArray, IntArray]:
+    """Points (N, 3) and triangles (M, 3) of a vtkPolyData, or its lines (M, 2)."""
+    (support,) = vtk_modules("util.numpy_support")
+    if not data.GetNumberOfPoints():
+        return np.empty((0, 3)), np.empty((0, corners), dtype=np.int64)
+    cells = (data.GetLines() if corners == 2 else data.GetPolys()).GetConnectivityArray()
+    numbers = support.vtk_to_numpy(cells).astype(np.int64).reshape(-1, corners)
+    return support.vtk_to_numpy(data.GetPoints().GetData()).astype(float), numbers
+
+
+def _clean(data: Any) -> Any:
+    """`data` with every point once, as files of triangles do not have it."""
+    (filters,) = vtk_modules("vtkFiltersCore")
+    merge = filters.vtkCleanPolyData()
+    merge.SetInputData(data)
+    merge.Update()
+    return merge.GetOutput()
+
+
+def _halved(data: Any) -> Any:
+    """The half of a closed surface behind the plane y = 0, closed there, in triangles."""
+    model, general = vtk_modules("vtkCommonDataModel", "vtkFiltersGeneral")
+    plane, planes, clip = model.vtkPlane(), model.vtkPlaneCollection(), general.vtkClipClosedSurface()
+    plane.SetOrigin(0.0, 0.0, 0.0)
+    plane.SetNormal(0.0, 1.0, 0.0)
+    planes.AddItem(plane)
+    clip.SetInputData(_clean(data))
+    clip.SetClippingPlanes(planes)
+    clip.Update()
+    return clip.GetOutput()
+
+
+def _sharp_edges(data: Any) -> Any:
+    """Lines where faces meet at more than 25 degrees, or at none."""
+    (filters,) = vtk_modules("vtkFiltersCore")
+    edges = filters.vtkFeatureEdges()
+    edges.SetInputData(_clean(data))
+    edges.SetFeatureAngle(25.0)
+    edges.ManifoldEdgesOff()
+    edges.ColoringOff()
+    edges.Update()
+    return edges.GetOutput()
 
 
 def _turned(points: FloatArray, angle: float) -> FloatArray:
@@ -159,21 +202,20 @@ def _turned(points: FloatArray, angle: float) -> FloatArray:
     return np.column_stack([points[:, 0] * np.cos(angle), points[:, 0] * np.sin(angle), points[:, 1]])
 
 
-def _cut_faces(mesh: NodalMesh, *, degrees: float, values: FloatArray) -> Any:
-    """The cells of `mesh` on the two faces of the cut, one quadrilateral between four nodes, with point array "value".
+def _cut_faces(mesh: NodalMesh, *, degrees: float) -> tuple[FloatArray, IntArray]:
+    """Points and quadrilaterals, one between four nodes, of the cells of `mesh` on the two faces of the cut.
+
+    The points are the nodes of the mesh, twice.
     """
     cells = mesh.cells
     quads = np.stack([cells[:, :-1, :-1], cells[:, 1:, :-1], cells[:, 1:, 1:], cells[:, :-1, 1:]], axis=-1)
-    quads = quads.reshape(-1, 4)
-    both = np.concatenate([quads, quads + len(mesh.points)])
-    faces = pyvista().PolyData.from_regular_faces(
-        np.concatenate([_turned(mesh.points, angle) for angle in (0.0, np.radians(degrees))]), both)
-    faces.point_data["value"] = np.tile(values, 2)
-    return faces
+    points = [_turned(mesh.points, angle) for angle in (0.0, np.radians(degrees))]
+    return np.concatenate(points), np.concatenate([quads, quads + len(mesh.points)]).reshape(-1, 4)
 
 
-def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float, values: FloatArray) -> Any:
-    """The surface swept by `edges` (L, k), lines through k nodes, with point array "value"."""
+def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float) -> tuple[FloatArray, IntArray, IntArray]:
+    """Points and quadrilaterals of the surface swept by `edges` (L, k), lines through k nodes, and the node of every
+    point."""
     nodes, numbers = np.unique(edges, return_inverse=True)
     numbers = numbers.reshape(edges.shape)
     turns = np.radians(np.linspace(0.0, degrees, round(degrees / 2.0) + 1))
@@ -181,13 +223,11 @@ def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float, values: FloatArr
     first = np.arange(len(turns) - 1)[:, None, None] * len(nodes) + numbers
     quads = np.stack([first[:, :, :-1], first[:, :, 1:], first[:, :, 1:] + len(nodes), first[:, :, :-1] + len(nodes)],
                      axis=-1).reshape(-1, 4)
-    surface = pyvista().PolyData.from_regular_faces(points, quads)
-    surface.point_data["value"] = np.tile(values[nodes], len(turns))
-    return surface
+    return points, quads, np.tile(nodes, len(turns))
 
 
-def _section_outlines(mesh: NodalMesh, degrees: float) -> Any:
-    """The outlines of the regions on the two cut faces, a hair in front of them."""
+def _section_outlines(mesh: NodalMesh, degrees: float) -> tuple[FloatArray, IntArray]:
+    """Points and lines of the outlines of the regions on the two cut faces, a hair in front of them."""
     edges = np.concatenate([edge_nodes(mesh, side, cells)[:, [0, -1]] for side, cells in borders(mesh, mesh.region)])
     pieces = mesh.points[edges].reshape(-1, 2)
     front = 1e-3 * mesh.points[:, 0].max()
@@ -195,6 +235,4 @@ def _section_outlines(mesh: NodalMesh, degrees: float) -> Any:
     for angle, side in ((0.0, -1.0), (np.radians(degrees), 1.0)):
         normal = side * front * np.array([-np.sin(angle), np.cos(angle), 0.0])
         points.append(_turned(pieces, angle) + normal)
-    count = 2 * len(edges)
-    links = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)]).ravel()
-    return pyvista().PolyData(np.concatenate(points), lines=links)
+    return np.concatenate(points), np.arange(4 * len(edges)).reshape(-1, 2)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from inputs import replacing
 from workbench.elements import Lagrange, polynomials
 from workbench.nodal import NodalMesh
-from workbench.render.canvas import pyvista
 
 if TYPE_CHECKING:
     from workbench.fields import Fields
@@ -40,10 +39,11 @@ def write_vtu(fields: Fields, path: Path) -> Path:
         "displacement": fields.displacement, "potential": fields.potential, "pressure": fields.pressure,
         "velocity": fields.velocity, "stress": fields.stress, "energy_density": fields.energy_density,
     }
-    module = pyvista()
+    import pyvista
+
     flat = np.column_stack([_equally_spaced(mesh, mesh.points), np.zeros(len(mesh.points))])
     along_r, along_z = np.array(Lagrange(mesh.order).indices).T
-    grid = module.UnstructuredGrid({module.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
+    grid = pyvista.UnstructuredGrid({pyvista.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
     for name, at_nodes in arrays.items():
         # A field that lives nowhere has no range, which makes readers complain.
         if np.isnan(at_nodes).all():
@@ -65,7 +65,7 @@ def write_vtu(fields: Fields, path: Path) -> Path:
 
 def _equally_spaced(mesh: NodalMesh, values: NDArray[Any]) -> NDArray[Any]:
     """The interpolant of nodal `values` (N, ...) at as many points, equally spaced in every cell: (N, ...)."""
-    weights = polynomials(mesh.order, np.linspace(0.0, 1.0, mesh.order + 1))[0]
+    weights = polynomials(mesh.order, np.linspace(0.0, 1.0, mesh.order + 1))
     result = np.empty_like(values)
     # Cells agree on the nodes they share: what an edge holds depends on its own nodes alone.
     result[mesh.cells] = np.einsum("ia,jb,mij...->mab...", weights, weights, values[mesh.cells], optimize=True)
