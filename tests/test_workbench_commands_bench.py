@@ -202,7 +202,7 @@ def test_simulate_a_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     chip = Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml"
-    options = ["--from", "0.95 MHz", "--to", "1.05 MHz", "--accuracy", "0.5 %"]
+    options = ["--from", "0.95 MHz", "--to", "1.05 MHz", "--accuracy", "0.05 %"]
     made: list[object] = []
 
     def keep(device: object, **_settings: object) -> SimulatedBench:

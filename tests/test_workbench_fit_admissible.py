@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import quadratic
 
 from geometry.chip import Chip
 from inputs import InputError
@@ -38,7 +37,7 @@ def stack(
     found = reference_materials("chip_filled")
     names = {"transducer": PZT, "couplant": "gel/test", "substrate": PLA}
     return meshed(chip, {region: replace(found[region], name=name) for region, name in names.items()},
-                  accuracy=quadratic(1.0))
+                  elements_per_wavelength=1.0)
 
 
 def free(problem: Problem, material: str, *names: str) -> tuple[Parameter, ...]:

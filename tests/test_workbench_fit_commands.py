@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import DISC, STACK, check_report, quadratic, standard_json
+from support import DISC, STACK, check_report, standard_json
 
 from geometry.chip import read_chip
 from materials import Registry
@@ -29,7 +29,7 @@ SMALL = ["--accuracy", "0.5 %", "--tries", "0"]
 def record_of(path: Path, changes: dict[str, float], name: str, *, points: int = 41) -> Path:
     """A recording of the chip whose coefficients are off by factors, beside its file."""
     chip = read_chip(path)
-    problem = build(chip, "default", Registry(), accuracy=quadratic(3.0))
+    problem = build(chip, "default", Registry(), accuracy=5e-3)
     values = {**problem.values, **{key: factor * problem.values[key] for key, factor in changes.items()}}
     frequency = np.linspace(300e3, 450e3, points)
     solution = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-6).solve(frequency, values)
