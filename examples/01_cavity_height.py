@@ -17,7 +17,7 @@ heights = np.linspace(0.68e-3, 0.76e-3, 5)
 found = {}
 for height in heights:
     changed = replace(chip.with_dimensions({"sidewall.thickness": height}), name=f"{height * 1e3:.2f} mm")
-    found[changed.name] = simulate(changed, "filled", elements_per_wavelength=6.0, points=241)
+    found[changed.name] = simulate(changed, "filled", accuracy=5e-3, points=241)
     merit = found[changed.name].figures
     print(f"height {changed.name}: " + (f"f0 {merit.f0 / 1e6:.4f} MHz, Z_min {merit.z_min:.2f} ohm, Q {merit.q:.0f}"
                                         if merit else "no resonance in the band"))

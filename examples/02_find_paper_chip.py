@@ -38,15 +38,15 @@ TARGET = {"empty": (1028.6e3, 3.24, 114.29), "filled": (1030.6e3, 4.04, 103.06)}
 #: What counts as one unit of disagreement: 0.5 kHz, 5 %, 5 %.
 SCALE = (500.0, 0.05, 0.05)
 BAND = (1.005e6, 1.055e6)
-#: Elements per wavelength of the sample and of the last steps (3 leaves 5 % in Q, 6 leaves 0.5 %).
-COARSE, FINE = 3.0, 6.0
+#: Accuracy of Z of the sample and of the last steps.
+COARSE, FINE = 5e-3, 5e-4
 
 
-def evaluate(chip: Chip, elements_per_wavelength: float) -> dict[str, tuple[float, float, float]]:
+def evaluate(chip: Chip, accuracy: float) -> dict[str, tuple[float, float, float]]:
     """f0, Z_min and Q of both states."""
     found = {}
     for state in TARGET:
-        problem = build(chip, state, Registry(), band=BAND, elements_per_wavelength=elements_per_wavelength)
+        problem = build(chip, state, Registry(), band=BAND, accuracy=accuracy)
         frequencies = np.arange(BAND[0], BAND[1] + 1.0, 250.0)
         model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=1e-4, first=2)
         spectrum = Spectrum.from_solver(frequencies, model.solve(frequencies, problem.values).impedance)
@@ -75,13 +75,13 @@ class Search:
             with path.open() as stream:
                 self.known = {tuple(row[:7]): np.array(row[7:13], dtype=float) for row in csv.reader(stream)}
 
-    def __call__(self, point: np.ndarray, elements_per_wavelength: float) -> np.ndarray:
+    def __call__(self, point: np.ndarray, accuracy: float) -> np.ndarray:
         """The six differences at `point` (metres, in the order of :data:`RANGES`); 100 each where it is no chip."""
-        key = (f"{elements_per_wavelength:g}", *(f"{x:.5e}" for x in point))
+        key = (f"{accuracy:g}", *(f"{x:.5e}" for x in point))
         if key not in self.known:
             try:
                 chip = chip_with(self.start, dict(zip(RANGES, point, strict=True)))
-                self.known[key] = differences(evaluate(chip, elements_per_wavelength))
+                self.known[key] = differences(evaluate(chip, accuracy))
             except (InputError, NoResonance):
                 self.known[key] = np.full(6, 100.0)
             with self.path.open("a") as stream:

@@ -38,9 +38,9 @@ from materials.registry import Registry
 FILES = Path(__file__).resolve().parent / "whole_way"
 WORKBENCH = (sys.executable, "-P", "-m", "workbench.cli")
 
-#: The bench's mesh is finer than those of the fits (its fields are of the fourth order besides, theirs of the second)
-#: and of the diagnosis, so that these have to do with an error of their own mesh.
-FINER = ("--elements-per-wavelength", "4")
+#: The bench's mesh is finer than those of the fits and of the diagnosis, so that these have to do with an error of
+#: their own mesh.
+FINER = ("--accuracy", "0.02 %")
 
 #: Of the converter, in steps: what recordings of real oscilloscopes of the series show.
 NOISE = ("--noise", "0.6")

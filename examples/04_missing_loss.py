@@ -61,8 +61,8 @@ WORST, ABOUT = 4, 0.08
 CHECKED = 2
 #: A drawn chip is like the measured one if its f0, filled, is as close (Hz) and its Q within this factor.
 LIKE_F0, LIKE_Q = 6e3, 1.5
-#: Elements per wavelength: of the draws, and what the chip as reproduced is checked with.
-COARSE, FINE = 3.0, 6.0
+#: Accuracy of Z that the mesh is made for: of the draws, and what the chip as reproduced is checked with.
+COARSE, FINE = 5e-3, 5e-4
 #: Of the reduced model's impedance, relative. The estimate is some ten times the error, and differences see less of it.
 TOLERANCE = 1e-3
 
@@ -135,11 +135,11 @@ def reduced(problem: Problem, frequencies: Real = FREQUENCIES) -> Model:
                                  confirmed=False), frequencies)
 
 
-def model_of(chip: Chip, state: str, *, elements_per_wavelength: float, changed: Mapping[str, complex] | None = None
+def model_of(chip: Chip, state: str, *, accuracy: float, changed: Mapping[str, complex] | None = None
              ) -> Model:
     """The model of a chip with boundary layers in its cavity, some parameters of the fluid `changed`."""
     problem = build(chip, state, Registry(), band=(float(FREQUENCIES[0]), float(FREQUENCIES[-1])),
-                    elements_per_wavelength=elements_per_wavelength)
+                    accuracy=accuracy)
     name = problem.materials[CAVITY].name
     problem = with_boundary_layers(problem)
     return reduced(problem.with_values({f"{name}.{key}": value for key, value in (changed or {}).items()}))
@@ -257,19 +257,19 @@ def instead(chip: Chip, wanted: Gaps, start: Mapping[str, Figures]) -> Iterator[
     `start` holds the figures of both states with nothing changed. What closes no gap within its range is left out.
     """
     height = chip.dimensions()["sidewall.thickness"].value
-    fluid = fluid_of(build(chip, "filled", Registry(), elements_per_wavelength=COARSE))
+    fluid = fluid_of(build(chip, "filled", Registry(), accuracy=COARSE))
     omega = 2.0 * math.pi * start["filled"].f0
 
     @cache
     def higher(state: str, amount: float) -> Figures:
         made = chip.with_dimensions({"sidewall.thickness": height + amount})
-        return model_of(made, state, elements_per_wavelength=COARSE).figures({})
+        return model_of(made, state, accuracy=COARSE).figures({})
 
     @cache
     def liquid(faster: float, loss: float) -> Figures:
         changed = {"sound_speed": complex(fluid.sound_speed * (1.0 + faster)), "diffusivity_of_sound": complex(
             (loss_tangent(fluid, start["filled"].f0) + loss) * fluid.sound_speed**2 / omega)}
-        return model_of(chip, "filled", elements_per_wavelength=COARSE, changed=changed).figures({})
+        return model_of(chip, "filled", accuracy=COARSE, changed=changed).figures({})
 
     def shift_missing(filled: Figures, empty: Figures) -> float:
         return filled.f0 - empty.f0 - (start["filled"].f0 - start["empty"].f0 + wanted.shift)
@@ -328,12 +328,12 @@ class Draw:
         return 0.0 if self.found is None else max(map(abs, layers_of(self.found)))
 
 
-def draw(chip: Chip, point: Real, *, second: bool, elements_per_wavelength: float = COARSE) -> Draw:
+def draw(chip: Chip, point: Real, *, second: bool, accuracy: float = COARSE) -> Draw:
     """The chip at a `point` (7,) of the unit cube over :data:`RANGES`."""
     low, high = np.array(list(RANGES.values())).T
     lengths = {name: float(x) for name, x in zip(RANGES, low + point * (high - low), strict=True)}
     made = chip_with(chip, lengths)
-    model = model_of(made, "filled", elements_per_wavelength=elements_per_wavelength)
+    model = model_of(made, "filled", accuracy=accuracy)
     try:
         found = break_down(model)
     except NoResonance:
@@ -382,18 +382,18 @@ def reproduced(chip: Chip, wanted: Gaps) -> tuple[list[str], list[tuple[str, ...
     lines: list[str] = []
     rows: list[tuple[str, ...]] = []
     budget: dict[str, float] = {}
-    for state, density in (("filled", COARSE), ("filled", FINE), ("empty", COARSE)):
-        model = model_of(chip, state, elements_per_wavelength=density)
+    for state, accuracy in (("filled", COARSE), ("filled", FINE), ("empty", COARSE)):
+        model = model_of(chip, state, accuracy=accuracy)
         found = break_down(model)
         merit = found.figures
         for cause, part in found.parts.items():
-            rows.append((state, f"{density:g}", cause, f"{part.f0:+.2f}", f"{part.inverse_q:+.2e}",
+            rows.append((state, f"{100 * accuracy:g} %", cause, f"{part.f0:+.2f}", f"{part.inverse_q:+.2e}",
                          f"{part.dissipated:.2e}", f"{100 * part.largest / wanted.inverse_q['filled']:.3f} %"))
             say("  ".join(rows[-1]))
-        lines.append(say(f"{state}, {density:g} elements per wavelength: f0 {merit.f0 / 1e3:.2f} kHz, Z_min "
+        lines.append(say(f"{state}, mesh of {100 * accuracy:g} %: f0 {merit.f0 / 1e3:.2f} kHz, Z_min "
                          f"{merit.z_min:.2f} ohm, Q {merit.q:.1f}; the fluid holds "
                          f"{100 * found.fluid_share:.2g} % of the energy"))
-        if (state, density) == ("filled", FINE):
+        if (state, accuracy) == ("filled", FINE):
             budget, closure = loss_budget(model.solution(merit.f0), 5.0)
             total = sum(budget.values())
             ranked = sorted(budget.items(), key=lambda item: -item[1])
@@ -410,7 +410,7 @@ def reproduced(chip: Chip, wanted: Gaps) -> tuple[list[str], list[tuple[str, ...
 
 def closing_rows(chip: Chip, wanted: Gaps) -> list[tuple[str, ...]]:
     """What closes one gap each, and what that does to the figures of both states."""
-    start = {state: model_of(chip, state, elements_per_wavelength=COARSE).figures({}) for state in STATES}
+    start = {state: model_of(chip, state, accuracy=COARSE).figures({}) for state in STATES}
     rows = []
     for one in instead(chip, wanted, start):
         cells = []
@@ -441,7 +441,7 @@ def bound(chip: Chip, results: Sequence[Draw], wanted: Gaps) -> tuple[str, list[
     for measure, text in enumerate(("the spectrum", "the dissipated power")):
         order = np.argsort([-abs(layers_of(found)[measure]) for _, found in resonant])
         for one, found in (resonant[k] for k in order[:CHECKED]):
-            fine = break_down(model_of(chip_with(chip, one.lengths), "filled", elements_per_wavelength=FINE))
+            fine = break_down(model_of(chip_with(chip, one.lengths), "filled", accuracy=FINE))
             largest[measure] = max(largest[measure], *(abs(layers_of(f)[measure]) for f in (found, fine)))
             lines.append(say(
                 f"largest by {text}: f0 {found.figures.f0 / 1e3:.1f} kHz, Z_min {found.figures.z_min:.1f} ohm, Q "
@@ -544,7 +544,7 @@ def report(
     page = write_report(out / "report.html", "Is the missing loss thermoviscous?", [
         ("Answer", [Note(answer), Picture(histogram, "Contribution of the boundary layers in every chip drawn.")]),
         ("The chip as reproduced", [
-            Table(("state", "elements per wavelength", "cause", "f0 (Hz)", "1/Q, spectrum", "1/Q, dissipated",
+            Table(("state", "accuracy of the mesh", "cause", "f0 (Hz)", "1/Q, spectrum", "1/Q, dissipated",
                    "of the gap"), tuple(rows)),
             Picture(losses, "Where the power goes, from a solution at f0.")]),
         ("What would close a gap", [Table(("changed", "by", "empty", "filled"), tuple(closing))]),

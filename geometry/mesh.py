@@ -5,9 +5,8 @@ by construction. Each interval between two breaks is divided into panels of elem
 rectangle of panels is one transfinite, recombined surface of gmsh. Quadrilaterals with straight sides describe such a
 section exactly, so the mesh has first-order geometry whatever the order of the fields on it.
 
-Element size: at most a tenth of the slowest wavelength at the highest frequency with second-order fields
-(Acevedo-Espinosa et al. (RP-UEIS), section 3.2), finer towards the rims of the cavity and of the couplant, where a
-fluid meets two solids.
+Element size: a share of the slowest wavelength at the highest frequency, in every row and in every column that of the
+slowest region in it; smaller towards the corners in which fields are singular.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from threading import RLock
 from types import ModuleType
 
 import numpy as np
@@ -35,10 +35,12 @@ from geometry.section import VOID, Section, boundary_name
 from inputs import InputError, nearest_names, replacing
 
 #: Part of the key of a cached mesh: raise it whenever the same section and size would give another mesh.
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 
-#: Regions with these roles hold a fluid as a rule; the mesh is refined towards their rims.
-RIM_ROLES = (CAVITY, "couplant")
+COUPLANT = "couplant"
+
+#: Regions with these roles hold a fluid, or nothing.
+FLUID_ROLES = (CAVITY, COUPLANT)
 
 #: Agreement demanded between a region of the mesh and the section's own arithmetic, relative. Rounding accumulates to
 #: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
@@ -55,19 +57,20 @@ class MeshSize:
 
     ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` where nothing propagates (a
     vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
-    ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: size of the elements at
-    the rims of cavity and couplant relative to the others; 1 leaves them alike. ``growth``: largest ratio between
-    neighbouring elements from there on, in a panel long enough to choose it. ``skins``: regions that have a row of
-    elements of its own at either face, and the share of the thickness that it takes.
+    ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: largest size of the
+    elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube
+    at the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
+    ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
+    takes.
     """
 
     slowest_wave: Mapping[str, float]
     frequency_max: float
-    elements_per_wavelength: float = 10.0
-    order: int = 2
-    minimum_through_thickness: int = 2
-    corner_refinement: float = 0.5
-    growth: float = 1.2
+    elements_per_wavelength: float
+    order: int
+    minimum_through_thickness: int = 1
+    corner_refinement: float = 1.0
+    growth: float = 4.0
     skins: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -187,6 +190,10 @@ def user_cache() -> Path:
     return (Path(root) if root else Path.home() / ".cache") / "acoustofluidic-chip-workbench" / "meshes"
 
 
+#: gmsh is one session for the whole process: threads take turns.
+_TURN = RLock()
+
+
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
     """gmsh, started with its own defaults and shut down on leaving, error or not.
@@ -201,14 +208,15 @@ def gmsh_session() -> Iterator[ModuleType]:
         import gmsh
     except (ImportError, OSError) as error:
         raise MeshError(f"meshing needs gmsh and its system libraries: {error}") from error
-    if gmsh.isInitialized():
-        raise MeshError("a gmsh session is open already; close it before meshing a section")
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        yield gmsh
-    finally:
-        gmsh.finalize()
+    with _TURN:
+        if gmsh.isInitialized():
+            raise MeshError("a gmsh session is open already; close it before meshing a section")
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            yield gmsh
+        finally:
+            gmsh.finalize()
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -235,63 +243,63 @@ class _Panel:
 
 
 def _panels(
-    breaks: tuple[float, ...], largest: NDArray[np.float64], refined_breaks: set[float], *, size: MeshSize,
+    breaks: tuple[float, ...], largest: NDArray[np.float64], graded: Mapping[float, float], *, size: MeshSize,
     minimum: int, cuts: Sequence[float] = (),
 ) -> list[_Panel]:
     """Panels of the intervals between `breaks`, with elements no longer than `largest` (one value an interval).
 
-    There is a line of nodes at each of the `cuts` too.
+    They are graded towards the breaks in `graded`, to elements of that share of the largest. There is a line of nodes
+    at each of the `cuts` too.
     """
     panels: list[_Panel] = []
     for i, (start, end, limit) in enumerate(zip(breaks, breaks[1:], largest, strict=False)):
         inner = [cut for cut in sorted(cuts) if start < cut < end]
         for low, high in pairwise([start, *inner, end]):
-            ends = (low in refined_breaks, high in refined_breaks)
-            lengths, counts, ratios = _divide(high - low, limit, ends, size, 1 if inner else minimum)
+            ends = (graded.get(low, 1.0), graded.get(high, 1.0))
+            lengths, counts, ratios = _divide(high - low, limit, ends, size.growth, 1 if inner else minimum)
             knots = low + np.concatenate([[0.0], np.cumsum(lengths)])
             knots[-1] = high
-            panels += [_Panel(i, float(a), float(b), n, q)
-                       for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False)]
+            for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False):
+                panel = _Panel(i, float(a), float(b), n, q)
+                # gmsh places the nodes of a steeply graded line by numerical integration, too roughly for the smallest.
+                nodes = [panel.start, panel.end] if q == 1.0 else panel.nodes().tolist()
+                panels += [_Panel(i, low, high, n if q == 1.0 else 1, 1.0) for low, high in pairwise(nodes)]
     return panels
 
 
 def _divide(
-    length: float, largest: float, graded: tuple[bool, bool], size: MeshSize, minimum: int
+    length: float, largest: float, ends: tuple[float, float], growth: float, minimum: int
 ) -> tuple[list[float], list[int], list[float]]:
     """Lengths, counts and ratios of the panels of one interval.
 
-    A graded end begins with elements of ``corner_refinement`` times the regular size, which grow towards the middle by
-    at most ``growth``. An interval too short for that is graded over its whole length.
+    The interval is divided into equal parts no longer than `largest`, `minimum` at least. A part next to a graded end,
+    half of it where it is next to both, is divided again: from an element no longer than so much of `largest` as `ends`
+    say on they grow by `growth`. An end of 1 is not graded.
     """
-    refinement = size.corner_refinement
-    sides = sum(graded) if refinement < 1.0 else 0
-    if sides == 0:
-        return [length], [max(minimum, _ceiling(length / largest))], [1.0]
-    growing = math.ceil(math.log(1.0 / refinement) / math.log(size.growth))
-    ratio = refinement ** (-1.0 / growing)
-    zone = refinement * largest * sum(ratio**k for k in range(growing))
-    middle = length - sides * zone
-    if middle >= largest:
-        regular = max(_ceiling(middle / largest), minimum - sides * growing)
-        pieces = (
-            [(zone, growing, ratio)] * graded[0] + [(middle, regular, 1.0)] + [(zone, growing, 1 / ratio)] * graded[1]
-        )
-    else:
-        part = length / sides
-        count = -(-minimum // sides)
-        while (count == 1 and part > refinement * largest) or (
-            count > 1 and _longest(part, count, refinement) > largest
-        ):
-            count += 1
-        total = refinement ** (-1.0 / (count - 1)) if count > 1 else 1.0
-        pieces = [(part, count, total)] * graded[0] + [(part, count, 1 / total)] * graded[1]
+    parts = max(minimum, _ceiling(length / largest))
+    share = 0.5 if parts == 1 and max(ends) < 1.0 else 1.0
+    piece = share * length / parts
+    first, last = (_graded(piece, end * largest, growth) if end < 1.0 else 1 for end in ends)
+    if first == last == 1:  # too thin to be graded, or not to be
+        return [length], [parts], [1.0]
+    # A half that is too thin stays one element.
+    graded = (first > 1 or share < 1.0, last > 1 or share < 1.0)
+    rest = round(parts - share * sum(graded))
+    pieces = [(piece, first, growth)] * graded[0]
+    pieces += [(length - sum(graded) * piece, rest, 1.0)] * (rest > 0)
+    pieces += [(piece, last, 1.0 / growth)] * graded[1]
     lengths, counts, ratios = zip(*pieces, strict=True)
     return list(lengths), list(counts), list(ratios)
 
 
-def _longest(length: float, count: int, refinement: float) -> float:
-    """Longest of `count` elements in geometric progression whose shortest is `refinement` times as long."""
-    return length / float(sum(refinement ** (k / (count - 1)) for k in range(count)))
+def _graded(length: float, smallest: float, growth: float) -> int:
+    """How many elements, each `growth` times as long as the one before, divide a length so that the first is no longer
+    than `smallest`."""
+    count, total = 1, 1.0
+    while length / total > smallest * (1.0 + 1e-12):
+        total += growth**count
+        count += 1
+    return count
 
 
 def _ceiling(quotient: float) -> int:
@@ -299,18 +307,29 @@ def _ceiling(quotient: float) -> int:
     return max(1, math.ceil(quotient * (1.0 - 1e-12)))
 
 
-def _rims(section: Section) -> tuple[set[float], set[float]]:
-    """Radii and heights of the corners of cavity and couplant, off the axis."""
-    radii: set[float] = set()
-    heights: set[float] = set()
-    for role in RIM_ROLES:
-        pieces = [rectangle for rectangle in section.rectangles if role_of(rectangle.region) == role]
-        corners = [(p.r_outer, z) for p in pieces for z in (p.z_bottom, p.z_top)]
-        for radius, height in corners:
-            # Where two pieces of one cavity meet at equal radius their wall goes straight on: no corner.
-            if corners.count((radius, height)) == 1:
-                radii.add(radius)
-                heights.add(height)
+def _corners(section: Section, refinement: float) -> tuple[dict[float, float], dict[float, float]]:
+    """Radii and heights that the mesh is graded towards, and the size of the elements there, relative to the others.
+
+    Fields are singular in re-entrant corners of the solids, and more so at the ends of electrodes: elements there are
+    smaller by the cube of `refinement`: by itself 0.65 % in Z of a disc were left, by its square 0.08 %. The
+    rim of a couplant, which gives way there, is too thin to have anything of its own across: its radius counts, not
+    its heights.
+    """
+    fluid = [role_of(region) in FLUID_ROLES for region in section.regions]
+    cells = section.grid()
+    solid = (cells != VOID) & ~np.append(fluid, True)[cells]  # VOID is -1: the last entry
+    quarters = np.stack([solid[1:, 1:], solid[1:, :-1], solid[:-1, 1:], solid[:-1, :-1]])
+    # Two solids in opposite quarters meet in an edge; side by side they have a plane face.
+    opposite = (quarters.sum(axis=0) == 2) & (quarters[0] == quarters[3])
+    corners = np.argwhere((quarters.sum(axis=0) == 3) | opposite) + 1
+    radii = {section.r_breaks[i]: refinement for _, i in corners}
+    heights = {section.z_breaks[j]: refinement for j, _ in corners}
+    radii |= {p.r_outer: refinement for p in section.rectangles if role_of(p.region) == COUPLANT}
+    disc = max(p.r_outer for p in section.rectangles if p.region == TRANSDUCER)
+    for electrode in section.electrodes:
+        ends = {electrode.r_inner, electrode.r_outer} - {0.0, disc}
+        radii |= dict.fromkeys(ends, refinement**3)
+        heights |= {electrode.z: refinement**3} if ends else {}
     return radii, heights
 
 
@@ -322,7 +341,7 @@ def _divided(section: Section, size: MeshSize) -> tuple[list[_Panel], list[_Pane
     columns, rows = limits.min(axis=0), limits.min(axis=1)
     if math.isinf(max(columns.max(), rows.max())):
         raise InputError("mesh size", "slowest_wave", math.inf, "a finite speed in some region of every row and column")
-    radii, heights = _rims(section)
+    radii, heights = _corners(section, size.corner_refinement)
     cuts = []
     for rectangle in section.rectangles:
         skin = size.skins.get(rectangle.region, 0.0) * (rectangle.z_top - rectangle.z_bottom)

@@ -145,8 +145,7 @@ def _uniform_mesh(chip: Chip, edge: float, skins: Mapping[str, float] | None = N
     from geometry.section import cut_section
 
     section = cut_section(chip)
-    size = MeshSize(dict.fromkeys(section.regions, edge), 1.0, elements_per_wavelength=1.0, minimum_through_thickness=1,
-                    corner_refinement=1.0, skins=skins or {})
+    size = MeshSize(dict.fromkeys(section.regions, edge), 1.0, elements_per_wavelength=1.0, order=2, skins=skins or {})
     return mesh_section(section, size)
 
 
@@ -195,15 +194,15 @@ def _modes(operators: FullOperators, values: Mapping[str, complex], rows: NDArra
 
 def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavelength: float, thickness: int = 2,
             corner_refinement: float = 1.0, skins: Mapping[str, float] | None = None) -> Problem:
-    """The base model of a chip, meshed by the workbench's own rule for the top of its band."""
-    from geometry.mesh import MeshSize, mesh_section
+    """The base model of a chip on quadratic elements, of a size that the top of its band rules."""
+    from geometry.mesh import mesh_section
     from geometry.section import cut_section
-    from workbench.problem import mesh_speeds, problem
+    from workbench.discretisation import Discretisation
+    from workbench.problem import problem
 
     section = cut_section(chip)
-    size = MeshSize(mesh_speeds(section.regions, materials), chip.band[1],
-                    elements_per_wavelength=elements_per_wavelength, minimum_through_thickness=thickness,
-                    corner_refinement=corner_refinement, skins=skins or {})
+    made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement, 1.5, 1.5, 0.5)
+    size = made.mesh_size(section, materials, chip.band[1], skins=skins)
     return problem(mesh_section(section, size), materials, chip.band)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from materials.kinds import IsotropicSolid, Piezoelectric
+from workbench.discretisation import Discretisation
 from workbench.physics.term import Condition, Term
 
 #: A transducer the size of a pea, as a chip file.
@@ -81,6 +82,12 @@ def check_report(path: Path) -> str:
     assert "<script" not in text
     assert "<link" not in text
     return text
+
+
+def quadratic(elements_per_wavelength: float) -> Discretisation:
+    """Quadratic elements hardly graded: few unknowns, for statements that hold on any mesh."""
+    return Discretisation(2, elements_per_wavelength, through_thickness=2, corner_refinement=0.5, growth=1.5,
+                          transducer_finer=1.5, gas_finer=0.5)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import quadratic
 
 from geometry.chip import Chip, read_chip
 from materials.kinds import Fluid
@@ -55,7 +56,7 @@ def model(example: ModuleType, paper_chip: Chip) -> Any:
     radii = {f"{region}.radius": 3.5e-3 for region in ("substrate", "sidewall", "bond", "superstrate")}
     pea = paper_chip.with_dimensions({"transducer.radius": 3e-3, "couplant.radius": 3e-3, "cavity.radius": 1.5e-3,
                                       **radii})
-    problem = build(pea, "filled", Registry(), band=(FREQUENCIES[0], FREQUENCIES[-1]), elements_per_wavelength=8.0)
+    problem = build(pea, "filled", Registry(), band=(FREQUENCIES[0], FREQUENCIES[-1]), accuracy=quadratic(8.0))
     return example.reduced(example.with_boundary_layers(problem), FREQUENCIES)
 
 

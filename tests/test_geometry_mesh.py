@@ -38,7 +38,7 @@ SLOWEST = {
     "superstrate": 3400.0,
     "cavity": 1482.0,
 }
-SIZE = MeshSize(SLOWEST, 1.155e6)
+SIZE = MeshSize(SLOWEST, 1.155e6, 10.0, 2, minimum_through_thickness=2, corner_refinement=0.5, growth=1.5)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,8 @@ def layer(role: str, thickness: str, radius: str, hole: str = "", **more: Any) -
 
 
 def uniform(section: Section, *, speed: float = 2000.0, frequency: float = 1e6) -> MeshSize:
-    return MeshSize(dict.fromkeys(section.regions, speed), frequency)
+    return MeshSize(dict.fromkeys(section.regions, speed), frequency, 10.0, 2, minimum_through_thickness=2,
+                    corner_refinement=0.5, growth=1.5)
 
 
 def node_lines(mesh: SectionMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -187,15 +188,19 @@ def test_the_thinnest_layer_has_its_elements_across(mesh: SectionMesh, section: 
     assert np.count_nonzero((node_lines(four)[1] > 2.02e-3) & (node_lines(four)[1] < 2.04e-3)) == 3
 
 
-def test_elements_shrink_smoothly_towards_the_rims(mesh: SectionMesh, section: Section) -> None:
+def test_elements_shrink_towards_the_corners(mesh: SectionMesh, section: Section) -> None:
     r, z = node_lines(mesh)
     regular = np.diff(r).max()
     rim = np.searchsorted(r, 4e-3 - 1e-9)
     for width in (r[rim] - r[rim - 1], r[rim + 1] - r[rim]):
-        # Half the regular size, which is itself rounded down to fit the interval by at most one element in fifty.
-        assert width == pytest.approx(0.5 * regular, rel=0.03)
-    ratios = np.diff(r)[1:] / np.diff(r)[:-1]
-    assert max(ratios.max(), 1 / ratios.min()) < 1.2
+        # The element at the corner is divided in two, one half again as long as the other.
+        assert width == pytest.approx(regular / 2.5, rel=0.03)
+    assert r[rim - 1] - r[rim - 2] == pytest.approx(regular * 1.5 / 2.5, rel=0.03)
+    steep = mesh_section(section, replace(SIZE, corner_refinement=0.02, growth=6.0))
+    fine = node_lines(steep)[0]
+    steps = np.diff(fine)[np.searchsorted(fine, 4e-3 - 1e-9) :]
+    # 1 + 6 + 36 parts of an element, the first 0.023 of it; then 1 + 6 + 36 + 216.
+    assert steps[:5] == pytest.approx(regular * np.array([1.0, 6.0, 36.0, 216.0, 259.0]) / 259.0, rel=0.03)
     assert z[np.searchsorted(z, 2.89e-3 - 1e-9) + 1] - 2.89e-3 < 0.55 * 900.0 / 1.155e7
     plain = mesh_section(section, replace(SIZE, corner_refinement=1.0))
     assert np.diff(node_lines(plain)[0]).min() > 0.9 * regular
@@ -221,11 +226,37 @@ def test_a_cavity_wall_that_goes_straight_on_is_no_rim() -> None:
     straight = cut_section(make(layers, filled=True))
     layers[2]["cavity_radius"] = "5 mm"
     stepped = cut_section(make(layers, filled=True))
-    for section, width in ((straight, 0.2e-3), (stepped, 0.1e-3)):
+    for section, width in ((straight, 0.2e-3), (stepped, 0.08e-3)):
         z = node_lines(mesh_section(section, uniform(section)))[1]
         seam = np.argmin(np.abs(z - 4e-3))
         # The regular size is rounded down to fit its interval of ten elements or so.
         assert np.diff(z)[seam - 1 : seam + 1] == pytest.approx(width, rel=0.1)
+
+
+def smallest_beside(lines: np.ndarray, line: float) -> float:
+    """The shorter of the elements on either side of a line that is not the last one."""
+    at = int(np.argmin(np.abs(lines - line)))
+    return float(np.diff(lines)[at - 1 : at + 1].min())
+
+
+def test_the_mesh_is_graded_to_what_makes_a_singular_field_only() -> None:
+    ends = {"live": "top", "live_radius": "4 mm"}
+    layers = [layer("backing", "2 mm", "7 mm"), layer("transducer", "2 mm", "10 mm", electrodes=ends),
+              layer("couplant", "20 um", "9 mm"), layer("sample", "1 mm", "11 mm")]
+    section = cut_section(make(layers))
+    coarse = replace(uniform(section), corner_refinement=0.1, growth=9.0, minimum_through_thickness=1)
+    r, z = node_lines(mesh_section(section, coarse))
+    # The corner between backing and disc, the end of the electrode, the rim of the gel; the rims of solids are none.
+    for radius, graded in ((4e-3, True), (7e-3, True), (9e-3, True), (10e-3, False)):
+        assert (smallest_beside(r, radius) < 0.021e-3) is graded, radius
+    # The end of an electrode, in radius and height: smaller by the cube.
+    assert max(smallest_beside(r, 4e-3), smallest_beside(z, 4e-3)) < 0.21e-6
+    assert smallest_beside(z, 2e-3) < 0.021e-3
+    # With electrodes that cover the disc there is nothing across the gel, and nothing at its faces.
+    layers[1]["electrodes"] = {"live": "top"}
+    section = cut_section(make(layers))
+    z = node_lines(mesh_section(section, coarse))[1]
+    assert np.diff(z)[np.searchsorted(z, 4e-3 - 1e-9) - 1 :][:3] == pytest.approx([0.2e-3, 0.02e-3, 0.2e-3], rel=1e-6)
 
 
 def test_nodes_run_anticlockwise_from_bottom_left(mesh: SectionMesh) -> None:

@@ -17,7 +17,7 @@ from inputs import InputError
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
 CHIP = read_chip(CHIPS / "reference_chip.toml")
-MESH = mesh_section(cut_section(CHIP), MeshSize(dict.fromkeys(CHIP.regions, 3000.0), 1e6))
+MESH = mesh_section(cut_section(CHIP), MeshSize(dict.fromkeys(CHIP.regions, 3000.0), 1e6, 10.0, 2))
 #: Lengths that can be changed by themselves: no other one coincides with them.
 FREE = [name for name in CHIP.dimensions() if name.endswith(".thickness")] + ["cavity.radius"]
 RIMS = ["transducer.radius", "couplant.radius"]
@@ -38,7 +38,7 @@ def test_stretching_onto_the_same_chip_changes_nothing() -> None:
 @pytest.mark.parametrize("name", [*FREE, "transducer.radius"])
 def test_a_stretched_mesh_is_the_new_mesh_where_the_elements_are_uniform(name: str) -> None:
     # Without grading, and so coarse that only the minimum counts, the mesher puts the same elements on both chips.
-    size = MeshSize(dict.fromkeys(CHIP.regions, 1e5), 1e6, minimum_through_thickness=3, corner_refinement=1.0)
+    size = MeshSize(dict.fromkeys(CHIP.regions, 1e5), 1e6, 10.0, 2, minimum_through_thickness=3)
     new = scaled(CHIP, dict.fromkeys(RIMS if name == "transducer.radius" else [name], 1.03))
     moved = stretch(mesh_section(cut_section(CHIP), size), new)
     meshed = mesh_section(cut_section(new), size)
@@ -83,7 +83,7 @@ def test_a_stretch_that_would_change_the_topology_is_refused() -> None:
         stretch(MESH, scaled(CHIP, dict.fromkeys(WALLS, 12.0 / 13.0)))  # narrower than the transducer
     # Only the lid overhangs, then everything but the lid: the same number of breaks, the regions between others.
     overhanging = cut_section(scaled(CHIP, {"superstrate.radius": 1.1}))
-    lid = mesh_section(overhanging, MeshSize(dict.fromkeys(CHIP.regions, 9e3), 1e6))
+    lid = mesh_section(overhanging, MeshSize(dict.fromkeys(CHIP.regions, 9e3), 1e6, 10.0, 2))
     with pytest.raises(MeshError, match="between other breaks"):
         stretch(lid, scaled(CHIP, dict.fromkeys(WALLS[:-1], 1.1)))
 
@@ -224,7 +224,7 @@ def test_a_partial_electrode_moves_by_its_own_name() -> None:
     chip = read_chip(CHIPS / "free_disc_25x2.toml")
     ring = ElectrodeDisc(Dimension(9e-3), Dimension(2e-3))
     chip = replace(chip, electrodes=replace(chip.electrodes, live_disc=ring))
-    mesh = mesh_section(cut_section(chip), MeshSize({"transducer": 3000.0}, 1e6))
+    mesh = mesh_section(cut_section(chip), MeshSize({"transducer": 3000.0}, 1e6, 10.0, 2))
     new = chip.with_dimensions({"electrode_live.radius": 9.5e-3, "electrode_live.inner_radius": 1e-3})
     moved: SectionMesh = stretch(mesh, new)
     r = moved.mesh.p[0, moved.mesh.facets[:, moved.mesh.boundaries["electrode_live"]]]

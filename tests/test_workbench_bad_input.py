@@ -9,6 +9,7 @@ import pytest
 from support import CAVITY_LAYERS
 
 from workbench.cli import main
+from workbench.discretisation import ROWS
 from workbench.spectrum import Spectrum, write_csv
 
 CHIP = """
@@ -76,7 +77,7 @@ def expect(message: str, *parts: str) -> None:
 
 
 def test_the_good_files_are_good(folder: Path) -> None:
-    assert main(["mesh", "chip.toml", "--elements-per-wavelength", "3"]) == 0
+    assert main(["mesh", "chip.toml", "--accuracy", "0.5 %"]) == 0
 
 
 SECOND = '\n[[layers]]\nrole = "transducer"\nmaterial = "pzt5h"\nthickness = "1 mm"\nradius = "3 mm"\n'
@@ -178,7 +179,7 @@ def test_a_mistake_in_a_material_file(mistake: str, folder: Path, capsys: pytest
     (own.parent / "references.bib").write_text("@misc{measured,\n title = {in our laboratory}\n}\n")
     (own / "mine.toml").write_text(CERAMIC.replace(old, new))
     (folder / "chip.toml").write_text(CHIP.replace("pzt4/acevedo_2026_initial", "ceramic/mine"))
-    message = said(["mesh", "chip.toml", "--materials", "own", "--elements-per-wavelength", "3"], capsys)
+    message = said(["mesh", "chip.toml", "--materials", "own", "--accuracy", "0.5 %"], capsys)
     expect(message, "mine.toml", *parts)
 
 
@@ -188,7 +189,7 @@ def test_a_good_material_of_ones_own_is_taken(folder: Path) -> None:
     (own.parent / "references.bib").write_text("@misc{measured,\n title = {in our laboratory}\n}\n")
     (own / "mine.toml").write_text(CERAMIC)
     (folder / "chip.toml").write_text(CHIP.replace("pzt4/acevedo_2026_initial", "ceramic/mine"))
-    assert main(["mesh", "chip.toml", "--materials", "own", "--elements-per-wavelength", "3"]) == 0
+    assert main(["mesh", "chip.toml", "--materials", "own", "--accuracy", "0.5 %"]) == 0
 
 
 def rows(*lines: str) -> str:
@@ -231,7 +232,7 @@ def test_a_wrong_phase_is_a_finding_and_not_mended_silently(
     good = 5.0 - 1j / (2 * np.pi * frequency * 1e-9)
     wrong = -good if correction == "negate" else np.conj(good)
     write_csv(Spectrum(frequency, wrong), folder / "wrong.csv")
-    command = ["compare", "wrong.csv", "chip.toml", "-o", "out", "--elements-per-wavelength", "3"]
+    command = ["compare", "wrong.csv", "chip.toml", "-o", "out", "--accuracy", "0.5 %"]
     message = said(command, capsys, status=0)
     assert word in message
     assert f"correction='{correction}'" in message
@@ -255,14 +256,13 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
                                 ["--drive", "'10 V'", "Vpp"]),
     "too few points": (["simulate", "chip.toml", "--points", "3", "-o", "out", "--no-cad"],
                        ["points", "received 3", "at least 5"]),
-    "no elements": (["mesh", "chip.toml", "--elements-per-wavelength", "0"],
-                    ["--elements-per-wavelength", "0.0", "above zero; 10 is usual"]),
-    "no elements of a diagnosis": (["diagnose", "campaign.toml", "--elements-per-wavelength", "nan", "-o", "out"],
-                                   ["--elements-per-wavelength", "nan", "above zero; 3 is usual"]),
+    "too accurate": (["mesh", "chip.toml", "--accuracy", "0.001 %"],
+                     ["--accuracy", "0.001 %", f"{100 * min(ROWS):g} %), the finest there is"]),
+    "accuracy of nothing": (["diagnose", "campaign.toml", "--accuracy", "0", "-o", "out"],
+                            ["--accuracy", "'0'", "the finest there is"]),
+    "accuracy in hertz": (["mesh", "chip.toml", "--accuracy", "5 Hz"], ["--accuracy", "5 Hz", "1, %"]),
     "tolerance of nothing": (["simulate", "chip.toml", "--tolerance", "0", "-o", "out", "--no-cad"],
                              ["tolerance", "0.0", "between 0 and 1"]),
-    "one refinement": (["mesh", "chip.toml", "--converge", "--refinements", "1"], ["--refinements", "at least 2"]),
-    "limit of nothing": (["mesh", "chip.toml", "--converge", "--limit", "0"], ["--limit", "0.0", "above zero"]),
     "unknown field": (["render", "chip.toml", "--at", "400 kHz", "--field", "presure", "-o", "out"],
                       ["--field", "'presure'", "did you mean 'pressure'"]),
     "output is a file": (["export", "chip.toml", "-o", "disc.csv"], ["--output", "'disc.csv'", "a file is in the way"]),

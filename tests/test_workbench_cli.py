@@ -167,7 +167,7 @@ def test_a_script_without_a_guard_may_call_the_command(tmp_path: Path) -> None:
     script.write_text("import workbench.render.gallery as gallery\nfrom workbench.cli import main\n"
                       "gallery.draw_state = lambda *a, **k: []\nprint('once')\n"
                       f"status = main(['simulate', {str(chip)!r}, '-o', {str(tmp_path / 'out')!r}, '--points', '11',"
-                      " '--elements-per-wavelength', '3'])\nraise SystemExit(status)\n")
+                      " '--accuracy', '0.5 %'])\nraise SystemExit(status)\n")
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("once") == 1

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import CAVITY_LAYERS, DISC, check_report, standard_json
+from support import CAVITY_LAYERS, DISC, check_report, quadratic, standard_json
 
 from geometry.chip import read_chip
 from materials import Fit, Material, Recording, Registry, Value, fitted, save, user_folder
 from materials.registry import PACKAGE_DATA
 from workbench.cli import main
-from workbench.commands import states
+from workbench.commands import mesh, states
+from workbench.discretisation import ROWS
 from workbench.readers import read
 from workbench.simulate import simulate as simulate_state
 from workbench.spectrum import Spectrum, write_csv
@@ -34,7 +35,7 @@ temperature = "20 degC"
 particle = "polystyrene"
 particle_radius = "5 um"
 """
-SMALL = ["--elements-per-wavelength", "3"]
+SMALL = ["--accuracy", "0.5 %"]
 
 
 @pytest.fixture
@@ -183,13 +184,13 @@ def test_points_of_another_model_are_not_taken_over(
         entry.write_text(entry.read_text().replace("value = 115.41", "value = 115.42"))
     again = Stop(10**6)
     monkeypatch.setattr(states, "simulate_state", again)
-    assert main([*command, "--elements-per-wavelength", "4" if change == "mesh" else "3"]) == 0
+    assert main([*command, "--accuracy", "0.2 %" if change == "mesh" else "0.5 %"]) == 0
     assert again.solved == 13
 
 
 def recorded(path: Path, chip: Path, *, scale: complex = 1.0) -> Spectrum:
     """A recording made of the simulation itself: every 750 Hz, times `scale`."""
-    run = simulate_state(read_chip(chip), points=201, elements_per_wavelength=3.0)
+    run = simulate_state(read_chip(chip), points=201, accuracy=5e-3)
     spectrum = Spectrum(run.spectrum.frequency, scale * run.spectrum.impedance)
     write_csv(spectrum, path)
     return spectrum
@@ -262,20 +263,28 @@ def test_compare_says_what_it_took_the_columns_for(
     assert html.escape(f'"{third}" is the imaginary part of Z in ohm') in text
 
 
-def test_mesh_lists_regions_and_converges(disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mesh_lists_regions_and_converges(
+    disc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert main(["mesh", str(disc), *SMALL]) == 0
     assert "transducer" in capsys.readouterr().out
     out = tmp_path / "out"
-    study = ["mesh", str(disc), "--converge", "--elements-per-wavelength", "4", "-o", str(out)]
+    study = ["mesh", str(disc), "--converge", *SMALL, "-o", str(out)]
     assert main(study) == 0
     record = standard_json(out / "convergence.json")
-    ratio = [row[0] for row in record["rows"]]
-    np.testing.assert_allclose(ratio, 4.0 * math.sqrt(2.0) ** np.arange(len(ratio)))
-    assert "converged: limit 3 %" in capsys.readouterr().out
+    columns = {name: [row[k] for row in record["rows"]] for k, name in enumerate(record["columns"])}
+    assert columns["accuracy"] == [*sorted(ROWS, reverse=True), None]
+    assert columns["unknowns"][-1] == max(columns["unknowns"])
+    assert min(columns["estimated_rms_error"]) > 0.0
+    assert columns["rms_error"][-1] == 0.0
+    said = capsys.readouterr().out
+    assert "accurate: " in said
+    assert max(map(len, said.splitlines())) <= 80
     check_report(out / "report.html")
-    # A limit nobody reaches in two meshes: the study says so by its status.
-    assert main([*study, "--refinements", "2", "--limit", "1e-9"]) == 1
-    assert "NOT converged" in capsys.readouterr().out
+    # A mesh that is not as accurate as asked: the study says so by its status.
+    monkeypatch.setattr(mesh, "discretisation", lambda accuracy: quadratic(3.0))
+    assert main(study) == 1
+    assert "NOT accurate" in capsys.readouterr().out
 
 
 def test_export_writes_parts_of_the_chips_own_volume(

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support import quadratic
 
 from workbench import cli
 from workbench.bench import rig
@@ -201,7 +202,7 @@ def test_simulate_a_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     chip = Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml"
-    options = ["--from", "0.95 MHz", "--to", "1.05 MHz", "--elements-per-wavelength", "2"]
+    options = ["--from", "0.95 MHz", "--to", "1.05 MHz", "--accuracy", "0.05 %"]
     made: list[object] = []
 
     def keep(device: object, **_settings: object) -> SimulatedBench:
@@ -210,7 +211,7 @@ def test_simulate_a_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(command, "SimulatedBench", keep)
     assert cli.main(["bench", "simulate", str(chip), *options]) == 130
-    expected = simulate(read_chip(chip), None, band=(0.95e6, 1.05e6), elements_per_wavelength=20.0).spectrum
+    expected = simulate(read_chip(chip), None, band=(0.95e6, 1.05e6), accuracy=quadratic(20.0)).spectrum
     device = made[0]
     assert callable(device)
     # Next to the resonance; the second order errs by 0.1 % rms at 15 elements per wavelength of a disc.

@@ -21,7 +21,7 @@ from materials.kinds import Fluid
 from materials.registry import user_registry
 from workbench.diagnose.belong import cleared, each_alone
 from workbench.diagnose.campaign import read_campaign
-from workbench.diagnose.device import ORDER, Model, model
+from workbench.diagnose.device import Model, model
 from workbench.diagnose.refit import MODELLED, UNNEEDED, base_fit, checked, refit
 from workbench.diagnose.score import scores_at
 from workbench.diagnose.verdict import Diagnosis, diagnose
@@ -65,7 +65,7 @@ class Bench:
     ) -> None:
         """A state whose parameters are the stated ones times `factors`; `colour` correlates neighbouring points."""
         there = read_chip(self.folder / f"{chip}.toml")
-        problem = with_boundary_layers(build(there, there.states[0].name, user_registry([MATERIALS]), order=ORDER))
+        problem = with_boundary_layers(build(there, there.states[0].name, user_registry([MATERIALS])))
         values = {**problem.values, **{key: problem.values[key] * factor for key, factor in (factors or {}).items()}}
         solved = reduce(assemble(problem.mesh, problem.terms), FREQUENCIES, values).solve(FREQUENCIES, values)
         clean, _, _ = through_bench(np.conj(solved.impedance), 2.0 * np.pi * FREQUENCIES, dict(bench or {}))
@@ -246,11 +246,13 @@ def test_what_the_reduced_model_does_to_a_fit_is_said(bench: Bench) -> None:
     assert off < 1e-4
     strayed = base.x.copy()
     strayed[device.index(f"{PZT}.c33")] *= 1.015
-    device.fitted.surround(base.x, {}, 0.1)
+    # Another model of the same device, which has grown nowhere else.
+    device = bench.model({f"{PZT}.c33": "1 %"})
+    device.fitted.cover(base.x, {}, 0.1)
     stale = replace(base, states=tuple(replace(state, impedance=impedance) for state, impedance in zip(
         base.states, device.fitted(strayed, deviation=device.deviations()).impedance, strict=True)), x=strayed)
     _, off = checked(device, stale)
-    exact = device.fitted.predictors[0].full(device.fitted.settings(strayed, 0)[0], {}, FREQUENCIES)
+    exact = device.fitted.predictors[0].full(device.fitted.settings(strayed, 0)[0], FREQUENCIES)
     print(f"off by {off:.2e}")
     assert off == pytest.approx(np.abs(stale.states[0].impedance / exact - 1.0).max(), rel=0.02)
     assert off > 1e-3
@@ -262,7 +264,7 @@ def test_a_search_stays_where_the_reduced_model_is_trusted(bench: Bench) -> None
     device = bench.model({f"{PZT}.c33": "5 %", f"{PZT}.c13": "5 %"})
     free, lifted = device.free(())
     search = Search(device.fitted, free=free, lifted=lifted)
-    device.fitted.surround(search.centre, {}, UNNEEDED)
+    device.fitted.cover(search.centre, {}, UNNEEDED)
     anywhere = search.minimise(search.centre, device.deviations())
     trusted = 0.01 * search.evaluate(anywhere.x, device.deviations()).data.error
     found = search.minimise(search.centre, device.deviations(), trusted=trusted)

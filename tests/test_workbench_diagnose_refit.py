@@ -30,13 +30,13 @@ def test_bases_are_made_where_the_search_begins(monkeypatch: pytest.MonkeyPatch)
             at["begun"] = x
             return SimpleNamespace(x=x)
 
-    def surround(x: Any, *_how: Any) -> None:
+    def cover(x: Any, *_how: Any) -> None:
         at["bases"] = x
 
     ended: Any = SimpleNamespace(search=Search(), here=SimpleNamespace(jacobian=np.ones((1, 1))), x=np.ones(1),
                                  effects=(), doubt=0.0)
     monkeypatch.setattr(refit, "_judged", lambda *_of: ended)
-    model: Any = SimpleNamespace(deviations=lambda: [0.01], fitted=SimpleNamespace(surround=surround),
+    model: Any = SimpleNamespace(deviations=lambda: [0.01], fitted=SimpleNamespace(cover=cover),
                                  parameters=[SimpleNamespace(name="missing")])
     refit.gather(model, ended)
     assert at["bases"] == at["trusted"] == at["begun"] == 1.0 - 1e-6
@@ -62,7 +62,7 @@ def test_starts_are_drawn_where_a_part_is_explained_alone(deep: float, found: bo
 
     parameters = [SimpleNamespace(name="known", prior=1.0, start=0.0), SimpleNamespace(name="own", start=0.0)]
     model: Any = SimpleNamespace(known=1, parameters=parameters, index=lambda name: ["known", "own"].index(name),
-                                 fitted=SimpleNamespace(surround=lambda x, *_how: surrounded.append(x)))
+                                 fitted=SimpleNamespace(cover=lambda x, *_how: surrounded.append(x)))
     effect: Any = SimpleNamespace(names=("own",))
     end: Any = SimpleNamespace(x=np.array([0.0, 7.0]), cost=50.0)
     better = refit._drawn(model, effect, Search(), end, np.array([1.0, 3.0]))  # type: ignore[arg-type]

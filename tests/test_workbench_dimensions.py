@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import quadratic
 
 from geometry.chip import Chip, read_chip
 from geometry.mesh import MeshError
@@ -80,7 +81,7 @@ def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
 
 @pytest.fixture(scope="module")
 def problem(chip: Chip) -> Problem:
-    found = build(chip, "filled", Registry(), elements_per_wavelength=3.0)
+    found = build(chip, "filled", Registry(), accuracy=quadratic(3.0))
     water = found.materials["cavity"]
     walls = [b for b in found.mesh.section.boundary_names() if "cavity" in b.split("|")]
     layers = tuple(ViscousBoundaryLayer(wall, next(side for side in wall.split("|") if side != "cavity"), "cavity",

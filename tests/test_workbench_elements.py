@@ -12,9 +12,10 @@ from geometry.chip import Chip
 from geometry.mesh import mesh_section
 from geometry.section import cut_section
 from materials.kinds import Material
+from workbench.discretisation import ACCURACY, discretisation
 from workbench.elements import Lagrange, gauss_lobatto
 from workbench.operators import assemble
-from workbench.problem import mesh_size, problem
+from workbench.problem import problem
 from workbench.reduce import reduce
 from workbench.spectrum import Spectrum
 
@@ -72,7 +73,7 @@ def test_the_fourth_order_agrees_with_an_independent_solver(
     name = "free_disc_fitted_rho7862"
     chip, materials, expected = reference_chip(name), reference_materials(name), reference_spectrum(name)
     section = cut_section(chip)
-    mesh = mesh_section(section, mesh_size(section.regions, materials, chip.band[1], order=4))
+    mesh = mesh_section(section, discretisation(ACCURACY).mesh_size(section, materials, chip.band[1]))
     model = problem(mesh, materials, chip.band)
     reduced = reduce(assemble(model.mesh, model.terms), expected.frequency, model.values)
     found = np.conj(reduced.solve(expected.frequency, model.values).impedance)

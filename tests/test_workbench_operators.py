@@ -77,8 +77,9 @@ def test_projections_are_those_of_the_matrices(
 ) -> None:
     further = np.random.default_rng(2).standard_normal((filled_operators.size, 2))
     whole = np.column_stack([columns, further])
-    for q, (one, both) in enumerate(zip(filled_operators.project(columns),
-                                        filled_operators.project(columns, further), strict=True)):
+    for q, (one, both) in enumerate(zip(filled_operators.project(columns)[filled_operators.forms],
+                                        filled_operators.project(columns, further)[filled_operators.forms],
+                                        strict=True)):
         expected = whole.T @ (matrices[q] @ columns).real
         assert (one == one.T).all()
         assert np.abs(one - expected[:3]).max() < 1e-11 * np.abs(expected).max()
@@ -90,7 +91,7 @@ def test_reduced_operators_answer_like_the_full_ones(
     filled_operators: FullOperators, columns: NDArray[np.float64], monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
     monkeypatch.setattr("workbench.operators.PRODUCTS", at_once)
-    reduced = ReducedOperators(filled_operators.integrals, filled_operators.project(columns))
+    reduced = ReducedOperators(filled_operators.integrals, filled_operators.project(columns), filled_operators.forms)
     assert (reduced.size, reduced.integrals) == (3, filled_operators.integrals)
     weights = np.random.default_rng(3).standard_normal((3, 4)).astype(np.complex128)
     states = (columns @ weights).astype(np.complex128)

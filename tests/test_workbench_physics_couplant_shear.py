@@ -317,7 +317,8 @@ def resolved(
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     pla = replace(Registry().load("pla"), name="pla")
     speeds = {"transducer": 1800.0, "couplant": 1500.0, "substrate": 900.0}
-    size = MeshSize(speeds, 700e3, elements_per_wavelength=6.0, minimum_through_thickness=12, corner_refinement=0.25)
+    size = MeshSize(speeds, 700e3, elements_per_wavelength=6.0, order=2, minimum_through_thickness=12,
+                    corner_refinement=0.25, growth=1.5)
 
     @cache
     def sized(width: float) -> tuple[Chip, SectionMesh]:

@@ -13,20 +13,18 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip, State, read_chip
 from geometry.mesh import SectionMesh, elements_per_wavelength
-from inputs import InputError
+from geometry.section import cut_section
+from inputs import InputError, parse_quantity
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
+from workbench import options
+from workbench.discretisation import ACCURACY, ROWS, Discretisation, discretisation, film_speeds
 from workbench.operators import assemble
-from workbench.options import ELEMENTS
 from workbench.physics import absorption, electrode_mass, electrodes, fluid, piezoelectric, solid
 from workbench.problem import (
-    FINENESS,
-    GAS_FINER,
-    TRANSDUCER_FINER,
     Problem,
     build,
     chip_materials,
-    mesh_speeds,
     model,
     problem,
 )
@@ -183,19 +181,22 @@ def test_every_parameter_of_the_terms_has_a_value(filled: Problem) -> None:
 def test_the_mesh_follows_the_slowest_wave_of_every_region(
     chip: Chip, registry: Registry, filled_materials: dict[str, Material]
 ) -> None:
-    speeds = mesh_speeds(tuple(filled_materials), filled_materials)
+    fine = Discretisation(3, 6.0, transducer_finer=1.5)
+    speeds = fine.mesh_speeds(tuple(filled_materials), filled_materials)
     assert speeds["cavity"] == 1482.0
     assert speeds["substrate"] == pytest.approx(math.sqrt(0.93e9 / 1131.7))
     pzt = filled_materials["transducer"]
-    assert speeds["transducer"] == pytest.approx(pzt.slowest_wave_speed() / TRANSDUCER_FINER)
+    assert speeds["transducer"] == pytest.approx(pzt.slowest_wave_speed() / 1.5)
     empty = {region: material for region, material in filled_materials.items() if region != "cavity"}
-    assert mesh_speeds(tuple(filled_materials), empty)["cavity"] == math.inf
-    coarse = build(chip, "empty", registry, band=(100e3, 200e3), elements_per_wavelength=6.0)
+    assert fine.mesh_speeds(tuple(filled_materials), empty)["cavity"] == math.inf
+    coarse = build(chip, "empty", registry, band=(100e3, 200e3), accuracy=fine)
+    assert coarse.discretisation is fine
+    assert coarse.mesh.order == 3
     assert coarse.band == (100e3, 200e3)
     counts = elements_per_wavelength(
         coarse.mesh, {region: m.slowest_wave_speed() for region, m in coarse.materials.items()}, 200e3)
     assert min(counts.values()) >= 6.0 * (1.0 - 1e-9)
-    assert counts["transducer"] >= 6.0 * TRANSDUCER_FINER * (1.0 - 1e-9)
+    assert counts["transducer"] >= 6.0 * 1.5 * (1.0 - 1e-9)
     assert coarse.name == "reference chip, empty"
 
 
@@ -231,9 +232,10 @@ def test_which_electrode_is_live_makes_no_difference_to_a_free_disc(
 
 def test_a_gas_is_meshed_coarser_and_a_liquid_is_not(registry: Registry) -> None:
     air, water, ceramic = (registry.load(name) for name in ("air", "water", "pzt5a"))
-    speeds = mesh_speeds(("transducer", "cavity"), {"transducer": ceramic, "cavity": air})
-    assert speeds["cavity"] == pytest.approx(air.slowest_wave_speed() / GAS_FINER)
-    speeds = mesh_speeds(("transducer", "cavity"), {"transducer": ceramic, "cavity": water})
+    coarser = Discretisation(4, 2.0, gas_finer=0.6)
+    speeds = coarser.mesh_speeds(("transducer", "cavity"), {"transducer": ceramic, "cavity": air})
+    assert speeds["cavity"] == pytest.approx(air.slowest_wave_speed() / 0.6)
+    speeds = coarser.mesh_speeds(("transducer", "cavity"), {"transducer": ceramic, "cavity": water})
     assert speeds["cavity"] == water.slowest_wave_speed()
 
 
@@ -255,5 +257,42 @@ def test_air_changes_an_empty_chip_by_less_than_its_dimensions_are_known(
     assert 0.0 < change.max() < 1e-2
 
 
-def test_the_options_name_the_usual_fineness() -> None:
-    assert {order: fine.elements_per_wavelength for order, fine in FINENESS.items()} == ELEMENTS
+def test_the_options_name_the_usual_accuracy() -> None:
+    assert parse_quantity(options.ACCURACY, "dimensionless", source="", field="") == pytest.approx(ACCURACY, rel=1e-12)
+    assert ACCURACY in ROWS
+
+
+def test_the_wave_along_a_thin_film_of_gel_rules_its_mesh(
+    stacked: Callable[..., Chip], reference_materials: Callable[[str], dict[str, Material]]
+) -> None:
+    materials = reference_materials("disc_gel_PLA")
+    pla, gel = materials["substrate"], materials["couplant"]
+    assert isinstance(pla, IsotropicSolid)
+    assert isinstance(gel, Fluid)
+    sizes = {}
+    for thickness in (5e-6, 20e-6, 1e-3):
+        section = cut_section(stacked([("transducer", 2e-3, 3e-3, None), ("couplant", thickness, 3e-3, None),
+                                       ("substrate", 1e-3, 3e-3, None)], band=(0.9e6, 1.1e6)))
+        speed = film_speeds(section, materials, 1.1e6)["couplant"]
+        k, omega = 2.0 * math.pi * 1.1e6 / speed, 2.0 * math.pi * 1.1e6
+        bulk, shear = complex(pla.bulk_modulus).real, complex(pla.shear_modulus).real
+        poisson = (3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear))
+        assert thickness * k**3 == pytest.approx(omega**2 * gel.density * (1.0 - poisson) / shear, rel=1e-9)
+        sizes[thickness] = discretisation(ACCURACY).mesh_size(section, materials, 1.1e6).slowest_wave["couplant"]
+    assert sizes[5e-6] < sizes[20e-6] < sizes[1e-3] == gel.slowest_wave_speed()
+
+
+def test_an_accuracy_between_two_rows_is_that_of_the_finer() -> None:
+    coarse, fine = sorted(ROWS, reverse=True)[:2]
+    assert discretisation(coarse) is ROWS[coarse] is discretisation(0.9)
+    assert discretisation(0.5 * (coarse + fine)) is ROWS[fine]
+    # What a text such as "0.05 %" is, times 0.01, is not the number of the table to the last digit.
+    assert discretisation(fine * (1.0 - 1e-15)) is ROWS[fine]
+    own = Discretisation(3, 2.0)
+    assert discretisation(own) is own
+
+
+@pytest.mark.parametrize("accuracy", [0.0, -1e-3, math.nan, 1.0, 0.9 * min(ROWS)])
+def test_an_accuracy_there_is_no_mesh_for_is_refused(accuracy: float) -> None:
+    with pytest.raises(InputError, match=rf"accuracy: .*{100 * min(ROWS):g} %.*the finest there is"):
+        discretisation(accuracy)

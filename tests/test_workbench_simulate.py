@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import quadratic
 
 from geometry.chip import Chip, parse_chip
 from inputs import InputError
@@ -41,12 +42,12 @@ def cell() -> Chip:
 
 @pytest.fixture(scope="module")
 def reduced(cell: Chip) -> Simulation:
-    return simulate(cell, points=POINTS, elements_per_wavelength=ELEMENTS)
+    return simulate(cell, points=POINTS, accuracy=quadratic(ELEMENTS))
 
 
 @pytest.fixture(scope="module")
 def full(cell: Chip) -> Simulation:
-    return simulate(cell, points=POINTS, elements_per_wavelength=ELEMENTS, full=True)
+    return simulate(cell, points=POINTS, accuracy=quadratic(ELEMENTS), full=True)
 
 
 def test_the_reduced_spectrum_is_the_full_one_within_its_tolerance(reduced: Simulation, full: Simulation) -> None:
@@ -86,25 +87,25 @@ def test_the_fields_are_those_of_f0_and_the_losses_close(reduced: Simulation) ->
 
 def test_the_last_state_is_the_default_and_an_empty_cavity_has_no_traps(cell: Chip, reduced: Simulation) -> None:
     assert reduced.state == "filled" == state_name(cell, None)
-    empty = snapshot(cell, "empty", 400e3, elements_per_wavelength=ELEMENTS)
+    empty = snapshot(cell, "empty", 400e3, accuracy=quadratic(ELEMENTS))
     assert empty.traps is None
     assert "cavity" not in empty.problem.materials
 
 
 def test_a_snapshot_is_the_simulation_at_its_frequency(cell: Chip, reduced: Simulation) -> None:
-    shot = snapshot(cell, None, reduced.fields.frequency, elements_per_wavelength=ELEMENTS)
+    shot = snapshot(cell, None, reduced.fields.frequency, accuracy=quadratic(ELEMENTS))
     np.testing.assert_array_equal(shot.fields.displacement, reduced.fields.displacement)
     assert shot.losses == reduced.losses
 
 
 def test_a_known_point_is_not_solved_again(disc: Chip) -> None:
     points: dict[float, complex] = {}
-    whole = simulate(disc, points=13, elements_per_wavelength=ELEMENTS, full=True, on_point=points.__setitem__)
+    whole = simulate(disc, points=13, accuracy=quadratic(ELEMENTS), full=True, on_point=points.__setitem__)
     np.testing.assert_array_equal(list(points), whole.spectrum.frequency)
     np.testing.assert_array_equal(list(points.values()), whole.spectrum.impedance)
     again: dict[float, complex] = {}
     known = dict(list(points.items())[:4])
-    continued = simulate(disc, points=13, elements_per_wavelength=ELEMENTS, full=True, known=known,
+    continued = simulate(disc, points=13, accuracy=quadratic(ELEMENTS), full=True, known=known,
                          on_point=again.__setitem__)
     assert list(again) == list(points)[4:]
     assert continued.solves == 9 + 1
@@ -112,7 +113,7 @@ def test_a_known_point_is_not_solved_again(disc: Chip) -> None:
 
 
 def test_the_field_frequency_band_and_drive_may_be_chosen(disc: Chip) -> None:
-    run = simulate(disc, band=(400e3, 500e3), points=11, at=450e3, elements_per_wavelength=ELEMENTS,
+    run = simulate(disc, band=(400e3, 500e3), points=11, at=450e3, accuracy=quadratic(ELEMENTS),
                    drive=PowerDrive(0.2))
     assert (run.spectrum.frequency[0], run.spectrum.frequency[-1]) == (400e3, 500e3)
     assert run.problem.band == (400e3, 500e3)
@@ -121,7 +122,7 @@ def test_the_field_frequency_band_and_drive_may_be_chosen(disc: Chip) -> None:
 
 
 def test_without_a_resonance_the_fields_are_those_of_the_middle(disc: Chip) -> None:
-    run = simulate(disc, band=(20e3, 40e3), points=11, elements_per_wavelength=ELEMENTS)
+    run = simulate(disc, band=(20e3, 40e3), points=11, accuracy=quadratic(ELEMENTS))
     assert run.figures is None
     assert "edge of the band" in run.no_resonance
     assert run.fields.frequency == 30e3
@@ -129,7 +130,7 @@ def test_without_a_resonance_the_fields_are_those_of_the_middle(disc: Chip) -> N
 
 def test_a_mesh_too_coarse_for_the_frequency_asked_for_is_warned_of_once(disc: Chip) -> None:
     with pytest.warns(MeshTooCoarse) as caught:
-        simulate(disc, points=13, at=2.4e6, elements_per_wavelength=ELEMENTS)
+        simulate(disc, points=13, at=2.4e6, accuracy=quadratic(ELEMENTS))
     assert len(caught) == 1
     # Rows of whole cells: the count is three or a little more of them at the top of the band, hence fewer at 2.4 MHz.
     assert "2.4 MHz" in str(caught[0].message)
@@ -138,7 +139,7 @@ def test_a_mesh_too_coarse_for_the_frequency_asked_for_is_warned_of_once(disc: C
 
 def test_progress_goes_on_and_ends(disc: Chip) -> None:
     seen: list[tuple[str, float]] = []
-    simulate(disc, points=13, elements_per_wavelength=ELEMENTS, progress=lambda what, part: seen.append((what, part)))
+    simulate(disc, points=13, accuracy=quadratic(ELEMENTS), progress=lambda what, part: seen.append((what, part)))
     assert seen[0] == ("mesh", 0.0)
     assert seen[-1] == ("fields", 1.0)
     assert all(0.0 <= part <= 1.0 for _, part in seen)
@@ -161,4 +162,17 @@ def test_what_cannot_be_simulated_is_refused(disc: Chip, cell: Chip) -> None:
         simulate(disc, tolerance=0.0)
     states = tuple(replace(state, particle="water") if state.particle else state for state in cell.states)
     with pytest.raises(InputError, match=r"states\.filled\.particle: received 'water'; expected an isotropic solid"):
-        snapshot(replace(cell, states=states), None, 400e3, elements_per_wavelength=ELEMENTS)
+        snapshot(replace(cell, states=states), None, 400e3, accuracy=quadratic(ELEMENTS))
+
+
+def test_a_mesh_that_is_not_as_accurate_as_asked_is_warned_of(disc: Chip, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = simulate(disc, points=13, accuracy=5e-3)
+    assert run.mesh_error is not None
+    assert 0.0 < run.mesh_error.rms < 5e-3
+    worse = replace(run.mesh_error, log_impedance=run.mesh_error.log_impedance * 6e-3 / run.mesh_error.rms)
+    monkeypatch.setattr("workbench.simulate.mesh_error", lambda *_arguments: worse)
+    with pytest.warns(MeshTooCoarse, match=r"estimated 0\.6 % rms in Z, above the 0\.5 % asked for"):
+        simulate(disc, points=13, accuracy=5e-3)
+    # Whoever gives a discretisation has asked for no accuracy.
+    assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS)).mesh_error is worse
+    assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS), full=True).mesh_error is None

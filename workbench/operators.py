@@ -132,43 +132,26 @@ class Place:
         return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name.removesuffix(FACING)]
 
 
-def _place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | None = None) -> Place | None:
-    """The place of an integral, of the cells `within` (number of cells,) only if given; None if that leaves nothing."""
+def _place(mesh: SectionMesh, integral: Integral) -> Place | None:
+    """The place of an integral; None if nothing is left of it."""
     if not integral.on_boundary:
-        return _volume_place(mesh, integral, within)
+        return _volume_place(mesh, integral)
     if integral.beyond or integral.skin:
         raise ModelError(f"{integral.domain!r} is only a part of a boundary; only a region can be restricted")
     facets = np.asarray(mesh.mesh.boundaries[integral.place])
     if not integral.facing:
-        facets = facets[_touching(mesh, facets, within)]
         return _boundary_place(mesh, facets, integral.solid) if facets.size else None
     near, far = _facing_facets(mesh, facets, integral)
-    kept = _touching(mesh, near, within) | _touching(mesh, far, within)
-    if not kept.any():
-        return None
-    near, far = near[kept], far[kept]
     return _facing_place(_boundary_place(mesh, near, integral.solid), _boundary_place(mesh, far, integral.facing_solid))
 
 
-def _touching(mesh: SectionMesh, facets: NDArray[np.int64], cells: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-    """Which of some facets are sides of `cells`: all where those are None."""
-    if cells is None:
-        return np.ones(facets.size, dtype=bool)
-    sides = mesh.mesh.f2t[:, facets]
-    return np.asarray((cells[sides] & (sides >= 0)).any(axis=0))
-
-
-def _volume_place(mesh: SectionMesh, integral: Integral, within: NDArray[np.bool_] | None) -> Place | None:
+def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     region, beyond = integral.place, integral.beyond
     cells = np.asarray(mesh.mesh.subdomains[region])
     # Of the whole region, of which this may be a column.
     edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[across_columns(region)])]].max()
     if integral.skin:
         cells = _skin(mesh, cells, integral)
-    if within is not None:
-        cells = cells[within[cells]]
-        if not cells.size:
-            return None
     radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
     inner, outer = radii.min(axis=0), radii.max(axis=0)
     # The share of each cell's width that lies inside the radius from which on the place begins.
@@ -297,14 +280,6 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
                  whole.normal[:, back])
 
 
-def _reshaped(mesh: SectionMesh, other: SectionMesh) -> NDArray[np.bool_]:
-    """Which cells are not the same in both meshes but for a shift along the axis."""
-    corners = np.stack([each.mesh.p[:, each.mesh.t] for each in (mesh, other)])  # (2, r or z, corners, cells)
-    corners[:, 1] -= corners[:, 1, :1].copy()
-    size = np.ptp(corners, axis=2).max(axis=0)
-    return np.asarray((np.abs(corners[1] - corners[0]).max(axis=1) > SAME_SHAPE * size).any(axis=0))
-
-
 @dataclass(frozen=True, eq=False)
 class FullOperators:
     """The assembled model on a mesh: basis functions at quadrature points, and the numbering of the unknowns.
@@ -383,36 +358,26 @@ class FullOperators:
             groups.setdefault(integral.domain, []).append(integral)
         return groups
 
+    @cached_property
+    def forms(self) -> NDArray[np.int64]:
+        """Which of the distinct forms every integral is (integrals,): those of one place and form share a matrix."""
+        known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], Radial | None], int] = {}
+        return np.array([known.setdefault((i.domain, frozenset((_pair(p), p.weight) for p in i.products), i.radial),
+                                          len(known)) for i in self.integrals], dtype=int)
+
     def project(self, basis: Real, further: Real | None = None) -> Real:
-        """basis^T A_q basis for real columns (size, n), below it further^T A_q basis for more of them (size, m).
+        """basis^T A basis for real columns (size, n), below it further^T A basis for more of them (size, m).
 
         Returns:
-            (number of integrals, n + m, n); the upper part is symmetric.
+            (number of distinct :attr:`forms`, n + m, n); the upper part is symmetric.
         """
         return self._projected(self.places, basis, further)
-
-    def project_change(
-        self, mesh: SectionMesh, basis: Real, further: Real | None = None
-    ) -> tuple[NDArray[np.int64], Real]:
-        """What :meth:`project` changes by when the model moves onto `mesh` (a `geometry.stretch` of its own).
-
-        Integrated over those cells only whose shape differs: of a layer that grows, not of those that it lifts.
-
-        Returns:
-            the indices (k,) of the integrals that change at all, and by how much: (k, n + m, n).
-        """
-        within = _reshaped(self.mesh, mesh)
-        ahead, behind = ({name: place for name, group in self._by_place.items()
-                          if (place := _place(each, group[0], within)) is not None} for each in (mesh, self.mesh))
-        places = {*ahead, *behind}
-        changed = np.array([q for q, integral in enumerate(self.integrals) if integral.domain in places], dtype=int)
-        part = self.of(changed)
-        return changed, part._projected(ahead, basis, further) - part._projected(behind, basis, further)
 
     def _projected(self, places: Mapping[str, Place], basis: Real, further: Real | None) -> Real:
         count = basis.shape[1]
         columns = basis if further is None else np.column_stack([basis, further])
-        result = np.zeros((len(self.integrals), columns.shape[1], count))
+        first = np.unique(self.forms, return_index=True)[1]
+        result = np.zeros((first.size, columns.shape[1], count))
         for place_name, place in places.items():
             group = self._by_place[place_name]
             used = _operators_of(group)
@@ -433,8 +398,10 @@ class FullOperators:
             for gram in grams.values():
                 gram[:count] = 0.5 * (gram[:count] + gram[:count].T)
             for integral in group:
-                for p in integral.products:
-                    result[self._index[id(integral)]] += p.weight * grams[*_pair(p), integral.radial]
+                index = self._index[id(integral)]
+                if first[self.forms[index]] == index:
+                    for p in integral.products:
+                        result[self.forms[index]] += p.weight * grams[*_pair(p), integral.radial]
         return result
 
     def images(self, state: Complex, constants: Complex) -> Complex:
@@ -641,34 +608,48 @@ class _Pattern:
 
 @dataclass(frozen=True, eq=False)
 class ReducedOperators:
-    """The affine model on a small basis: ``matrices`` (number of integrals, r, r), dense and real."""
+    """The affine model on a small basis: ``matrices`` (distinct forms, r, r), dense and real.
+
+    ``forms`` (integrals,) says which of them is that of every integral.
+    """
 
     integrals: tuple[Integral, ...]
     matrices: Real
+    forms: NDArray[np.int64]
 
     @property
     def size(self) -> int:
         return int(self.matrices.shape[1])
 
+    def by_form(self, constants: Complex) -> Complex:
+        """Constants (k, integrals) summed by distinct form: (k, forms)."""
+        return np.asarray(constants @ self._gather)
+
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        return self._forms(self._upper, left, right)
+        return self._forms(self._upper, left, right)[:, self.forms]
 
     def combined_forms(self, states: Complex, constants: Complex) -> Complex:
-        acting = constants.any(axis=0)
-        upper = np.concatenate([constants.real, constants.imag])[:, acting] @ self._upper[acting]
-        forms = self._forms(upper, states, states)
+        summed = self.by_form(constants)
+        # Most rows are the derivative by one parameter, which few forms follow.
+        upper = sparse.csr_array(np.concatenate([summed.real, summed.imag])) @ self._upper
+        forms = self._forms(np.asarray(upper), states, states)
         return np.asarray(forms[:, : len(constants)] + 1j * forms[:, len(constants) :])
 
     def combinations(self, constants: Complex) -> Complex:
         """sum_q constants_kq A_q for `constants` (k, integrals): (k, r, r)."""
-        acting = constants.any(axis=0)
-        upper = combined(constants[:, acting], self._upper[acting]) if acting.any() else np.zeros(
-            (len(constants), self._upper.shape[1]), dtype=complex)
+        summed = self.by_form(constants)
+        acting = summed.any(axis=0)
+        upper = combined(summed[:, acting], self._upper[acting])
         result = np.empty((len(constants), self.size, self.size), dtype=complex)
         row, column = np.triu_indices(self.size)
         result[:, row, column] = np.where(row == column, 1.0, 0.5) * upper
         result[:, column, row] = result[:, row, column]
         return result
+
+    @cached_property
+    def _gather(self) -> sparse.csr_array:
+        count = self.forms.size
+        return sparse.csr_array((np.ones(count), (np.arange(count), self.forms)), shape=(count, len(self.matrices)))
 
     def _forms(self, upper: Real, left: Complex, right: Complex) -> Complex:
         """left^T A right (n, k) for matrices given as :attr:`_upper` is."""
@@ -693,7 +674,7 @@ class ReducedOperators:
 
     @cached_property
     def _upper(self) -> Real:
-        """The upper triangles of the matrices, row by row, what is beside the diagonal twice: (integrals, r(r+1)/2)."""
+        """The upper triangles of the matrices, row by row, what is beside the diagonal twice: (forms, r(r+1)/2)."""
         rank = self.size
         row, column = np.triu_indices(rank)
         return np.asarray(self.matrices[:, row, column] * np.where(row == column, 1.0, 2.0))

@@ -13,8 +13,8 @@ from pathlib import Path
 DRIVE_HELP = ('"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator of that open-circuit voltage, '
               '"0.1 W" constant input power')
 
-#: Usual elements per wavelength by the order of the fields (`workbench.problem.FINENESS`).
-ELEMENTS = {2: 10.0, 4: 3.0}
+#: Accuracy of Z that meshes are made for (`workbench.discretisation.ACCURACY`).
+ACCURACY = "0.05 %"
 
 OUTPUT_HELP = "folder for the results, made if need be"
 
@@ -42,21 +42,21 @@ def _with_state(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--state", metavar="NAME", help="state of the chip (default: the last of its file)")
 
 
-def _with_model(sub: argparse.ArgumentParser, *, order: int = 2) -> None:
+def _with_model(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--from", dest="low", metavar="FREQ",
                      help='lower end of the band, such as "0.91 MHz" (default: of the chip)')
     sub.add_argument("--to", dest="high", metavar="FREQ", help="upper end of the band (default: of the chip)")
-    _with_elements(sub, order)
+    _with_accuracy(sub)
     _with_materials(sub)
     # For the commands without these options.
     sub.set_defaults(points=481, at=None, full=False, tolerance=1e-5, drive="10 Vpp")
 
 
-def _with_elements(sub: argparse.ArgumentParser, order: int) -> None:
-    usual = ELEMENTS[order]
-    sub.add_argument("--elements-per-wavelength", type=float, default=usual, metavar="N",
-                     help=f"elements of order {order} per slowest wavelength (default {usual:g})")
-    sub.set_defaults(usual_elements=usual)
+def _with_accuracy(sub: argparse.ArgumentParser) -> None:
+    # argparse formats its help with %.
+    sub.add_argument("--accuracy", default=ACCURACY, metavar="ERROR",
+                     help=f'relative error of Z, rms over the band, that the mesh is made for (default "{ACCURACY}")'
+                     .replace("%", "%%"))
 
 
 def _with_recording(sub: argparse.ArgumentParser) -> None:
@@ -82,6 +82,8 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
     sub.add_argument("--tolerance", type=float, default=1e-5, metavar="ERROR",
                      help="relative error of the reduced model's impedance (default 1e-5)")
+    sub.add_argument("--no-pictures", action="store_true",
+                     help="leave out the pictures of fields and solid model (default: drawn)")
     sub.add_argument("--no-cad", action="store_true", help="leave out the solid model (default: STEP, STL, view)")
     sub.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
@@ -100,11 +102,10 @@ def _mesh(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
     _with_state(sub)
     _with_model(sub)
-    sub.add_argument("--converge", action="store_true", help="refine until f0 and Z_min change by less than --limit")
-    sub.add_argument("--limit", type=float, default=3.0, metavar="PERCENT", help="default 3, as in the paper")
-    sub.add_argument("--refinements", type=int, default=4, metavar="N", help="at most this many meshes (default 4)")
+    sub.add_argument("--converge", action="store_true",
+                     help="the meshes of all accuracies against a finer one; status 1 if --accuracy is not met")
     sub.add_argument("-o", "--output", type=Path, metavar="DIR",
-                     help="folder for the report of the refinement (default: none is written)")
+                     help="folder for the report of the convergence (default: none is written)")
 
 
 def _export(sub: argparse.ArgumentParser) -> None:
@@ -219,7 +220,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
     batch.add_argument("--again", action="store_true", help="fit again what is finished (default: only the rest)")
     batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")
     batch.add_argument("--workers", type=int, metavar="N", help="fits at a time (default: one for each core)")
-    _with_elements(batch, 2)
+    _with_accuracy(batch)
     _with_materials(batch)
     batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
@@ -227,7 +228,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
 def _diagnose(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
                      help="states of a device with their recordings, and what is known of it")
-    _with_elements(sub, 4)
+    _with_accuracy(sub)
     _with_materials(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
@@ -249,7 +250,7 @@ def _bench(sub: argparse.ArgumentParser) -> None:
                         help="what is measured: a CHIP.toml, or a recorded spectrum; not needed with --connect")
     _with_state(served)
     _with_recording(served)
-    _with_model(served, order=4)
+    _with_model(served)
     served.add_argument("--ports", type=Path, metavar="DIR", help="folder in which the ports 'generator' and "
                         "'oscilloscope' appear (default: a temporary one)")
     served.add_argument("--connect", default="device", metavar="WHAT",

@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geometry.chip import Chip
-from geometry.mesh import MeshSize, SectionMesh, mesh_section
+from geometry.mesh import SectionMesh, mesh_section
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM
 from geometry.section import cut_section
 from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
+from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
-
-#: The transducer is meshed this much finer than the rest. Its radial overtones are sharp and its losses small, so a
-#: free disc at 10 quadratic elements per shear wavelength is off by 0.9 to 1.7 % rms in Z, at 15 by 0.1 to 0.3 %.
-TRANSDUCER_FINER = 1.5
-
-@dataclass(frozen=True)
-class Fineness:
-    """How a mesh is made for fields of one order (see `geometry.mesh.MeshSize`)."""
-
-    elements_per_wavelength: float
-    through_thickness: int
-    corner_refinement: float
-    growth: float
-
-
-#: By the order of the fields. Of the fourth order three elements per wavelength leave 0.1 % rms in Z of a chip with as
-#: many unknowns as it takes the second order for 0.5 %: what is left then is the corners of the cavity, so the mesh is
-#: graded steeply towards them.
-FINENESS = {2: Fineness(10.0, 2, 0.5, 1.2), 4: Fineness(3.0, 1, 0.1, 4.0)}
-
-#: A gas is meshed this much finer, that is coarser. Behind solid walls all of it changes Z by 0.3 % at most, and the
-#: short waves in it would rule the size of every element above and below: five elements per wavelength are enough.
-GAS_FINER = 0.5
-
-#: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.
-GAS_IMPEDANCE = 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +25,7 @@ class Problem:
 
     ``materials`` holds what fills each region (a vacuum is absent); ``values`` the complex parameters
     ``<material>.<property>`` in SI units, e^{-i w t}; ``band`` the two ends (Hz) of the frequencies the mesh was made
-    for.
+    for, with that ``discretisation`` (None: a mesh of the caller's own).
     """
 
     mesh: SectionMesh
@@ -60,6 +34,7 @@ class Problem:
     band: tuple[float, float]
     materials: Mapping[str, Material]
     name: str = ""
+    discretisation: Discretisation | None = None
 
     def with_values(self, values: Mapping[str, complex]) -> Problem:
         """The same problem with other parameter values.
@@ -195,53 +170,27 @@ def build(
     registry: Registry,
     *,
     band: tuple[float, float] | None = None,
-    order: int = 2,
-    elements_per_wavelength: float | None = None,
+    accuracy: float | Discretisation = ACCURACY,
     skins: Mapping[str, float] | None = None,
     cache: Path | None = None,
 ) -> Problem:
     """The problem of a chip in one of its states, meshed for `band` (Hz; the chip's own by default).
 
-    Fields are of that `order`, one of :data:`FINENESS`, which has the usual `elements_per_wavelength` too; `skins` as
-    in `geometry.mesh.MeshSize`.
+    The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` as in
+    `geometry.mesh.MeshSize`.
 
     Raises:
-        InputError: see :func:`chip_materials`.
+        InputError: see :func:`chip_materials` and `workbench.discretisation.discretisation`.
         MeshError: the mesh could not be made as the section asks.
     """
+    fineness = discretisation(accuracy)
     materials = chip_materials(chip, state, registry)
     low, high = chip.band if band is None else band
     check_use(materials.values(), band=(low, high))
     section = cut_section(chip)
-    size = mesh_size(section.regions, materials, high, order=order, elements_per_wavelength=elements_per_wavelength,
-                     skins=skins)
-    return problem(mesh_section(section, size, cache=cache), materials, (low, high), name=f"{chip.name}, {state}")
-
-
-def mesh_size(
-    regions: tuple[str, ...], materials: Mapping[str, Material], frequency: float, *, order: int = 2,
-    elements_per_wavelength: float | None = None, skins: Mapping[str, float] | None = None,
-) -> MeshSize:
-    """How fine the mesh of these regions has to be at `frequency` (Hz), for fields of an order of :data:`FINENESS`."""
-    fine = FINENESS[order]
-    return MeshSize(mesh_speeds(regions, materials, order), frequency, order=order,
-                    elements_per_wavelength=elements_per_wavelength or fine.elements_per_wavelength,
-                    minimum_through_thickness=fine.through_thickness, corner_refinement=fine.corner_refinement,
-                    growth=fine.growth, skins=skins or {})
-
-
-def mesh_speeds(regions: tuple[str, ...], materials: Mapping[str, Material], order: int = 2) -> dict[str, float]:
-    """The speed (m/s) whose wavelength rules the mesh size in every region; infinite where there is nothing."""
-    # An element smaller by f has an error smaller by f to the power of twice the order.
-    return {region: materials[region].slowest_wave_speed() / _finer(region, materials[region]) ** (2.0 / order)
-            if region in materials else math.inf for region in regions}
-
-
-def _finer(region: str, material: Material) -> float:
-    """How much finer than others a region is meshed for fields of the second order."""
-    if isinstance(material, Fluid) and material.density * material.sound_speed < GAS_IMPEDANCE:
-        return GAS_FINER
-    return TRANSDUCER_FINER if region == TRANSDUCER else 1.0
+    size = fineness.mesh_size(section, materials, high, skins=skins)
+    made = problem(mesh_section(section, size, cache=cache), materials, (low, high), name=f"{chip.name}, {state}")
+    return replace(made, discretisation=fineness)
 
 
 def problem(

@@ -33,6 +33,7 @@ from geometry.stretch import tied
 from inputs import InputError, choose, replacing
 from materials.registry import Registry
 from workbench.dimensions import flexible
+from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fit.parameter import LOSS, part, placed
 from workbench.operators import FullOperators, ReducedOperators, assemble
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
@@ -188,7 +189,7 @@ def range_model(
     limit: int = LIMIT,
     seed: int = 0,
     progress: Progress | None = None,
-    **mesh: Any,
+    accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
     """A model of a chip's spectrum over `ranges` of its lengths and of its materials' coefficients.
 
@@ -200,6 +201,7 @@ def range_model(
         tolerance: relative error of the impedance, against the full solution on the same mesh.
         limit: most full solves.
         seed: of the points that it is grown and checked at.
+        accuracy: of the mesh, see `discretisation`.
 
     Raises:
         InputError: something in the chip or its materials, or a range that names nothing or holds no number.
@@ -208,7 +210,8 @@ def range_model(
     started = time.perf_counter()
     name = chip.states[-1].name if state is None else chip.state(state).name
     low, high = chip.band if band is None else band
-    problem, ranges = with_ranges(build(chip, name, registry or Registry(), band=(low, high), **mesh), chip, ranges)
+    plain = build(chip, name, registry or Registry(), band=(low, high), accuracy=accuracy)
+    problem, ranges = with_ranges(plain, chip, ranges)
     frequency = np.linspace(low, high, points)
     centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
     moves: dict[str, float] = {}
@@ -316,10 +319,10 @@ def compacted(model: ReducedModel, moving: set[str], values: Mapping[str, comple
             if each.any():
                 integrals.append(Integral(times(coefficient, Monomial(turn, 0)), "", ()))
                 weights.append(each)
-    combine = np.array(weights)
+    combine = model.operators.by_form(np.array(weights, dtype=complex)).real
     matrices = np.tensordot(combine, model.operators.matrices, axes=1)
-    return replace(model, operators=ReducedOperators(tuple(integrals), matrices),
-                   sketch=np.tensordot(combine, model.sketch, axes=1))
+    operators = ReducedOperators(tuple(integrals), matrices, np.arange(len(integrals)))
+    return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
 
 
 def _separated(
@@ -356,7 +359,8 @@ def fingerprint(problem: Problem) -> str:
 
 
 def load(
-    path: Path, chip: Chip, state: str | None = None, *, registry: Registry | None = None, **mesh: Any
+    path: Path, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
+    accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
     """A model that :meth:`RangeModel.save` has kept, with the chip it is of.
 
@@ -375,13 +379,13 @@ def load(
         raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
     name = chip.states[-1].name if state is None else chip.state(state).name
     band = float(frequency[0]), float(frequency[-1])
-    problem, _ = with_ranges(build(chip, name, registry or Registry(), band=band, **mesh), chip, ranges)
+    problem, _ = with_ranges(build(chip, name, registry or Registry(), band=band, accuracy=accuracy), chip, ranges)
     if fingerprint(problem) != content["problem"]:
         raise InputError(str(path), "chip", f"{chip.name}, {name}", "the chip, state, materials and mesh that the "
                          "model was made for")
     operators = assemble(problem.mesh, problem.terms)
     energy = energy_matrix(System(operators, problem.values), float(np.median(frequency)))
-    reduced = ReducedModel(operators, ReducedOperators(operators.integrals, stored["matrices"]), stored["basis"],
-                           stored["weights"], stored["test"], stored["sketch"], energy, content["solves"],
-                           content["residual"])
+    inner = ReducedOperators(operators.integrals, stored["matrices"], operators.forms)
+    reduced = ReducedModel(operators, inner, stored["basis"], stored["weights"], stored["test"], stored["sketch"],
+                           energy, content["solves"], content["residual"])
     return RangeModel(problem, ranges, frequency, reduced, content["tolerance"], content["error"], content["seconds"])

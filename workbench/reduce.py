@@ -82,7 +82,7 @@ class ReducedModel:
 
     ``basis`` (size, r), last column with unit electrode voltage and the others with none; ``weights`` (size,) the unit
     of every unknown in its norm; ``test`` (size, PROJECTIONS) the vectors that residuals are projected on and
-    ``sketch`` (integrals, PROJECTIONS, r) the projections of A_q basis; ``energy`` (size - 1, size - 1) the matrix R;
+    ``sketch`` (forms, PROJECTIONS, r) the projections of A basis; ``energy`` (size - 1, size - 1) the matrix R;
     ``solves`` full solves spent, ``residual`` the largest scaled residual among them.
     """
 
@@ -105,7 +105,8 @@ class ReducedModel:
 
         Rounding, some 1e-12, is not in it.
         """
-        sketches = combined(np.array([constants for _, constants in solution.groups]), self.sketch)
+        constants = np.array([constants for _, constants in solution.groups])
+        sketches = combined(self.operators.by_form(constants), self.sketch)
         residual = sum(h * (sketch @ solution.states) for (h, _), sketch in zip(solution.groups, sketches, strict=True))
         return estimated_error(np.asarray(residual), solution.charge)
 
@@ -177,8 +178,8 @@ class ReducedModel:
     def of(self, integrals: NDArray[np.int64]) -> ReducedModel:
         """The same with some of the integrals (k,) only."""
         full = self.full.of(integrals)
-        operators = ReducedOperators(full.integrals, self.operators.matrices[integrals])
-        return replace(self, full=full, operators=operators, sketch=self.sketch[integrals])
+        operators = ReducedOperators(full.integrals, self.operators.matrices, self.operators.forms[integrals])
+        return replace(self, full=full, operators=operators)
 
     def expand(self, solution: Solution) -> Complex:
         """The states (size, n) of the full model that a reduced solution stands for."""
@@ -279,14 +280,14 @@ def begun(system: System, frequencies: Real, state: Complex) -> ReducedModel:
     weights, energy = np.sqrt(np.abs(system.matrix(middle).diagonal())), energy_matrix(system, middle)
     test, basis = test_vectors(energy, middle), state.real[:, None].copy()
     matrices, sketch = _extended(system.operators, basis, test, None)
-    return ReducedModel(system.operators, ReducedOperators(system.operators.integrals, matrices), basis, weights, test,
-                        sketch, energy, 0, 0.0)
+    return ReducedModel(system.operators, ReducedOperators(system.operators.integrals, matrices,
+                        system.operators.forms), basis, weights, test, sketch, energy, 0, 0.0)
 
 
 def _extended(
     operators: FullOperators, basis: Real, test: Real, known: ReducedModel | None
 ) -> tuple[Real, Real]:
-    """Matrices (integrals, r, r) and sketch (integrals, PROJECTIONS, r) on `basis`.
+    """Matrices (forms, r, r) and sketch (forms, PROJECTIONS, r) on `basis`.
 
     Of the basis of `known`, with which `basis` begins but for the lift at the end, they are taken over.
     """
@@ -295,8 +296,8 @@ def _extended(
     new = np.setdiff1d(np.arange(rank), old)
     images = operators.project(basis[:, new], np.column_stack([basis[:, old], test]))
     own, cross, seen = np.split(images, [new.size, rank], axis=1)
-    matrices = np.zeros((len(operators.integrals), rank, rank))
-    sketch = np.zeros((len(operators.integrals), test.shape[1], rank))
+    matrices = np.zeros((len(images), rank, rank))
+    sketch = np.zeros((len(images), test.shape[1], rank))
     if known is not None:
         matrices[:, old[:, None], old], sketch[:, :, old] = known.operators.matrices, known.sketch
     matrices[:, new[:, None], new], sketch[:, :, new] = own, seen

@@ -141,6 +141,7 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
     record["resonance_fits"] = {name: fit_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
     record["model"] = {
         "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
+        "order": run.problem.mesh.order, "estimated_mesh_error_rms": run.mesh_error.rms if run.mesh_error else None,
         "estimated_relative_error": run.error, "largest_residual": run.residual, "energy_closure": run.closure,
     }
     record["fields"] = {"frequency_hz": run.fields.frequency, "drive": run.fields.drive,

@@ -22,11 +22,14 @@ from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
 from workbench import particles
+from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.merit import Figures, NoResonance, figures
+from workbench.mesh_error import MeshError
+from workbench.mesh_error import estimate as mesh_error
 from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem, build, mesh_speeds
+from workbench.problem import Problem, build
 from workbench.reduce import reduce
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
@@ -39,7 +42,8 @@ Progress = Callable[[str, float], None]
 
 
 class MeshTooCoarse(UserWarning):
-    """The mesh has fewer elements per wavelength than asked for at some frequency in some region."""
+    """The mesh has fewer elements per wavelength than its discretisation at some frequency in some region, or leaves a
+    larger error than asked for."""
 
 
 def quiet(_activity: str, _fraction: float) -> None:
@@ -69,7 +73,8 @@ class Simulation(Snapshot):
     """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
 
     ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
-    estimated relative error of the impedance (0 for a full solve), ``solves`` the number of full solves, ``residual``
+    estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
+    (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual``
     the largest scaled residual of one. ``seconds`` by step.
     """
 
@@ -78,6 +83,7 @@ class Simulation(Snapshot):
     figures: Figures | None
     no_resonance: str
     error: float
+    mesh_error: MeshError | None
     solves: int
     seconds: Mapping[str, float]
 
@@ -112,7 +118,7 @@ def simulate(
     full: bool = False,
     tolerance: float = 1e-5,
     drive: Drive | None = None,
-    elements_per_wavelength: float = 10.0,
+    accuracy: float | Discretisation = ACCURACY,
     mesh_cache: Path | None = None,
     on_point: Callable[[float, complex], None] | None = None,
     known: Mapping[float, complex] | None = None,
@@ -128,6 +134,7 @@ def simulate(
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
         tolerance: relative error of the reduced model's impedance.
         drive: how the device is driven; 10 Vpp at the electrodes if not given.
+        accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
 
     Raises:
         InputError: something in the chip, its materials or the arguments.
@@ -148,27 +155,34 @@ def simulate(
     frequencies = frequency_grid(chip.band if band is None else band, points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem = build(chip, name, registry, band=span, elements_per_wavelength=elements_per_wavelength, cache=mesh_cache)
+    problem = build(chip, name, registry, band=span, accuracy=accuracy, cache=mesh_cache)
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     lap("assembly")
     if full:
         impedance, solves, residual = _full_spectrum(operators, frequencies, problem, known or {}, on_point, progress)
-        error = 0.0
+        error, of_mesh = 0.0, None
     else:
         model = reduce(operators, frequencies, problem.values, tolerance=tolerance,
                        progress=lambda fraction: progress("reduced model", fraction))
         solution = model.solve(frequencies, problem.values)
         impedance, solves, residual = solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
-    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, full, error))
-    lap("spectrum")
+        lap("spectrum")
+        of_mesh = mesh_error(model, frequencies, problem.values)
+        if isinstance(accuracy, float) and of_mesh.rms > accuracy:
+            warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * of_mesh.rms:.2g} % rms in Z, above "
+                          f"the {100.0 * accuracy:g} % asked for; ask for less", MeshTooCoarse, stacklevel=2)
+        lap("error of the mesh")
+    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, error, of_mesh))
+    if full:
+        lap("spectrum")
     try:
         merit, reason = figures(spectrum), ""
     except NoResonance as missing:
         merit, reason = None, missing.reason
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
-    check_mesh(problem, frequency, elements_per_wavelength)
+    check_mesh(problem, frequency)
     progress("fields", 0.0)
     shot = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
     lap("fields")
@@ -176,7 +190,7 @@ def simulate(
     return Simulation(
         chip=chip, state=name, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
-        no_resonance=reason, error=error, solves=solves + 1, seconds=seconds,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
     )
 
 
@@ -188,7 +202,7 @@ def snapshot(
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
     drive: Drive | None = None,
-    elements_per_wavelength: float = 10.0,
+    accuracy: float | Discretisation = ACCURACY,
     mesh_cache: Path | None = None,
     progress: Progress = quiet,
 ) -> Snapshot:
@@ -200,8 +214,8 @@ def snapshot(
     """
     name, registry = state_name(chip, state), registry or Registry()
     progress("mesh", 0.0)
-    problem = build(chip, name, registry, band=band, elements_per_wavelength=elements_per_wavelength, cache=mesh_cache)
-    check_mesh(problem, frequency, elements_per_wavelength)
+    problem = build(chip, name, registry, band=band, accuracy=accuracy, cache=mesh_cache)
+    check_mesh(problem, frequency)
     progress("fields", 0.5)
     operators = assemble(problem.mesh, problem.terms)
     found = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
@@ -243,9 +257,15 @@ def _full_spectrum(
     return impedance, int(missing.size), residual
 
 
-def check_mesh(problem: Problem, frequency: float, wanted: float) -> None:
-    """Warn, once for the problem, of every region with too few elements per wavelength at `frequency` (Hz)."""
-    speeds = {region: speed for region, speed in mesh_speeds(problem.mesh.section.regions, problem.materials).items()
+def check_mesh(problem: Problem, frequency: float) -> None:
+    """Warn, once for the problem, of every region with fewer elements per wavelength at `frequency` (Hz) than its
+    discretisation has. A mesh of the caller's own is not checked."""
+    made = problem.discretisation
+    if made is None:
+        return
+    wanted = made.elements_per_wavelength
+    speeds = {region: speed
+              for region, speed in made.mesh_speeds(problem.mesh.section.regions, problem.materials).items()
               if np.isfinite(speed)}
     counts = geometry.mesh.elements_per_wavelength(problem.mesh, speeds, frequency)
     coarse = {region: count for region, count in counts.items() if count < wanted * (1.0 - 1e-9)}
@@ -282,8 +302,9 @@ def _traps(
     return particles.find_traps(forces)
 
 
-def _origin(chip: Chip, state: str, problem: Problem, full: bool, error: float) -> Origin:
-    method = "full solves" if full else f"reduced model, estimated relative error at most {error:.1e}"
+def _origin(chip: Chip, state: str, problem: Problem, error: float, of_mesh: MeshError | None) -> Origin:
+    method = "full solves" if of_mesh is None else (
+        f"reduced model, estimated relative error at most {error:.1e}, of its mesh {of_mesh.rms:.1e} rms")
     settings = {"chip": chip.name, "state": state, "method": method,
                 **{f"material of {region}": material.name for region, material in problem.materials.items()}}
     return Origin(kind="simulated", source=chip.file, settings=settings)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -206,11 +207,32 @@ def _threads() -> ThreadpoolController:
     return ThreadpoolController()
 
 
+@dataclass
+class _Limit:
+    """The limit of BLAS threads in force, and by how many it is asked for: threads of ours come and go."""
+
+    lock: Lock
+    asked: int = 0
+    limiter: Any = None
+
+
+_LIMIT = _Limit(Lock())
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """One BLAS thread: two made sparse factorisations up to 300 times slower on a busy two-core machine."""
-    with _threads().limit(limits=1, user_api="blas"):
+    with _LIMIT.lock:
+        if _LIMIT.asked == 0:
+            _LIMIT.limiter = _threads().limit(limits=1, user_api="blas")
+        _LIMIT.asked += 1
+    try:
         yield
+    finally:
+        with _LIMIT.lock:
+            _LIMIT.asked -= 1
+            if _LIMIT.asked == 0:
+                _LIMIT.limiter.restore_original_limits()
 
 
 @dataclass(frozen=True, eq=False)

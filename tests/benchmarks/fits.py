@@ -29,6 +29,7 @@ from paper_algorithms import Case, cases, disc_of  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
+from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.fit import certainty  # noqa: E402
 from workbench.fit.gel import gel_study  # noqa: E402
 from workbench.fit.joint import COARSE, FINE, FitResult, Search, fit, refine  # noqa: E402
@@ -97,7 +98,7 @@ def polymer(arguments: argparse.Namespace) -> None:
     result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
     estimates(result, case)
     study = gel_study(prepared, Registry(), numbers={e.parameter.name: e.value for e in result.estimates},
-                      thicknesses=(5e-6, 20e-6, 50e-6), elements_per_wavelength=arguments.elements_per_wavelength)
+                      thicknesses=(5e-6, 20e-6, 50e-6), accuracy=arguments.accuracy)
     published = {5e-6: 26.2, 20e-6: 25.9, 50e-6: 32.8}
     table([["gel", "MAPE", "MAPE of the paper against its own recording"],
            *([f"{1e6 * c.thickness:g} um", f"{c.comparison.mape_percent:.3g} %", f"{published[c.thickness]} %"]
@@ -173,7 +174,7 @@ def recording(arguments: argparse.Namespace) -> None:
     for sheet in arguments.sheets:
         chip = disc_of(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), sheet)
         prepared = prepare(chip, Registry(), kind="pzt", name="disc", measured=measured, free=SIXTEEN,
-                           elements_per_wavelength=arguments.elements_per_wavelength)
+                           accuracy=arguments.accuracy)
         result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
         match = result.recordings[0]
         rows.append([sheet, f"{match.before.mape_percent:.0f} %", f"{match.after.mape_percent:.3f} %",
@@ -214,7 +215,7 @@ def main() -> None:
     parser.add_argument("work", choices=works)
     parser.add_argument("--recordings", type=Path, help="folder of the real recordings")
     parser.add_argument("--sheets", nargs="+", default=DATA_SHEETS, help="data sheets that `recording` starts from")
-    parser.add_argument("--elements-per-wavelength", type=float, default=10.0)
+    parser.add_argument("--accuracy", type=float, default=ACCURACY)
     parser.add_argument("--draws", type=int, default=100, help="noise draws of `coverage`")
     parser.add_argument("--noise", type=float, nargs="+", default=[0.005, 0.02], help="relative levels of `coverage`")
     parser.add_argument("--count", type=int, default=20, help="random starts of `starts`")

@@ -31,6 +31,7 @@ sys.path.insert(0, str(ROOT))
 from geometry.chip import Chip, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.commands.terminal import Show, progress_bars  # noqa: E402
+from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.fit.joint import fit  # noqa: E402
 from workbench.fit.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
 from workbench.fit.parameter import LOSS, POLYMER_FOUR, TRANSDUCER_TEN, part, started_at  # noqa: E402
@@ -84,23 +85,23 @@ def parts(material: str, names: tuple[str, ...]) -> dict[str, float]:
 
 def free_disc(density: float, arguments: argparse.Namespace) -> Problem:
     chip = disc_of(read_chip(ROOT / "geometry/chips/free_disc_25x2.toml"), INITIAL, density)
-    return build(chip, chip.states[0].name, Registry(), elements_per_wavelength=arguments.elements_per_wavelength)
+    return build(chip, chip.states[0].name, Registry(), accuracy=arguments.accuracy)
 
 
 def cases(arguments: argparse.Namespace) -> dict[str, Case]:
-    fineness = arguments.elements_per_wavelength
+    fineness = arguments.accuracy
 
     def disc() -> Prepared:
         chip = disc_of(read_chip(ROOT / "geometry/chips/free_disc_25x2.toml"), INITIAL, DENSITY)
         measured = read(ROOT / "tests/data/reference/free_disc_fitted_rho7500.csv").spectrum
         return prepare(chip, Registry(), kind="pzt", name="free disc", measured=measured,
-                       elements_per_wavelength=fineness)
+                       accuracy=fineness)
 
     def polymer() -> Prepared:
         chip = read_chip(ROOT / "geometry/chips/disc_gel_pla.toml")
         measured = read(ROOT / "tests/data/reference/disc_gel_PLA.csv").spectrum
         prepared = prepare(chip, Registry(), kind="polymer", name="PLA", measured=measured,
-                           elements_per_wavelength=fineness)
+                           accuracy=fineness)
         # From the moduli of PMMA: those of the chip's own material are the truth.
         start = material_starts(prepared, Registry(), [PMMA])[PMMA]
         return replace(prepared, parameters=tuple(map(started_at, prepared.parameters, start)))
@@ -108,7 +109,7 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
     def real() -> Prepared:
         measured = read(arguments.recordings / DISC).spectrum
         return prepare(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), Registry(), kind="pzt", name="real disc",
-                       measured=measured, elements_per_wavelength=fineness)
+                       measured=measured, accuracy=fineness)
 
     result = {
         "disc": Case("reference: free disc", disc, parts(FITTED, TRANSDUCER_TEN)),
@@ -273,7 +274,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, help=f"folder that holds {DISC}")
     parser.add_argument("--points", type=int, default=25, help="frequencies of the full-order spectrum")
-    parser.add_argument("--elements-per-wavelength", type=float, default=10.0)
+    parser.add_argument("--accuracy", type=float, default=ACCURACY)
     parser.add_argument("--minutes", type=float, default=60.0, help="after which a fit of the paper is stopped")
     parser.add_argument("--output", type=Path, default=Path("paper_algorithms.json"), help="rows, finished and kept")
     parser.add_argument("--resume", action="store_true", help="keep the rows there are and make the others")

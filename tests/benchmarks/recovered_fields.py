@@ -21,26 +21,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
-from geometry.mesh import MeshSize, mesh_section
+from geometry.mesh import mesh_section
 from geometry.names import CAVITY
 from geometry.section import Section, cut_section
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
 from workbench import particles
+from workbench.discretisation import ROWS, Discretisation
 from workbench.drive import VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
 from workbench.operators import assemble
-from workbench.problem import chip_materials, mesh_speeds, problem
+from workbench.problem import chip_materials, problem
 from workbench.solve import solve_full
 
 Real = NDArray[np.float64]
 
 CHIP = Path(__file__).resolve().parent.parent.parent / "geometry" / "chips" / "reference_chip.toml"
 STATE, FREQUENCY, RADIUS = "filled", 1.0305e6, 5e-6
-#: Order, elements per wavelength.
-TRIED = ((2, 10.0), (4, 2.0), (4, 2.6), (4, 3.0))
-REFERENCE = (6, 4.0)
+#: The rows that are usual, by their accuracy, and what was before them.
+TRIED = {"order 2, 10": Discretisation(2, 10.0, 2, 0.5, 1.2, 1.5, 0.5), "1e-3": ROWS[1e-3], "5e-4": ROWS[5e-4],
+         "2e-4": ROWS[2e-4]}
+REFERENCE = Discretisation(6, 4.0, 2, 0.05, 4.0, 1.2, 1.0)
 #: Metres from the nearest corner of a region from which on a point is away from it.
 AWAY = 0.3e-3
 
@@ -53,17 +55,6 @@ class Found:
     values: dict[tuple[str, str], NDArray[np.complex128]]
     energy: dict[str, float]
     traps: tuple[particles.Trap, ...]
-
-
-def size(section: Section, materials: dict[str, object], highest: float, order: int, elements: float) -> MeshSize:
-    """Graded steeply towards the corners, but for order 2: as its meshes were up to c06b350."""
-    graded = {"corner_refinement": 0.1, "growth": 4.0, "minimum_through_thickness": 1}
-    if order == 2:
-        graded = {"corner_refinement": 0.5, "growth": 1.2, "minimum_through_thickness": 2}
-    if (order, elements) == REFERENCE:
-        graded["minimum_through_thickness"] = 2
-    speeds = mesh_speeds(section.regions, materials, order)  # type: ignore[arg-type]
-    return MeshSize(speeds, highest, elements_per_wavelength=elements, order=order, **graded)  # type: ignore[arg-type]
 
 
 def points_of(section: Section, count: int = 1500) -> dict[str, Real]:
@@ -88,12 +79,11 @@ def away(section: Section, points: Real) -> NDArray[np.bool_]:
     return far
 
 
-def solve(order: int, elements: float) -> Found:
-    """The fields on the mesh of that order and number of elements per wavelength."""
+def solve(how: Discretisation) -> Found:
+    """The fields on the mesh of a discretisation."""
     chip, registry = read_chip(CHIP), Registry()
     materials, section = chip_materials(chip, STATE, registry), cut_section(chip)
-    model = problem(mesh_section(section, size(section, materials, chip.band[1], order, elements)),  # type: ignore[arg-type]
-                    materials, chip.band)
+    model = problem(mesh_section(section, how.mesh_size(section, materials, chip.band[1])), materials, chip.band)
     operators = assemble(model.mesh, model.terms)
     solution = solve_full(operators, np.array([FREQUENCY]), model.values)
     shown = fields(model, operators, solution, VoltageDrive(10.0))
@@ -131,10 +121,10 @@ def main() -> None:
     warnings.simplefilter("ignore")
     section = cut_section(read_chip(CHIP))
     points = points_of(section)
-    reference = solve(*REFERENCE)
-    runs = [solve(*each) for each in TRIED]
+    reference = solve(REFERENCE)
+    runs = [solve(each) for each in TRIED.values()]
     print("rms / rms away from corners / largest away from corners, %")
-    print(f"{'':24}" + "".join(f"{f'order {order}, {elements:g}':>24}" for order, elements in TRIED))
+    print(f"{'':24}" + "".join(f"{name:>24}" for name in TRIED))
     print(f"{'unknowns':24}" + "".join(f"{run.unknowns:24}" for run in runs))
     for region, name in sorted(reference.values, key=lambda key: (key[1], section.regions.index(key[0]))):
         far = away(section, points[region])

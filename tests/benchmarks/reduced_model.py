@@ -24,6 +24,7 @@ sys.path.insert(0, str(ROOT))
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
+from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
 from workbench.reduce import reduce  # noqa: E402
@@ -40,7 +41,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=481)
     parser.add_argument("--chip", type=Path, default=ROOT / "geometry/chips/reference_chip.toml")
     parser.add_argument("--state", default="filled")
-    parser.add_argument("--elements-per-wavelength", type=float, default=10.0)
+    parser.add_argument("--accuracy", type=float, default=ACCURACY)
     parser.add_argument("--change", type=float, default=1.0, help="per cent by which the PLA moduli are changed")
     parser.add_argument("--no-command", action="store_true", help="leave out the whole `workbench simulate`")
     arguments = parser.parse_args()
@@ -49,7 +50,7 @@ def main() -> None:
     frequencies = np.linspace(*chip.band, 481)
 
     started = time.perf_counter()
-    problem = build(chip, arguments.state, Registry(), elements_per_wavelength=arguments.elements_per_wavelength)
+    problem = build(chip, arguments.state, Registry(), accuracy=arguments.accuracy)
     operators = assemble(problem.mesh, problem.terms)
     model = reduce(operators, frequencies, problem.values, tolerance=1e-4)
     reduced = model.solve(frequencies, problem.values)

@@ -235,7 +235,7 @@ def test_a_stretched_chip_is_the_remeshed_one_where_the_divisions_agree(
     small_chip: Chip, filled_materials: dict[str, Material]
 ) -> None:
     # So coarse that only the least number of elements counts, which is the same for both chips.
-    size = MeshSize(dict.fromkeys(small_chip.regions, 1e6), 400e3, minimum_through_thickness=3, corner_refinement=1.0)
+    size = MeshSize(dict.fromkeys(small_chip.regions, 1e6), 400e3, 10.0, 2, minimum_through_thickness=3)
     chip = _longer(small_chip)
     moved = stretch(mesh_section(cut_section(small_chip), size), chip)
     remeshed = mesh_section(cut_section(chip), size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 from geometry.chip import Chip
 from inputs import InputError, parse_quantity
 from materials.registry import Registry, user_folder, user_registry
+from workbench.discretisation import Discretisation, discretisation
 from workbench.drive import Drive, parse_drive
 
 if TYPE_CHECKING:
@@ -31,14 +31,15 @@ class Asked:
     full: bool
     tolerance: float
     drive: Drive
-    elements_per_wavelength: float
+    accuracy: float | Discretisation
 
 
 def asked_model(options: argparse.Namespace, chip: Chip) -> Asked:
     """The model that the options ask for.
 
     Raises:
-        InputError: a band that does not rise, a frequency outside it, no elements, or a drive nobody can read.
+        InputError: a band that does not rise, a frequency outside it, an accuracy there is no mesh for, or a drive
+            nobody can read.
     """
     band = asked_band(options, chip)
     at = None if options.at is None else parse_quantity(options.at, "frequency", source="command line", field="--at")
@@ -48,21 +49,22 @@ def asked_model(options: argparse.Namespace, chip: Chip) -> Asked:
     return Asked(
         registry=user_registry(options.materials), band=band, points=options.points, at=at, full=options.full,
         tolerance=options.tolerance, drive=parse_drive(options.drive),
-        elements_per_wavelength=asked_elements(options),
+        accuracy=asked_accuracy(options),
     )
 
 
-def asked_elements(options: argparse.Namespace) -> float:
-    """The elements per wavelength that the options ask for.
+def asked_accuracy(options: argparse.Namespace) -> float:
+    """The relative accuracy of Z that the options ask for.
 
     Raises:
-        InputError: no elements.
+        InputError: no number or per cent, or an accuracy there is no mesh for.
     """
-    count: float = options.elements_per_wavelength
-    if not (math.isfinite(count) and count > 0.0):
-        raise InputError("command line", "--elements-per-wavelength", count,
-                         f"a number above zero; {options.usual_elements:g} is usual")
-    return count
+    accuracy = parse_quantity(options.accuracy, "dimensionless", source="command line", field="--accuracy")
+    try:
+        discretisation(accuracy)
+    except InputError as error:
+        raise InputError("command line", "--accuracy", options.accuracy, error.expected) from None
+    return accuracy
 
 
 def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:

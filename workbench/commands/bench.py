@@ -194,8 +194,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     frequencies = frequency_grid(asked.band, asked.points)
     # What is measured is to be finer than what it is fitted with, and a liquid sticks to its walls.
     problem = with_boundary_layers(
-        build(chip, state, asked.registry, order=4, elements_per_wavelength=asked.elements_per_wavelength,
-              band=asked.band, cache=user_cache()))
+        build(chip, state, asked.registry, accuracy=asked.accuracy, band=asked.band, cache=user_cache()))
     model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.tolerance)
     solved = model.solve(frequencies, problem.values)
     return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"

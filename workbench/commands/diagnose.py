@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geometry.mesh import user_cache
-from workbench.commands.asked import asked_elements, output_folder, say_read_as
+from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
 from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.compare import compare
@@ -35,13 +35,13 @@ LISTED = 12
 
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench diagnose``: what differs, where, which physics, how sure, what else it could be."""
-    elements = asked_elements(options)
+    accuracy = asked_accuracy(options)
     campaign = read_campaign(options.campaign, materials=options.materials)
     folder = output_folder(options.output)
     for state in campaign.states:
         say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
     with progress_bars(console) as show:
-        device = model(campaign, elements_per_wavelength=elements, cache=user_cache(),
+        device = model(campaign, accuracy=accuracy, cache=user_cache(),
                        progress=lambda share: show(campaign.name, "meshing", 0.05 * share))
         found = diagnose(device, progress=lambda text, share: show(campaign.name, text, 0.05 + 0.95 * share))
         show(campaign.name, "done", 1.0)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inputs import InputError, choose, parse_quantity
-from workbench.commands.asked import asked_elements, output_folder, say_read_as
+from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
 from workbench.commands.fit_job import (
     Done,
     derived_table,
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     if options.tries < 0:
         raise InputError("command line", "--tries", options.tries, "a number of ways down, 0 for none")
     settings = Settings(
-        materials=tuple(options.materials), elements_per_wavelength=asked_elements(options),
+        materials=tuple(options.materials), accuracy=asked_accuracy(options),
         algorithm=options.algorithm, starts=tuple(options.start), tries=options.tries, force=options.force)
     if options.kind == "batch":
         return _batch(options, console, settings)
@@ -178,7 +178,7 @@ def _command(options: argparse.Namespace, name: str) -> list[str]:
     """This command again, for one of its jobs."""
     command = [sys.executable, "-P", "-m", "workbench.cli", "fit", "batch", str(options.file), "--only", name,
                "--output", str(options.output), "--algorithm", options.algorithm, "--tries", str(options.tries),
-               "--elements-per-wavelength", repr(options.elements_per_wavelength)]
+               "--accuracy", options.accuracy]
     for material in options.start:
         command += ["--start", material]
     for folder in options.materials:

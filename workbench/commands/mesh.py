@@ -10,74 +10,94 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
 from geometry.mesh import elements_per_wavelength, user_cache
 from inputs import InputError
-from workbench.commands.asked import Asked, asked_band, asked_model, output_folder
+from workbench.commands.asked import Asked, asked_accuracy, asked_model, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
-from workbench.problem import build, mesh_speeds
+from workbench.discretisation import ROWS, discretisation
+from workbench.problem import build
 from workbench.report import Block, Picture, Table, number, write_json, write_report
-from workbench.simulate import state_name
+from workbench.simulate import Simulation, state_name
+
+Real = NDArray[np.float64]
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+#: The mesh that those of the table are compared with has elements smaller than the finest of them by this factor.
+FINER = 1.5
+
 
 def run(options: argparse.Namespace, console: Console) -> int:
-    """``workbench mesh``: the mesh of a chip, and the paper's refinement study."""
+    """``workbench mesh``: the mesh of a chip, and what the accuracies it can be made for are worth."""
     chip = read_chip(options.chip)
-    asked, state, band = asked_model(options, chip), state_name(chip, options.state), asked_band(options, chip)
-    if options.converge and options.refinements < 2:
-        raise InputError("command line", "--refinements", options.refinements, "at least 2 meshes to compare")
-    if options.converge and not options.limit > 0.0:
-        raise InputError("command line", "--limit", options.limit, "a change in per cent above zero")
-    problem = build(chip, state, asked.registry, band=band, elements_per_wavelength=asked.elements_per_wavelength,
-                    cache=user_cache())
-    speeds = {r: c for r, c in mesh_speeds(problem.mesh.section.regions, problem.materials).items() if math.isfinite(c)}
-    counts = elements_per_wavelength(problem.mesh, speeds, band[1])
+    asked, state = asked_model(options, chip), state_name(chip, options.state)
+    problem = build(chip, state, asked.registry, band=asked.band, accuracy=asked.accuracy, cache=user_cache())
+    made = discretisation(asked.accuracy)
+    speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
+    counts = elements_per_wavelength(problem.mesh, speeds, asked.band[1])
     cells = {region: len(problem.mesh.mesh.subdomains[region]) for region in problem.mesh.section.regions}
     table = Table(("region", "cells", "elements per wavelength"), tuple(
         (region, str(count), f"{counts[region]:.1f}" if region in counts else "empty")
         for region, count in cells.items()))
-    print_table(f"{chip.name}, {state}: {sum(cells.values())} cells at {band[1] / 1e6:.4g} MHz", table)
+    print_table(f"{chip.name}, {state}: {sum(cells.values())} cells of order {made.order} at "
+                f"{asked.band[1] / 1e6:.4g} MHz", table)
     if not options.converge:
         return 0
     return _converge(options, console, chip, state, asked)
 
 
 def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: str, asked: Asked) -> int:
-    """Refine by sqrt(2) until f0 and Z_min change by less than the limit (Acevedo-Espinosa et al. (RP-UEIS), 3.2)."""
-    rows: list[tuple[float, int, float, float, float]] = []
-    status = 1
+    """The meshes of every accuracy against one finer than all; whether the one asked for is as accurate as that."""
+    wanted = asked_accuracy(options)
+    accuracies = sorted({*ROWS, wanted}, reverse=True)
+    made = {f"{100.0 * accuracy:g} %": discretisation(accuracy) for accuracy in accuracies}
+    made["finer"] = ROWS[min(ROWS)].refined(FINER)
+    runs: dict[str, Simulation] = {}
     with progress_bars(console) as show:
-        for step in range(options.refinements):
-            finer = replace(asked, elements_per_wavelength=asked.elements_per_wavelength * math.sqrt(2.0) ** step)
-            label = f"mesh {step + 1}"
-            run = run_state(chip, state, finer, partial(_renamed, show, label))
+        for label, one in made.items():
+            runs[label] = run_state(chip, state, replace(asked, accuracy=one), partial(_renamed, show, label))
             show(label, "done", 1.0)
-            if run.figures is None:
-                raise InputError(str(options.chip), "band", f"{asked.band[0]:g} to {asked.band[1]:g} Hz",
-                                 f"a band with a resonance in it ({run.no_resonance})")
-            merit = run.figures
-            rows.append((finer.elements_per_wavelength, run.unknowns, merit.f0, merit.z_min, merit.q))
-            if len(rows) > 1:
-                last, now = rows[-2], rows[-1]
-                change = 100.0 * max(abs(now[2] / last[2] - 1.0), abs(now[3] / last[3] - 1.0))
-                if change < options.limit:
-                    status = 0
-                    break
-    columns = ("elements per wavelength", "unknowns", "f0 (MHz)", "change (%)", "Z_min (ohm)", "change (%)", "Q")
+    finest = runs["finer"]
+    rows = []
+    for run in runs.values():
+        if run.figures is None:
+            raise InputError(str(options.chip), "band", f"{asked.band[0]:g} to {asked.band[1]:g} Hz",
+                             f"a band with a resonance in it ({run.no_resonance})")
+        estimated = run.mesh_error.rms if run.mesh_error else math.nan
+        rows.append((run.unknowns, run.figures.f0, run.figures.z_min, run.figures.q, estimated,
+                     _difference(run, finest)))
+    columns = ("accuracy", "unknowns", "f0 (MHz)", "Z_min (ohm)", "Q", "error (%)", "estimate")
     table = Table(columns, tuple(
-        (f"{n:.1f}", str(size), f"{f0 / 1e6:.5f}", f"{100 * (f0 / rows[k - 1][2] - 1):+.4f}" if k else "",
-         number(z), f"{100 * (z / rows[k - 1][3] - 1):+.3f}" if k else "", number(q))
-        for k, (n, size, f0, z, q) in enumerate(rows)))
-    print_table(f"refinement of {chip.name}, {state}", table)
-    print_line(f"{'converged' if status == 0 else 'NOT converged'}: limit {options.limit:g} % in f0 and Z_min")
+        (label, str(size), f"{f0 / 1e6:.5f}", number(z), number(q),
+         "" if runs[label] is finest else f"{100.0 * error:.4f}", f"{100.0 * estimated:.4f}")
+        for label, (size, f0, z, q, estimated, error) in zip(runs, rows, strict=True)))
+    print_table(f"meshes of {chip.name}, {state}", table)
+    error = dict(zip(accuracies, (row[-1] for row in rows), strict=False))[wanted]
+    print_line(f"{'accurate' if error <= wanted else 'NOT accurate'}: Z is {100.0 * error:.2g} % rms off the finer "
+               f"mesh, {100.0 * wanted:g} % asked")
     if options.output is not None:
-        _write_convergence(output_folder(options.output), chip, state, rows, table)
-    return status
+        sizes = np.array([_mean_element(run) for run in runs.values()][:-1])
+        _write_convergence(output_folder(options.output), chip, state, accuracies, rows, sizes, table)
+    return 0 if error <= wanted else 1
+
+
+def _difference(run: Simulation, finest: Simulation) -> float:
+    """Rms of ln Z of one spectrum against another."""
+    if run is finest:
+        return 0.0
+    ratio = run.spectrum.impedance / finest.spectrum.impedance
+    return float(np.sqrt(np.mean(np.abs(np.log(ratio)) ** 2)))
+
+
+def _mean_element(run: Simulation) -> float:
+    """Root of the mean area of an element, metres."""
+    section = run.problem.mesh.section
+    return math.sqrt(sum(section.area(region) for region in section.regions) / run.problem.mesh.mesh.t.shape[1])
 
 
 def _renamed(show: Show, label: str, _state: str, activity: str, fraction: float) -> None:
@@ -85,18 +105,21 @@ def _renamed(show: Show, label: str, _state: str, activity: str, fraction: float
 
 
 def _write_convergence(
-    folder: Path, chip: Chip, state: str, rows: list[tuple[float, int, float, float, float]], table: Table
+    folder: Path, chip: Chip, state: str, accuracies: list[float],
+    rows: list[tuple[int, float, float, float, float, float]], sizes: Real, table: Table
 ) -> None:
     from workbench.render.plots import draw_convergence
 
-    blocks: list[Block] = [table]
-    if len(rows) > 1:
-        figures_of = np.array(rows)
-        errors = {"f0": np.abs(figures_of[:-1, 2] / figures_of[-1, 2] - 1.0),
-                  "Z_min": np.abs(figures_of[:-1, 3] / figures_of[-1, 3] - 1.0)}
-        path = draw_convergence(1.0 / figures_of[:-1, 0], errors, folder / "convergence.png",
-                                title=f"{chip.name}, {state}: difference from the finest mesh")
-        blocks.append(Picture(path, "element size in wavelengths against the difference from the finest mesh"))
-    columns = ["elements_per_wavelength", "unknowns", "f0_hz", "z_min_ohm", "q"]
-    write_json(folder / "convergence.json", {"columns": columns, "rows": [list(row) for row in rows]})
-    write_report(folder / "report.html", f"{chip.name}, {state}: mesh refinement", [("Refinement", blocks)])
+    figures_of = np.array(rows)
+    errors = {"f0": np.abs(figures_of[:-1, 1] / figures_of[-1, 1] - 1.0),
+              "Z_min": np.abs(figures_of[:-1, 2] / figures_of[-1, 2] - 1.0), "Z, rms": figures_of[:-1, 5],
+              "Z, rms, estimated": figures_of[:-1, 4]}
+    path = draw_convergence(sizes, errors, folder / "convergence.png",
+                            title=f"{chip.name}, {state}: difference from the finest mesh")
+    blocks: list[Block] = [table, Picture(path, "difference from the finest mesh against the mean size of the "
+                                                "elements, whose order is not the same everywhere")]
+    columns = ["accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "estimated_rms_error", "rms_error"]
+    named = [*accuracies, math.nan]
+    write_json(folder / "convergence.json", {"columns": columns, "rows": [
+        [None if math.isnan(accuracy) else accuracy, *row] for accuracy, row in zip(named, rows, strict=True)]})
+    write_report(folder / "report.html", f"{chip.name}, {state}: accuracy of meshes", [("Accuracy", blocks)])

@@ -30,7 +30,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         raise InputError("command line", "--at", None, "the frequency of the fields")
     with progress_bars(console) as show:
         shot = snapshot(chip, name, asked.at, registry=asked.registry, band=asked.band, drive=asked.drive,
-                        elements_per_wavelength=asked.elements_per_wavelength, mesh_cache=user_cache(),
+                        accuracy=asked.accuracy, mesh_cache=user_cache(),
                         progress=partial(simulated, show, name))
         show(name, "pictures", SIMULATED)
         paths = [picture.path for picture in draw_state(shot, folder, only=options.field)]

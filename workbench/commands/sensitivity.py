@@ -45,7 +45,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         raise InputError("command line", "--points", options.points, "two frequencies or more")
     state = state_name(chip, options.state)
     problem = build(chip, state, asked.registry, band=asked.band, cache=user_cache(),
-                    elements_per_wavelength=asked.elements_per_wavelength)
+                    accuracy=asked.accuracy)
     baseline = _baseline(problem, options.loss)
     folder = output_folder(options.output)
     with progress_bars(console) as show:

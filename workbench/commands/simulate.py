@@ -6,16 +6,17 @@ import argparse
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
-from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
-from workbench.commands.terminal import print_table, progress_bars
+from workbench.commands.terminal import Show, print_table, progress_bars
 from workbench.particles import TrapReport, focus_time
 from workbench.problem import chip_materials
 from workbench.report import (
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench simulate``: every state of a chip, its pictures, its CAD, and the report."""
-    from workbench.render.gallery import draw_chip, draw_state
-
     chip = read_chip(options.chip)
     asked = asked_model(options, chip)
     chosen = options.state or [state.name for state in chip.states]
@@ -53,14 +52,17 @@ def run(options: argparse.Namespace, console: Console) -> int:
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
     with _solid_model(options.chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
-        for name in states:
-            run = run_state(chip, name, asked, show, unfinished=unfinished.get(name))
-            write_csv(run.spectrum, folder / f"spectrum_{name}.csv")
-            show(name, "pictures", SIMULATED)
-            pictures[name] = draw_state(run, folder)
+        for run in _simulated(chip, states, asked, show, unfinished):
+            write_csv(run.spectrum, folder / f"spectrum_{run.state}.csv")
+            pictures[run.state] = []
+            if not options.no_pictures:
+                from workbench.render.gallery import draw_state
+
+                show(run.state, "pictures", SIMULATED)
+                pictures[run.state] = draw_state(run, folder)
             if options.vtu:
                 write_fields(run, folder)
-            show(name, "done", 1.0)
+            show(run.state, "done", 1.0)
             runs.append(run)
         solids = parts()
     # The last state is the one the device works in: the filled chip comes after the empty one.
@@ -69,7 +71,11 @@ def run(options: argparse.Namespace, console: Console) -> int:
         "chip": chip.name, "chip_file": str(options.chip), "spectrum_csv": runs[-1].state,
         "states": {run.state: simulation_record(run) for run in runs},
     })
-    solid_view = [draw_chip(chip, solids, folder / "cad.png")] if solids else []
+    solid_view: list[Picture] = []
+    if solids and not options.no_pictures:
+        from workbench.render.gallery import draw_chip
+
+        solid_view.append(draw_chip(chip, solids, folder / "cad.png"))
     _simulation_report(chip, runs, pictures, solid_view, folder)
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
@@ -78,6 +84,27 @@ def run(options: argparse.Namespace, console: Console) -> int:
     for note in _without_resonance(runs):
         console.print(note.text, style="yellow", markup=False)
     return 0
+
+
+def _simulated(
+    chip: Chip, states: Sequence[str], asked: Asked, show: Show, unfinished: Mapping[str, Path]
+) -> Iterator[Simulation]:
+    """The simulation of every state in turn, the next one computed while what is made of this one is drawn.
+
+    Full spectra are computed one after the other: they take long, and must stop when they are interrupted.
+    """
+    if unfinished:
+        for name in states:
+            yield run_state(chip, name, asked, show, unfinished=unfinished[name])
+        return
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        jobs = [pool.submit(run_state, chip, name, asked, show) for name in states]
+        try:
+            for job in jobs:
+                yield job.result()
+        finally:
+            for job in jobs:
+                job.cancel()
 
 
 @contextmanager

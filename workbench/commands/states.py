@@ -11,6 +11,7 @@ from geometry.mesh import user_cache
 from inputs import write_atomic
 from workbench.commands.asked import Asked
 from workbench.commands.terminal import Show
+from workbench.discretisation import discretisation
 from workbench.problem import chip_materials
 from workbench.simulate import Simulation, Snapshot, state_name
 from workbench.simulate import simulate as simulate_state
@@ -27,7 +28,7 @@ def run_state(
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
     return simulate_state(
         chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
-        tolerance=asked.tolerance, drive=asked.drive, elements_per_wavelength=asked.elements_per_wavelength,
+        tolerance=asked.tolerance, drive=asked.drive, accuracy=asked.accuracy,
         mesh_cache=user_cache(), on_point=points.add if points else None, known=points.known if points else None,
         progress=partial(simulated, show, name),
     )
@@ -47,7 +48,7 @@ class _UnfinishedSpectrum:
 
     def __init__(self, path: Path, chip: Chip, state: str, asked: Asked) -> None:
         filling = chip_materials(chip, state, asked.registry)
-        deciding = repr((chip, state, sorted(filling.items()), asked.band[1], asked.elements_per_wavelength))
+        deciding = repr((chip, state, sorted(filling.items()), asked.band[1], discretisation(asked.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()
         # What follows the last line end was cut short by a kill: a number there may lack its last digits.

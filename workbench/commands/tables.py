@@ -9,10 +9,12 @@ from workbench.spectrum import Origin
 
 def model_table(runs: list[Simulation]) -> Table:
     """Size, error and time of every run."""
-    columns = ("state", "unknowns", "full solves", "estimated error of Z", "residual", "energy closure", "time (s)")
+    columns = ("state", "unknowns", "order", "error of Z by the mesh, rms", "by the reduced model", "full solves",
+               "residual", "energy closure", "time (s)")
     return Table(columns, tuple(
-        (run.state, str(run.unknowns), str(run.solves), f"{run.error:.1e}", f"{run.residual:.1e}", f"{run.closure:.1e}",
-         f"{sum(run.seconds.values()):.1f}") for run in runs))
+        (run.state, str(run.unknowns), str(run.problem.mesh.order),
+         f"{run.mesh_error.rms:.1e}" if run.mesh_error else "", f"{run.error:.1e}", str(run.solves),
+         f"{run.residual:.1e}", f"{run.closure:.1e}", f"{sum(run.seconds.values()):.1f}") for run in runs))
 
 
 def origin_table(origin: Origin) -> Table:

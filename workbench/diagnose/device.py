@@ -16,14 +16,12 @@ from materials.kinds import Fluid
 from workbench.diagnose.campaign import Campaign, unit_of, value_of
 from workbench.diagnose.catalogue import Device, Effect, effects, mistaken_length
 from workbench.dimensions import flexible
+from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fit.objective import Objective, Recording
 from workbench.fit.parameter import BENCH, LENGTHS, LOSS, Parameter, bench_parameter, material_parameter, stretchable
 from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
-
-#: Order of the fields: a recording of 0.3 % noise sees what the second order leaves at the usual size of elements.
-ORDER = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ class Model:
 
 
 def model(
-    campaign: Campaign, *, elements_per_wavelength: float | None = None, cache: Path | None = None,
+    campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY, cache: Path | None = None,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Model:
     """Mesh every state and put known physics and all hypotheses into its problem.
@@ -72,8 +70,8 @@ def model(
         progress(number / len(campaign.states))
         terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
         skins = {integral.place: abs(integral.skin) for term in terms for integral in term.integrals() if integral.skin}
-        problem = build(state.chip, state.state, campaign.registry, order=ORDER,
-                        elements_per_wavelength=elements_per_wavelength, skins=skins, cache=cache,
+        problem = build(state.chip, state.state, campaign.registry, accuracy=accuracy,
+                        skins=skins, cache=cache,
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)
         for effect in hypotheses:

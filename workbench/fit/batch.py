@@ -46,6 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inputs import InputError, choose, parse_quantity, read_toml, refuse_unknown_keys
+from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fit.prepare import DEFAULT, KINDS
 from workbench.fit.record import file_digest, software
 
@@ -102,7 +103,7 @@ class Settings:
     """What holds for every job: folders of materials, mesh, algorithm, further starts, and whether to insist."""
 
     materials: tuple[Path, ...] = ()
-    elements_per_wavelength: float = 10.0
+    accuracy: float | Discretisation = ACCURACY
     algorithm: str = "joint"
     starts: tuple[str, ...] = ()
     tries: int = 32
@@ -244,7 +245,7 @@ def content_key(job: Job, settings: Settings, filling: Sequence[Mapping[str, obj
              for m in job.members]
     members = [(m.name, m.kind, m.state, m.material, m.region, m.free, m.band, m.format, m.correction)
                for m in job.members]
-    options = (settings.elements_per_wavelength, settings.algorithm, settings.starts, settings.tries,
+    options = (settings.accuracy, settings.algorithm, settings.starts, settings.tries,
                settings.gel_thicknesses)
     values = [sorted((region, repr(material)) for region, material in one.items()) for one in filling]
     deciding = repr((files, members, job.name, job.own, job.save, options, values, software()))

@@ -41,9 +41,6 @@ MISJUDGED = 0.3
 #: A parameter closer to its bound than this share of the admitted range is at it.
 AT_BOUND = 1e-3
 
-#: Order at which resonances converge with element size: quadratic elements, eigenvalues (tests/verification).
-MESH_ORDER = 4
-
 #: Where nothing can be predicted.
 REFUSED: tuple[type[Exception], ...] = (NotEnriched, NotConverged, MeshError, InputError)
 
@@ -238,7 +235,8 @@ def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence
     for index, (recording, other) in enumerate(zip(objective.recordings, coarser.recordings, strict=True)):
         fine = objective.predict(x, index)[0]
         cells, fewer = (r.problem.mesh.mesh.t.shape[1] for r in (recording, other))
-        ratio = np.sqrt(cells / fewer) ** MESH_ORDER - 1.0
+        # Resonances, being eigenvalues, converge with twice the order of the fields (tests/verification).
+        ratio = np.sqrt(cells / fewer) ** (2 * recording.problem.mesh.order) - 1.0
         # An error of the coarse reduced model is divided by the ratio too.
         tolerance = max(1.0, ratio) * objective.predictors[index].tolerance
         coarse = unrefined(coarser, x, index, recording.measured.frequency, tolerance)

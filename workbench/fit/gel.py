@@ -15,6 +15,7 @@ from geometry.chip import Chip
 from inputs import InputError
 from materials.registry import Registry
 from workbench.compare import Comparison, compare
+from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fit.objective import through_bench
 from workbench.fit.parameter import placed
 from workbench.fit.prepare import Prepared
@@ -55,7 +56,7 @@ def gel_study(
     *,
     numbers: Mapping[str, float],
     thicknesses: Sequence[float],
-    elements_per_wavelength: float,
+    accuracy: float | Discretisation = ACCURACY,
     cache: Path | None = None,
 ) -> tuple[GelCase, ...]:
     """Predict the first recording with the fitted `numbers` (by parameter name, SI) and each gel thickness (m).
@@ -71,7 +72,7 @@ def gel_study(
     cases = []
     for thickness in thicknesses:
         problem = build(with_gel(chip, thickness), prepared.state, registry, band=recording.problem.band,
-                        elements_per_wavelength=elements_per_wavelength, cache=cache)
+                        accuracy=accuracy, cache=cache)
         model = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-4)
         solution = model.solve(frequency, values)
         seen, _, _ = through_bench(np.conj(solution.impedance), solution.omega, bench)

@@ -21,6 +21,7 @@ from geometry.names import TRANSDUCER
 from inputs import InputError, choose
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
+from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.fit.objective import Recording
 from workbench.fit.parameter import (
     POLYMER_FOUR,
@@ -44,7 +45,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {"pzt": TRANSDUCER_TEN, "polymer": POLYME
 DEFAULT = "default"
 
 #: The search is made on a mesh of this share of the elements per wavelength.
-COARSE = 0.5
+COARSE = 0.7
 
 #: The static capacitance may lie this factor outside what geometry and material give between clamped and free: the
 #: permittivities of data-sheet ceramics differ by 2.5, and its estimate from a narrow window by as much.
@@ -87,7 +88,7 @@ def prepare(
     region: str | None = None,
     free: Sequence[str] = (DEFAULT,),
     band: tuple[float, float] | None = None,
-    elements_per_wavelength: float = 10.0,
+    accuracy: float | Discretisation = ACCURACY,
     cache: Path | None = None,
     check: bool = True,
 ) -> Prepared:
@@ -101,6 +102,7 @@ def prepare(
         region: whose material is free, in place of the kind's own.
         free: names of parameters (see `parameter.parameters`); "default" stands for those of the kind.
         band: in Hz; the chip's own by default. What of the recording lies in it is fitted.
+        accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
         cache: folder for meshes.
         check: refuse a recording that cannot be of this device.
 
@@ -131,8 +133,8 @@ def prepare(
         check_device(part, chip, filling, name=name)
     meshed_band = (float(part.frequency[0]), float(part.frequency[-1]))
     fine, coarse = (
-        build(chip, state, registry, band=meshed_band, elements_per_wavelength=count, cache=cache)
-        for count in (elements_per_wavelength, COARSE * elements_per_wavelength))
+        build(chip, state, registry, band=meshed_band, accuracy=mesh, cache=cache)
+        for mesh in (discretisation(accuracy), discretisation(accuracy).refined(COARSE)))
     return Prepared(kind, chip, state, freed, (Recording(name, fine, part, chip),),
                     (Recording(name, coarse, part, chip),), parameters(fine, chip, freed.name, wanted))
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,16 +182,21 @@ class Node(_OfColumn):
     number: int
 
     def at(self, inner: float, outer: float) -> tuple[float, float, float]:
-        ratio = outer / inner - 1.0
-        others = np.delete(np.array(self.column.ratios), self.number)
-        gaps, scale = ratio - others, self._scale
-        slope = sum(float(np.prod(np.delete(gaps, k))) for k in range(gaps.size)) / scale
-        return float(np.prod(gaps)) / scale, -slope * outer / inner**2, slope / inner
+        values, slopes = _lagrange(self.column.ratios, outer / inner - 1.0)
+        slope = slopes[self.number]
+        return values[self.number], -slope * outer / inner**2, slope / inner
 
-    @cached_property
-    def _scale(self) -> float:
-        ratios = np.array(self.column.ratios)
-        return float(np.prod(ratios[self.number] - np.delete(ratios, self.number)))
+
+@lru_cache(maxsize=256)
+def _lagrange(nodes: tuple[float, ...], x: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The Lagrange polynomials of some nodes at x, and their derivatives."""
+    values, slopes = [], []
+    for number, node in enumerate(nodes):
+        others = np.array([other for k, other in enumerate(nodes) if k != number])
+        gaps, scale = x - others, float(np.prod(node - others))
+        values.append(float(np.prod(gaps)) / scale)
+        slopes.append(sum(float(np.prod(gaps[:k]) * np.prod(gaps[k + 1 :])) for k in range(gaps.size)) / scale)
+    return tuple(values), tuple(slopes)
 
 
 @dataclass(frozen=True)

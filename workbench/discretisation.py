@@ -1,0 +1,129 @@
+"""How fine a mesh and of what order the fields on it are, chosen by the accuracy that is asked of Z."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from geometry.mesh import MeshSize
+from geometry.names import TRANSDUCER
+from geometry.section import Section
+from inputs import InputError
+from materials.kinds import Fluid, IsotropicSolid
+from materials.registry import Material
+
+#: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.
+GAS_IMPEDANCE = 1e4
+
+#: The wave along a film of fluid has this many times as many elements, that is fewer: it takes little of the energy.
+#: With 10 um of gel below a printed disc 1.05 elements of order 4 a wavelength of it leave 0.29 % in Z, 1.36 leave
+#: 0.013 %; this makes it 1.3 where others have 2.0.
+FILM_FINER = 0.65
+
+
+@dataclass(frozen=True)
+class Discretisation:
+    """The order of the fields, and the size of the elements.
+
+    ``elements_per_wavelength`` of the slowest wave of a region at the top of the band. The transducer has
+    ``transducer_finer`` times as many: its radial overtones are sharp and its losses small. A gas has ``gas_finer``
+    times as many, that is fewer: behind solid walls all of it changes Z by 0.3 % at most, and its short waves would
+    rule every element above and below. The others as in `geometry.mesh.MeshSize`.
+    """
+
+    order: int
+    elements_per_wavelength: float
+    through_thickness: int = 1
+    corner_refinement: float = 0.12
+    growth: float = 8.0
+    transducer_finer: float = 1.5
+    gas_finer: float = 0.75
+
+    def refined(self, factor: float) -> Discretisation:
+        """The same with elements smaller by `factor`."""
+        return replace(self, elements_per_wavelength=self.elements_per_wavelength * factor,
+                       through_thickness=math.ceil(self.through_thickness * factor))
+
+    def mesh_size(
+        self, section: Section, materials: Mapping[str, Material], frequency: float, *,
+        skins: Mapping[str, float] | None = None,
+    ) -> MeshSize:
+        """The size of the elements of a section at `frequency` (Hz); `skins` as in `geometry.mesh.MeshSize`."""
+        speeds = self.mesh_speeds(section.regions, materials)
+        for region, speed in film_speeds(section, materials, frequency).items():
+            speeds[region] = min(speeds[region], speed / FILM_FINER)
+        return MeshSize(speeds, frequency, order=self.order,
+                        elements_per_wavelength=self.elements_per_wavelength,
+                        minimum_through_thickness=self.through_thickness, corner_refinement=self.corner_refinement,
+                        growth=self.growth, skins=skins or {})
+
+    def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
+        """The speed (m/s) whose wavelength rules the mesh size in every region; infinite where there is nothing."""
+        return {region: materials[region].slowest_wave_speed() / self._finer(region, materials[region])
+                if region in materials else math.inf for region in regions}
+
+    def _finer(self, region: str, material: Material) -> float:
+        if isinstance(material, Fluid) and material.density * material.sound_speed < GAS_IMPEDANCE:
+            return self.gas_finer
+        return self.transducer_finer if region == TRANSDUCER else 1.0
+
+
+def film_speeds(section: Section, materials: Mapping[str, Material], frequency: float) -> dict[str, float]:
+    """Speed (m/s) at `frequency` (Hz) of the wave along every film of fluid on an elastic solid, by region.
+
+    What the fluid moves sideways makes room by pressing the solids apart, which is slower the thinner the film:
+    h k^3 = w^2 rho sum (1 - nu) / G over the solids beside it, isotropic ones (ceramics are far stiffer).
+    """
+    omega, found = 2.0 * math.pi * frequency, dict[str, float]()
+    for film in section.rectangles:
+        fluid = materials.get(film.region)
+        if not isinstance(fluid, Fluid):
+            continue
+        beside = {r.region for r in section.rectangles
+                  if film.z_bottom in (r.z_bottom, r.z_top) or film.z_top in (r.z_bottom, r.z_top)
+                  if r.r_inner < film.r_outer and r.r_outer > film.r_inner}
+        softness = sum(_softness(solid) for solid in (materials.get(region) for region in beside)
+                       if isinstance(solid, IsotropicSolid))
+        if softness > 0.0:
+            speed = (omega * (film.z_top - film.z_bottom) / (fluid.density * softness)) ** (1.0 / 3.0)
+            found[film.region] = min(speed, found.get(film.region, math.inf))
+    return found
+
+
+def _softness(solid: IsotropicSolid) -> float:
+    """(1 - nu) / G of a solid, 1/Pa."""
+    bulk, shear = complex(solid.bulk_modulus).real, complex(solid.shear_modulus).real
+    return (3.0 * bulk + 4.0 * shear) / (2.0 * shear * (3.0 * bulk + shear))
+
+
+#: What it takes for an rms error of ln Z of at most so much over the band of every chip in `geometry/chips`, in every
+#: state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
+ROWS: Mapping[float, Discretisation] = {
+    5e-3: Discretisation(4, 1.4),  # 0.38 %, 2 100 (disc_20x2) to 17 000 unknowns (acevedo_2026_chip empty)
+    1e-3: Discretisation(4, 1.8),  # 0.077 %, to 26 000
+    5e-4: Discretisation(4, 2.0),  # 0.045 %, 3 800 to 30 200
+    2e-4: Discretisation(6, 1.2, transducer_finer=1.15, gas_finer=0.85),  # 0.018 %, to 31 000
+    # 0.0098 %, to 53 000
+    1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),
+}
+
+#: Relative accuracy of Z that meshes are made for unless another is asked for.
+ACCURACY = 5e-4
+
+
+def discretisation(accuracy: float | Discretisation) -> Discretisation:
+    """The coarsest of :data:`ROWS` that is as accurate as asked for: rms of ln Z. A `Discretisation` is itself.
+
+    Raises:
+        InputError: no accuracy, or one finer than that of the last row.
+    """
+    if isinstance(accuracy, Discretisation):
+        return accuracy
+    finest = min(ROWS)
+    if not finest * (1.0 - 1e-9) <= accuracy < 1.0:
+        raise InputError("mesh", "accuracy", f"{accuracy:g}",
+                         f"a relative error of Z of {finest:g} ({100.0 * finest:g} %), the finest there is, or more, "
+                         f"below 1; {ACCURACY:g} is usual")
+    fit = [row for row in ROWS if row <= accuracy * (1.0 + 1e-9)]
+    return ROWS[max(fit)]
