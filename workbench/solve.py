@@ -64,13 +64,15 @@ class Solution:
     """States at unit electrode voltage, e^{-i w t}.
 
     ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``groups`` the model at these
-    frequencies (`operators.frequency_groups`), ``residual`` (n,) scaled residual of each solve.
+    frequencies (`operators.frequency_groups`), ``charge`` (n,) C of the live electrode, -x^T A x, ``residual`` (n,)
+    scaled residual of each solve.
     """
 
     operators: Operators
     frequency: Real
     groups: Groups
     states: Complex
+    charge: Complex
     residual: Real
 
     @property
@@ -89,12 +91,6 @@ class Solution:
     def forms(self) -> Complex:
         """x^T A_q x (n, integrals): all that follows from a solution without its conjugate."""
         return self.operators.quadratic(self.states, self.states)
-
-    @cached_property
-    def charge(self) -> Complex:
-        """Charge of the live electrode for 1 V (n,), C: -x^T A x."""
-        forms = self.operators.combined_forms(self.states, np.array([constants for _, constants in self.groups]))
-        return -np.sum(forms * np.stack([h for h, _ in self.groups], axis=1), axis=1)
 
     @property
     def admittance(self) -> Complex:
@@ -393,7 +389,8 @@ def sweep(operators: FullOperators, frequencies: Real, values: Values) -> Iterat
         with one_thread():
             state, residual = system.solve(float(frequency))
         groups = frequency_groups(operators.integrals, np.array([2.0 * np.pi * frequency]), values)
-        yield Solution(operators, np.array([frequency]), groups, state[:, None], np.array([residual]))
+        charge = np.array([system.charge(float(frequency), state)])
+        yield Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
 
 
 def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> Solution:
@@ -401,7 +398,8 @@ def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> S
     parts = list(sweep(operators, frequencies, values))
     frequency = np.concatenate([p.frequency for p in parts])
     return Solution(operators, frequency, frequency_groups(operators.integrals, 2.0 * np.pi * frequency, values),
-                    np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.residual for p in parts]))
+                    np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.charge for p in parts]),
+                    np.concatenate([p.residual for p in parts]))
 
 
 def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values) -> Solution:
@@ -409,8 +407,11 @@ def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values
     frequencies = np.asarray(frequencies, dtype=float)
     groups = frequency_groups(operators.integrals, 2.0 * np.pi * frequencies, values)
     summed = operators.combinations(np.array([constants for _, constants in groups]))
-    states, residual = solve_dense(np.stack([h for h, _ in groups]), summed)
-    return Solution(operators, frequencies, groups, states, residual)
+    factors = np.stack([h for h, _ in groups])
+    states, residual = solve_dense(factors, summed)
+    charge = -np.asarray(sum(h * np.sum(states * (each @ states), axis=0)
+                             for h, each in zip(factors, summed, strict=True)))
+    return Solution(operators, frequencies, groups, states, charge, residual)
 
 
 def solve_dense(factors: Complex, matrices: Complex) -> tuple[Complex, Real]:
