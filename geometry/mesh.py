@@ -57,7 +57,8 @@ class MeshSize:
 
     ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` where nothing propagates (a
     vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
-    ``minimum_through_thickness``: elements across the thinnest layer. ``corner_refinement``: largest size of the
+    ``minimum_through_thickness``: elements across the thinnest layer. ``minimum_through_quarter_wave``: elements across
+    a layer that is thicker than a quarter of the slowest wavelength in it. ``corner_refinement``: largest size of the
     elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube
     at the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
     ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
@@ -69,6 +70,7 @@ class MeshSize:
     elements_per_wavelength: float
     order: int
     minimum_through_thickness: int = 1
+    minimum_through_quarter_wave: int = 1
     corner_refinement: float = 1.0
     growth: float = 4.0
     skins: Mapping[str, float] = field(default_factory=dict)
@@ -86,8 +88,9 @@ class MeshSize:
             refuse("elements_per_wavelength", self.elements_per_wavelength, "a number above zero")
         if self.order < 1:
             refuse("order", self.order, "a polynomial order of 1 or more")
-        if self.minimum_through_thickness < 1:
-            refuse("minimum_through_thickness", self.minimum_through_thickness, "1 or more")
+        for name in ("minimum_through_thickness", "minimum_through_quarter_wave"):
+            if getattr(self, name) < 1:
+                refuse(name, getattr(self, name), "1 or more")
         if not 0.0 < self.corner_refinement <= 1.0:
             refuse("corner_refinement", self.corner_refinement, "a ratio above 0 and up to 1")
         if not self.growth > 1.0:
@@ -141,6 +144,7 @@ def refined(size: MeshSize, factor: float) -> MeshSize:
         size,
         elements_per_wavelength=size.elements_per_wavelength * factor,
         minimum_through_thickness=math.ceil(size.minimum_through_thickness * factor),
+        minimum_through_quarter_wave=math.ceil(size.minimum_through_quarter_wave * factor),
     )
 
 
@@ -244,19 +248,20 @@ class _Panel:
 
 def _panels(
     breaks: tuple[float, ...], largest: NDArray[np.float64], graded: Mapping[float, float], *, size: MeshSize,
-    minimum: int, cuts: Sequence[float] = (),
+    minimum: NDArray[np.int64], cuts: Sequence[float] = (),
 ) -> list[_Panel]:
-    """Panels of the intervals between `breaks`, with elements no longer than `largest` (one value an interval).
+    """Panels of the intervals between `breaks`: elements no longer than `largest`, `minimum` of them at least (one
+    value an interval each).
 
     They are graded towards the breaks in `graded`, to elements of that share of the largest. There is a line of nodes
     at each of the `cuts` too.
     """
     panels: list[_Panel] = []
-    for i, (start, end, limit) in enumerate(zip(breaks, breaks[1:], largest, strict=False)):
+    for i, (start, end, limit, least) in enumerate(zip(breaks, breaks[1:], largest, minimum, strict=False)):
         inner = [cut for cut in sorted(cuts) if start < cut < end]
         for low, high in pairwise([start, *inner, end]):
             ends = (graded.get(low, 1.0), graded.get(high, 1.0))
-            lengths, counts, ratios = _divide(high - low, limit, ends, size.growth, 1 if inner else minimum)
+            lengths, counts, ratios = _divide(high - low, limit, ends, size.growth, 1 if inner else int(least))
             knots = low + np.concatenate([[0.0], np.cumsum(lengths)])
             knots[-1] = high
             for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False):
@@ -346,9 +351,11 @@ def _divided(section: Section, size: MeshSize) -> tuple[list[_Panel], list[_Pane
     for rectangle in section.rectangles:
         skin = size.skins.get(rectangle.region, 0.0) * (rectangle.z_top - rectangle.z_bottom)
         cuts += [rectangle.z_bottom + skin, rectangle.z_top - skin] if skin else []
+    thick = np.diff(section.z_breaks) > 0.25 * size.elements_per_wavelength * rows
+    least = np.maximum(size.minimum_through_thickness, np.where(thick, size.minimum_through_quarter_wave, 1))
     return (
-        _panels(section.r_breaks, columns, radii, size=size, minimum=1),
-        _panels(section.z_breaks, rows, heights, size=size, minimum=size.minimum_through_thickness, cuts=cuts),
+        _panels(section.r_breaks, columns, radii, size=size, minimum=np.ones(len(columns), dtype=int)),
+        _panels(section.z_breaks, rows, heights, size=size, minimum=least, cuts=cuts),
     )
 
 

@@ -201,7 +201,8 @@ def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavel
     from workbench.problem import problem
 
     section = cut_section(chip)
-    made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement, 1.5, 1.5, 0.5)
+    made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement=corner_refinement, growth=1.5,
+                          transducer_finer=1.5, gas_finer=0.5)
     size = made.mesh_size(section, materials, chip.band[1], skins=skins)
     return problem(mesh_section(section, size), materials, chip.band)
 

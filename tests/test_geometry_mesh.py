@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,16 @@ def test_the_thinnest_layer_has_its_elements_across(mesh: SectionMesh, section: 
     assert np.count_nonzero((node_lines(four)[1] > 2.02e-3) & (node_lines(four)[1] < 2.04e-3)) == 3
 
 
+def test_a_layer_thicker_than_a_quarter_of_a_wavelength_has_its_elements_across(section: Section) -> None:
+    # Of 4 mm, in elements of 8 mm: that counts for the layers that are thicker than a millimetre, here the transducer.
+    size = MeshSize(dict.fromkeys(section.regions, 4e3), 1e6, 0.5, 4, minimum_through_quarter_wave=3)
+    inner = node_lines(mesh_section(section, size))[1]
+    across = [np.count_nonzero((inner > low + 1e-9) & (inner < high - 1e-9)) + 1
+              for low, high in pairwise(section.z_breaks)]
+    assert across == [3 if high - low > 1e-3 else 1 for low, high in pairwise(section.z_breaks)]
+    assert sorted(set(across)) == [1, 3]
+
+
 def test_elements_shrink_towards_the_corners(mesh: SectionMesh, section: Section) -> None:
     r, z = node_lines(mesh)
     regular = np.diff(r).max()
@@ -326,6 +337,7 @@ def test_refining_doubles_the_elements_per_wavelength(mesh: SectionMesh, section
         ({"elements_per_wavelength": -1.0}, "elements_per_wavelength: received -1.0"),
         ({"order": 0}, "order: received 0"),
         ({"minimum_through_thickness": 0}, "minimum_through_thickness: received 0"),
+        ({"minimum_through_quarter_wave": 0}, "minimum_through_quarter_wave: received 0"),
         ({"corner_refinement": 1.5}, "corner_refinement: received 1.5"),
         ({"skins": {"bond": 0.5}}, "skins.bond: received 0.5"),
         ({"slowest_wave": {"cavity": -1.0}}, r"slowest_wave\.cavity: received -1.0"),

@@ -16,11 +16,6 @@ from materials.registry import Material
 #: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.
 GAS_IMPEDANCE = 1e4
 
-#: The wave along a film of fluid has this many times as many elements, that is fewer: it takes little of the energy.
-#: With 10 um of gel below a printed disc 1.05 elements of order 4 a wavelength of it leave 0.29 % in Z, 1.36 leave
-#: 0.013 %; this makes it 1.3 where others have 2.0.
-FILM_FINER = 0.65
-
 
 @dataclass(frozen=True)
 class Discretisation:
@@ -29,21 +24,27 @@ class Discretisation:
     ``elements_per_wavelength`` of the slowest wave of a region at the top of the band. The transducer has
     ``transducer_finer`` times as many: its radial overtones are sharp and its losses small. A gas has ``gas_finer``
     times as many, that is fewer: behind solid walls all of it changes Z by 0.3 % at most, and its short waves would
-    rule every element above and below. The others as in `geometry.mesh.MeshSize`.
+    rule every element above and below. The wave along a film of fluid (:func:`film_speeds`) has ``film_finer`` times as
+    many, that is fewer too: it takes little of the energy. With 10 um of gel below a printed disc 1.05 elements of
+    order 4 a wavelength of it leave 0.29 % in Z, 1.36 leave 0.013 %; stress and velocity beside the gel need more
+    than Z does. The others as in `geometry.mesh.MeshSize`.
     """
 
     order: int
     elements_per_wavelength: float
     through_thickness: int = 1
+    through_quarter_wave: int = 1
     corner_refinement: float = 0.12
     growth: float = 8.0
     transducer_finer: float = 1.5
     gas_finer: float = 0.75
+    film_finer: float = 0.65
 
     def refined(self, factor: float) -> Discretisation:
         """The same with elements smaller by `factor`."""
         return replace(self, elements_per_wavelength=self.elements_per_wavelength * factor,
-                       through_thickness=math.ceil(self.through_thickness * factor))
+                       through_thickness=math.ceil(self.through_thickness * factor),
+                       through_quarter_wave=math.ceil(self.through_quarter_wave * factor))
 
     def mesh_size(
         self, section: Section, materials: Mapping[str, Material], frequency: float, *,
@@ -52,11 +53,12 @@ class Discretisation:
         """The size of the elements of a section at `frequency` (Hz); `skins` as in `geometry.mesh.MeshSize`."""
         speeds = self.mesh_speeds(section.regions, materials)
         for region, speed in film_speeds(section, materials, frequency).items():
-            speeds[region] = min(speeds[region], speed / FILM_FINER)
+            speeds[region] = min(speeds[region], speed / self.film_finer)
         return MeshSize(speeds, frequency, order=self.order,
                         elements_per_wavelength=self.elements_per_wavelength,
-                        minimum_through_thickness=self.through_thickness, corner_refinement=self.corner_refinement,
-                        growth=self.growth, skins=skins or {})
+                        minimum_through_thickness=self.through_thickness,
+                        minimum_through_quarter_wave=self.through_quarter_wave,
+                        corner_refinement=self.corner_refinement, growth=self.growth, skins=skins or {})
 
     def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
         """The speed (m/s) whose wavelength rules the mesh size in every region; infinite where there is nothing."""
@@ -102,7 +104,10 @@ def _softness(solid: IsotropicSolid) -> float:
 ROWS: Mapping[float, Discretisation] = {
     5e-3: Discretisation(4, 1.4),  # 0.38 %, 2 100 (disc_20x2) to 17 000 unknowns (acevedo_2026_chip empty)
     1e-3: Discretisation(4, 1.8),  # 0.077 %, to 26 000
-    5e-4: Discretisation(4, 2.0),  # 0.045 %, 3 800 to 30 200
+    # 0.045 %, 3 800 to 34 300. For Z alone 30 000 would do: two elements across a lid and more along the gel are for
+    # the recovered fields (`tests/benchmarks/recovered_fields.py`).
+    5e-4: Discretisation(4, 1.9, through_quarter_wave=2, corner_refinement=0.16, growth=5.0, transducer_finer=1.54,
+                         film_finer=0.85),
     2e-4: Discretisation(6, 1.2, transducer_finer=1.15, gas_finer=0.85),  # 0.018 %, to 31 000
     # 0.0098 %, to 53 000
     1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),

@@ -1,14 +1,21 @@
 """Reduced against full, and the whole command against a full-order spectrum: ratios measured in one run.
 
     .venv/bin/python tests/benchmarks/reduced_model.py [--points 481] [--chip geometry/chips/reference_chip.toml]
+    .venv/bin/python tests/benchmarks/reduced_model.py --sizes 10000 28000 75000 150000
 
 *Full-order spectrum*: that many frequencies one by one with tuned, symmetrically scaled SuperLU on one thread. With
 fewer --points its time is scaled up to 481 and the table says so. Prints a Markdown table for the README.
+
+With --sizes: how time and memory grow with the unknowns. The reference chip, filled, on meshes like the default one of
+about so many unknowns; one full solve, its pattern's analysis included, and the reduced model of 481 frequencies, all
+but the assembly counted, each in a process of its own. Memory is the largest resident set less what it is after the
+imports; the last line holds the exponents, fitted to the logarithms.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import resource
 import subprocess
 import sys
@@ -18,6 +25,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from factorisation import factor_for, made
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -25,15 +33,55 @@ sys.path.insert(0, str(ROOT))
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
+from workbench.factorisation import chosen as chosen_factorisation  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
 from workbench.reduce import reduce  # noqa: E402
-from workbench.solve import solve_full, sweep  # noqa: E402
+from workbench.solve import System, solve_full, sweep  # noqa: E402
 
 
 def memory() -> float:
     """Largest resident memory so far, MiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def one(factor: float, what: str) -> dict[str, float]:
+    """Unknowns, seconds and memory (MiB) of a full solve or of a reduced model, in this process."""
+    imports = memory()
+    started = time.perf_counter()
+    problem, operators = made(factor)
+    System(operators, problem.values)  # integrals are evaluated where they are first asked for
+    between = time.perf_counter()
+    frequencies = np.linspace(*problem.band, 481)
+    if what == "full":
+        solve_full(operators, frequencies[240:241], problem.values)
+    else:
+        reduce(operators, frequencies, problem.values, tolerance=1e-4).solve(frequencies, problem.values)
+    return {"unknowns": operators.size, "assembly": between - started, "seconds": time.perf_counter() - between,
+            "memory": memory() - imports}
+
+
+def growth(sizes: list[int]) -> None:
+    """Print the table of --sizes."""
+    print(f"factorisation: {chosen_factorisation()}\n")
+    print("| unknowns | assembly (s) | full solve (s) | MiB | reduced model (s) | MiB |")
+    print("| ---: | ---: | ---: | ---: | ---: | ---: |")
+    rows = []
+    for size in sizes:
+        found, factor = [], repr(factor_for(size))
+        for what in ("full", "reduced"):
+            command = [sys.executable, __file__, "--one", factor, what]
+            done = subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True)
+            found.append(json.loads(done.stdout))
+        full, reduced = found
+        rows.append([full["unknowns"], full["assembly"], full["seconds"], full["memory"], reduced["seconds"],
+                     reduced["memory"]])
+        print("| {:.0f} | {:.2f} | {:.2f} | {:.0f} | {:.2f} | {:.0f} |".format(*rows[-1]), flush=True)
+    if len(rows) < 2:
+        return
+    logarithms = np.log(np.array(rows))
+    exponents = (np.polyfit(logarithms[:, 0], column, 1)[0] for column in logarithms.T[1:])
+    print("| exponent | " + " | ".join(f"{exponent:.2f}" for exponent in exponents) + " |")
 
 
 def main() -> None:
@@ -44,8 +92,16 @@ def main() -> None:
     parser.add_argument("--accuracy", type=float, default=ACCURACY)
     parser.add_argument("--change", type=float, default=1.0, help="per cent by which the PLA moduli are changed")
     parser.add_argument("--no-command", action="store_true", help="leave out the whole `workbench simulate`")
+    parser.add_argument("--sizes", type=int, nargs="+", help="unknowns, about: how time and memory grow with them")
+    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
+    if arguments.one:
+        print(json.dumps(one(float(arguments.one[0]), arguments.one[1])))
+        return
+    if arguments.sizes:
+        growth(arguments.sizes)
+        return
     chip = read_chip(arguments.chip)
     frequencies = np.linspace(*chip.band, 481)
 

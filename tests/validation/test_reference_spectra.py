@@ -12,10 +12,13 @@ import numpy as np
 import pytest
 
 from geometry.chip import Chip
+from geometry.mesh import mesh_section
+from geometry.section import cut_section
 from materials.kinds import Material
+from workbench.discretisation import ACCURACY, discretisation
 from workbench.merit import figures
 from workbench.operators import assemble
-from workbench.problem import Problem
+from workbench.problem import problem
 from workbench.reduce import reduce
 from workbench.solve import solve_full
 from workbench.spectrum import Spectrum
@@ -23,12 +26,15 @@ from workbench.spectrum import Spectrum
 NAMES = ("free_disc_nominal_rho7500", "free_disc_fitted_rho7500", "free_disc_fitted_rho7862", "disc_gel_PLA",
          "chip_empty", "chip_filled")
 
-# What was asked for of every spectrum in the file.
-RMS, F0, QUALITY = 0.5e-2, 0.02e-2, 1e-2
+#: Rms of ln Z. Of the chips the accuracy that the default mesh is made for, five times the error of their references;
+#: 0.022 % observed, both. Of the discs the error of their references; 0.020 to 0.089 % observed. The 0.089 %, of the
+#: fitted disc of 7862 kg/m^3, are mostly theirs: this disc's mesh is within 0.016 % of a converged one, and a coarser
+#: one is nearer to them.
+RMS = {name: 0.05e-2 if name.startswith("chip") else 0.1e-2 for name in NAMES}
 
-#: Of the chips, whose references are known to 0.01 %, rms of ln Z. The goal is 0.05 %; the mesh of order 2 leaves
-#: 0.09 % (empty) and 0.10 % (filled).
-CHIP_RMS = 0.15e-2
+#: Of f0, where Z is stationary: an error of it is of second order; 0.0004 % observed. Of Q, a width of |Y| at half of
+#: its height: Z at three places; 0.043 % observed.
+F0, QUALITY = 0.002e-2, 0.1e-2
 
 
 @pytest.mark.slow
@@ -38,11 +44,12 @@ def test_the_spectrum_is_that_of_an_independent_solver(
     reference_chip: Callable[[str], Chip],
     reference_materials: Callable[[str], dict[str, Material]],
     reference_spectrum: Callable[[str], Spectrum],
-    meshed: Callable[..., Problem],
 ) -> None:
     chip, reference = reference_chip(name), reference_spectrum(name)
-    # The mesh of workbench.problem.build: 10 elements per wavelength, half of that size at the rims.
-    model = meshed(chip, reference_materials(name), elements_per_wavelength=10.0, corner_refinement=0.5)
+    # The mesh that `workbench.problem.build` makes unless another accuracy is asked for.
+    materials, section = reference_materials(name), cut_section(chip)
+    size = discretisation(ACCURACY).mesh_size(section, materials, chip.band[1])
+    model = problem(mesh_section(section, size), materials, chip.band)
     operators = assemble(model.mesh, model.terms)
     reduced = reduce(operators, reference.frequency, model.values)
     solution = reduced.solve(reference.frequency, model.values)
@@ -56,10 +63,10 @@ def test_the_spectrum_is_that_of_an_independent_solver(
     print(f"\n{name}: {operators.size} unknowns, {reduced.solves} solves, rank {reduced.basis.shape[1]}; "
           f"rms {100 * rms:.3f} %, worst {100 * ratio.max():.2f} %, f0 {100 * f0:+.5f} %, Q {100 * quality:+.3f} %, "
           f"Z_min {100 * z_min:+.3f} %, closure {closure:.1e}")
-    assert rms <= (CHIP_RMS if name.startswith("chip") else RMS)
+    assert rms <= RMS[name]
     assert abs(f0) <= F0
     assert abs(quality) <= QUALITY
-    assert abs(z_min) <= RMS
+    assert abs(z_min) <= RMS[name]
 
     assert spectrum.impedance.real.min() > 0.0
     assert closure <= 1e-10
@@ -77,7 +84,7 @@ def test_another_density_would_not_pass(
 ) -> None:
     # The tolerances tell 7500 from 7862 kg/m^3 by far: the two reference spectra of the same disc differ more.
     one, other = (reference_spectrum(f"free_disc_fitted_rho{density}") for density in (7500, 7862))
-    assert np.sqrt(np.mean(np.abs(np.log(one.impedance / other.impedance)) ** 2)) > 100.0 * RMS
+    assert np.sqrt(np.mean(np.abs(np.log(one.impedance / other.impedance)) ** 2)) > 100.0 * max(RMS.values())
     assert abs(figures(one).f0 / figures(other).f0 - 1.0) > 100.0 * F0
 
 

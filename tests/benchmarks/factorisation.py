@@ -1,0 +1,168 @@
+"""SuperLU and rslab's LDL^T on the matrices of the reference chip: time, stored entries and residual, in one run.
+
+    python tests/benchmarks/factorisation.py [--sizes 10000 50000 150000]
+
+The filled chip near its resonance on the default mesh, and on others of its kind of about so many unknowns, without the
+electrode and scaled to a diagonal of ones, as a solve factorises it. *COLAMD* is what scipy does unless told
+otherwise; *SuperLU* and *rslab* are those of `workbench.factorisation`. *First*: with what is found of the pattern
+alone; *second*: with other values of that pattern, at a frequency nearby. Seconds are those of the wall clock on one
+thread, the others times what they are for *SuperLU*; each is the shortest of the repetitions. The residual is that of
+one solve without refinement, relative to the right-hand side. Run it on a quiet machine. `rslab` has to be installed:
+without it the table holds the other two. COLAMD is left out above 60 000 unknowns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import inspect
+import math
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from geometry.chip import read_chip  # noqa: E402
+from materials.registry import Registry  # noqa: E402
+from workbench.discretisation import ACCURACY, discretisation  # noqa: E402
+from workbench.factorisation import KNOWN  # noqa: E402
+from workbench.operators import FullOperators, assemble  # noqa: E402
+from workbench.problem import Problem, build  # noqa: E402
+from workbench.solve import System, one_thread  # noqa: E402
+
+Complex = NDArray[np.complex128]
+
+CHIP = ROOT / "geometry" / "chips" / "reference_chip.toml"
+STATE, FREQUENCY, NEARBY = "filled", 1.0305e6, 1.0405e6
+
+#: Right-hand sides that a factorisation serves at once: the states of a reduced model at one frequency are as many.
+TOGETHER = 12
+
+#: Unknowns from which on COLAMD takes minutes and gigabytes.
+LARGEST_COLAMD = 60_000
+
+
+class Colamd:
+    """SuperLU as scipy calls it by default: columns ordered by COLAMD, partial pivoting, nothing kept."""
+
+    def __init__(self, pattern: sparse.csc_matrix) -> None:
+        self._pattern = pattern
+
+    def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
+        pattern = self._pattern
+        factor = splu(sparse.csc_matrix((data, pattern.indices, pattern.indptr), shape=pattern.shape))
+
+        def solve(right: Complex) -> Complex:
+            return np.asarray(factor.solve(right))
+
+        return solve
+
+
+@dataclass(frozen=True)
+class Found:
+    """Seconds of the steps, stored entries of the factors, scaled residual of a solve."""
+
+    first: float
+    second: float
+    one: float
+    many: float
+    entries: int
+    residual: float
+
+
+def scaled(problem: Problem, operators: FullOperators, frequency: float) -> sparse.csc_matrix:
+    """What a solve at a frequency (Hz) factorises."""
+    inner = operators.free
+    entries = System(operators, problem.values).matrix(frequency).data[inner.entries]
+    pattern = inner.pattern
+    matrix = sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+    scale = 1.0 / np.sqrt(np.abs(matrix.diagonal()))
+    entries = entries * scale[pattern.indices] * np.repeat(scale, np.diff(pattern.indptr))
+    return sparse.csc_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+
+
+def made(factor: float) -> tuple[Problem, FullOperators]:
+    """The chip on the default mesh with elements smaller by `factor`."""
+    how = discretisation(ACCURACY)
+    problem = build(read_chip(CHIP), STATE, Registry(), accuracy=how if factor == 1.0 else how.refined(factor))
+    return problem, assemble(problem.mesh, problem.terms)
+
+
+def factor_for(size: int) -> float:
+    """By what the elements are smaller than those of the default mesh for about `size` unknowns."""
+    factor = 1.0
+    # Layers one element thick make it less than quadratic: a third step is within a few per cent.
+    for _ in range(3):
+        found = made(factor)[1].size
+        if abs(found / size - 1.0) < 0.1:
+            break
+        factor *= math.sqrt(size / found)
+    return factor
+
+
+def measured(kind: Callable[[sparse.csc_matrix], Any], matrices: list[sparse.csc_matrix], repeat: int) -> Found:
+    """One factorisation on two matrices of one pattern."""
+    random = np.random.default_rng(3)
+    right = random.normal(size=(matrices[0].shape[0], TOGETHER)) + 1j * random.normal(
+        size=(matrices[0].shape[0], TOGETHER))
+    seconds = np.full((repeat, 4), np.inf)
+    for taken in seconds:
+        marks = [time.perf_counter()]
+        ready = kind(matrices[0])
+        ready(matrices[0].data)
+        marks.append(time.perf_counter())
+        solve = ready(matrices[1].data)
+        marks.append(time.perf_counter())
+        one = solve(right[:, 0])
+        marks.append(time.perf_counter())
+        solve(right)
+        marks.append(time.perf_counter())
+        taken[:] = np.diff(marks)
+    factor = inspect.getclosurevars(solve).nonlocals["factor"]
+    entries = factor.nnz if hasattr(factor, "nnz") else factor.factor_nnz
+    residual = float(np.linalg.norm(right[:, 0] - matrices[1] @ one) / np.linalg.norm(right[:, 0]))
+    first, second, alone, many = seconds.min(axis=0)
+    return Found(first, second, alone, many, entries, residual)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", type=int, nargs="+", default=[10_000, 0, 50_000, 150_000],
+                        help="unknowns, about; 0 is the default mesh")
+    parser.add_argument("--repeat", type=int, default=2)
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    kinds = {"COLAMD": Colamd, "SuperLU": KNOWN["superlu"]}
+    if importlib.util.find_spec("rslab") is not None:
+        kinds["rslab"] = KNOWN["rslab"]
+    print(f"{'unknowns':>8}  {'':8}{'first':>9}{'second':>9}{'1 solve':>9}{f'{TOGETHER} solves':>10}{'entries':>11}"
+          f"{'residual':>11}")
+    for size in arguments.sizes:
+        problem, operators = made(factor_for(size) if size else 1.0)
+        matrices = [scaled(problem, operators, frequency) for frequency in (FREQUENCY, NEARBY)]
+        with one_thread():
+            found = {name: measured(kind, matrices, arguments.repeat) for name, kind in kinds.items()
+                     if name != "COLAMD" or operators.size < LARGEST_COLAMD}
+        base = found["SuperLU"]
+        print(f"{operators.size:8d}  {'SuperLU':8}{base.first:7.3f} s{base.second:7.3f} s{base.one:7.3f} s"
+              f"{base.many:8.3f} s{base.entries:11d}{base.residual:11.1e}")
+        for name, each in found.items():
+            if each is not base:
+                first, second, one, many, entries, _ = np.divide(astuple(each), astuple(base))
+                print(f"{'':8}  {name:8}{first:9.2f}{second:9.2f}{one:9.2f}{many:10.2f}{entries:11.2f}"
+                      f"{each.residual:11.1e}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
