@@ -50,8 +50,9 @@ CORNER_DEPTH = 3
 #: A new vector whose part outside the basis is smaller than this (relative) adds nothing but rounding.
 DEPENDENT = 1e-9
 
-#: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows.
-FIRST, WATCHED = 5, 97
+#: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows; all
+#: of no more than the last number.
+FIRST, WATCHED, FEW = 5, 97, 256
 
 #: What is left out of a basis has at most this times the root of the error that Z may have, in the root of energy
 #: over charge: the error of the charge is at most the energy of what is left out of the state.
@@ -200,13 +201,36 @@ def reduce(
     confirmed: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> ReducedModel:
+    """The model of :func:`reduced`, whose arguments these are."""
+    return reduced(operators, frequencies, values, tolerance=tolerance, tangents=tangents, start=start, first=first,
+                   limit=limit, depth=depth, confirmed=confirmed, progress=progress)[0]
+
+
+def reduced(
+    operators: FullOperators,
+    frequencies: Real,
+    values: Values,
+    *,
+    tolerance: float,
+    tangents: Mapping[str, float] = NO_TANGENTS,
+    start: ReducedModel | None = None,
+    first: int = FIRST,
+    limit: int = 40,
+    depth: int = DEPTH,
+    confirmed: bool = True,
+    worst: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[ReducedModel, Solution]:
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
 
     Full solves are added where the estimate is largest, until it is within the tolerance everywhere. A full solve at
     the worst frequency then confirms it, unless `confirmed` is unset: the estimate is believed. With `start`, a model
     made for other parameter values is extended for these. The basis also holds what the parameters in `tangents` change
     the states by when they move by so much, so that it keeps serving then. Each factorisation gives `depth` vectors,
-    tangents apart.
+    tangents apart. `worst` is the frequency (Hz) at which `start` is known to be off most, if it is.
+
+    Returns:
+        the model, and what it gives at all frequencies.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
@@ -214,7 +238,9 @@ def reduce(
     """
     frequencies = np.asarray(frequencies, dtype=float)
     watched = _watched(frequencies)
-    wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]] if start is None else np.zeros(0)
+    wanted = np.zeros(0) if worst is None else np.array([worst])
+    if start is None:
+        wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]]
     model, spent, unneeded = start, 0, smallest(tolerance)
 
     def report() -> None:
@@ -244,7 +270,7 @@ def reduce(
                 unneeded *= TIGHTER
             assert model is not None
             solution, estimate, index = model.worst(watched, values)
-            if estimate <= tolerance:
+            if estimate <= tolerance and watched.size < frequencies.size:
                 # All of them, once the fewer are within.
                 solution, estimate, index = model.worst(frequencies, values)
             worst = float(solution.frequency[index])
@@ -262,7 +288,7 @@ def reduce(
                 if off <= tolerance:
                     break
             wanted = np.array([worst])
-    return model
+    return model, solution
 
 
 def smallest(tolerance: float) -> float:
@@ -445,6 +471,8 @@ def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
 
 
 def _watched(frequencies: Real) -> Real:
+    if frequencies.size <= FEW:
+        return frequencies
     return frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
-from workbench.reduce import ReducedModel, covering, narrowed, reduce
+from workbench.reduce import ReducedModel, covering, narrowed, reduced
 from workbench.solve import Solution, dependence, solve_full
 
 Real = NDArray[np.float64]
@@ -35,7 +35,7 @@ NEGLIGIBLE = 1e-6
 
 
 #: Vectors from which on a basis forgets where it has been, and how small directions it then leaves out, relative.
-WIDE, LEFT_BEHIND = 140, 1e-4
+WIDE, LEFT_BEHIND = 100, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +107,11 @@ class Predictor:
         if known is not None and known.values == values and known.model is self.model:
             return known
         if self.model is None:
-            self._grow(values)
-        prediction = self._predict(values)
-        if math.isfinite(self.tolerance) and prediction.error.max() > self.tolerance:
-            self._grow(values)
-            prediction = self._predict(values)
+            prediction = self._grow(values, None)
+        else:
+            prediction = Prediction(self.model.solve(self.frequencies, values), self.model, values)
+            if math.isfinite(self.tolerance) and prediction.error.max() > self.tolerance:
+                prediction = self._grow(values, float(self.frequencies[np.argmax(prediction.error)]))
         self._latest = prediction
         return prediction
 
@@ -161,18 +161,16 @@ class Predictor:
         self.solves += len(at)
         return np.conj(solve_full(self.operators, at, {**self.problem.values, **values}).impedance)
 
-    def _predict(self, values: Mapping[str, complex]) -> Prediction:
-        assert self.model is not None
-        return Prediction(self.model.solve(self.frequencies, values), self.model, values)
-
-    def _grow(self, values: Mapping[str, complex]) -> None:
+    def _grow(self, values: Mapping[str, complex], worst: float | None) -> Prediction:
         start = self.model
         if start is not None and self._latest is not None and start.basis.shape[1] > WIDE:
             # Of a long way what was needed at its last place: dense solves cost the cube of the rank.
             start, _ = narrowed(start, start.solve(self.frequencies, self._latest.values).states, LEFT_BEHIND)
         moves = {name: MOVED * abs(values[name]) for name in self.tangents}
         tolerance = 0.5 * self.tolerance if math.isfinite(self.tolerance) else 1e-3
-        model = reduce(self.operators, self.frequencies, values, tolerance=tolerance, tangents=moves, start=start,
-                       depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False)
+        model, solution = reduced(self.operators, self.frequencies, values, tolerance=tolerance, tangents=moves,
+                                  start=start, depth=DEPTH if start is not None else FIRST_DEPTH, confirmed=False,
+                                  worst=worst)
         self.solves += model.solves - (0 if start is None else start.solves)
         self.model = model
+        return Prediction(solution, model, values)
