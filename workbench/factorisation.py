@@ -1,9 +1,10 @@
 """Sparse factorisations of complex-symmetric matrices of one pattern, one set of values after the other.
 
 What depends on the pattern alone (the ordering of the unknowns) is found once. SuperLU, which scipy brings, is the
-reference. Where `rslab` is installed its LDL^T is used instead: it keeps the symmetry, which halves the work, and its
-analysis of the pattern (`tests/benchmarks/factorisation.py` compares them on these meshes). Matrices come scaled to a
-diagonal of ones: without that SuperLU's symmetric mode takes a hundred times as long.
+reference. Where `rslab` is installed, as it is by default, its LDL^T is used instead: it keeps the symmetry, which
+halves the work, and its analysis of the pattern; on these meshes it takes half to a fifth of the time
+(`tests/benchmarks/factorisation.py`). Matrices come scaled to a diagonal of ones: without that SuperLU's symmetric mode
+takes a hundred times as long.
 """
 
 from __future__ import annotations

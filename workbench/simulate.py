@@ -116,7 +116,7 @@ def simulate(
     points: int = 481,
     at: float | None = None,
     full: bool = False,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
     drive: Drive | None = None,
     accuracy: float | Discretisation = ACCURACY,
     mesh_cache: Path | None = None,
