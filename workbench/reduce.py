@@ -52,7 +52,7 @@ DEPENDENT = 1e-9
 
 #: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows; all
 #: of no more than the last number.
-FIRST, WATCHED, FEW = 6, 97, 256
+FIRST, WATCHED, FEW = 7, 97, 256
 
 #: What is left out of a basis has at most this times the root of the error that Z may have, in the root of energy
 #: over charge: the error of the charge is at most the energy of what is left out of the state.
