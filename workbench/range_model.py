@@ -17,6 +17,7 @@ import io
 import json
 import os
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -47,7 +48,7 @@ Ranges = Mapping[str, tuple[float, float]]
 Progress = Callable[[float], None]
 
 #: Frequencies at which errors are estimated while a model grows, points of the ranges looked at in a round, and solved.
-WATCHED, LOOKED_AT, SOLVED = 61, 40, 12
+WATCHED, LOOKED_AT, SOLVED = 61, 32, 12
 
 #: Frequencies and vectors of the first solves, in the middle of the ranges; vectors from each of the others.
 FIRST, FIRST_DEPTH, DEPTH = 6, 8, 5
@@ -255,7 +256,7 @@ def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress:
     low, high = (np.array(ends) for ends in zip(*ranges.values(), strict=True))
     sampler = qmc.Sobol(len(ranges), seed=seed)
     watched = np.linspace(model.frequency[0], model.frequency[-1], WATCHED)
-    spent, error, first = 0, np.inf, None
+    spent, error, first, share = 0, np.inf, 0.0, 0.0
     moving = {name.removesuffix(LOSS) for name in ranges}
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(2, os.cpu_count() or 1))) as pool:
         while True:
@@ -269,15 +270,18 @@ def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress:
             spent += len(solved)
             off = [abs(seen[k][2] / charge - 1.0) for k, (_, charge, _) in zip(chosen, solved, strict=True)]
             error = max(off)
-            first = error if first is None else first
+            first = first or error
             residual = max(reduced.residual, *(each for _, _, each in solved))
             reduced = replace(reduced, solves=reduced.solves + len(solved), residual=residual)
-            if progress is not None:
-                # By how much of the way, in orders of magnitude, is behind.
-                progress(float(np.clip(np.log(first / error) / np.log(max(first / tolerance, 1.0 + 1e-9)), 0.0, 1.0)))
+            if progress is not None and first > tolerance:
+                # How much of the way, in orders of magnitude, is behind.
+                share = max(share, float(np.clip(np.log(first / error) / np.log(first / tolerance), 0.0, 0.99)))
+                progress(share)
             done = replace(model, reduced=reduced, tolerance=tolerance, error=float(error),
                            seconds=model.seconds + time.perf_counter() - started)
             if error <= tolerance:
+                if progress is not None:
+                    progress(1.0)
                 return done
             if spent >= limit:
                 raise NotCovered(done)
@@ -373,7 +377,7 @@ def load(
         content = json.loads(stored["content"].tobytes())
         ranges = {name: (float(low), float(high)) for name, (low, high) in content["ranges"].items()}
         frequency = stored["frequency"]
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(str(path), "file", repr(error), "a range model that was saved before") from error
     if content.get("format") != FORMAT:
         raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
