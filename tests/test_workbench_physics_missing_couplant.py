@@ -104,11 +104,11 @@ def test_a_full_ring_changes_nothing_and_the_tangent_is_the_change(filled: Probl
     model = ringed(filled, 2.5e-3, 0.0)
     frequency = np.array([310e3, 350e3, 395e3])
     operators = assemble(model.mesh, model.terms)
-    steps = (-1e-8, 0.0, 1e-8)
+    steps = (-3e-8, 0.0, 3e-8)  # so that rounding, 1e-12 of Z, is below the curvature
     below, at, above = (solve_full(operators, frequency, {**model.values, FRACTION: step}) for step in steps)
     assert np.abs(at.impedance / impedance(filled, frequency) - 1.0).max() < 1e-11
     slope = at.parameter_gradient(model.values, (FRACTION,))[:, 0]
-    assert np.abs((above.impedance - below.impedance) / 2e-8 / slope - 1.0).max() < 1e-4
+    assert np.abs((above.impedance - below.impedance) / 6e-8 / slope - 1.0).max() < 1e-4
 
 
 def test_the_ring_takes_no_power(filled: Problem) -> None:

@@ -81,7 +81,7 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default f0)")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
     sub.add_argument("--tolerance", type=float, default=1e-4, metavar="ERROR",
-                     help="relative error of the reduced model's impedance (default 1e-4)")
+                     help="relative error of the reduced model's impedance (default 0.0001)")
     sub.add_argument("--no-pictures", action="store_true",
                      help="leave out the pictures of fields and solid model (default: drawn)")
     sub.add_argument("--no-cad", action="store_true", help="leave out the solid model (default: STEP, STL, view)")

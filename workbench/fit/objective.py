@@ -221,7 +221,8 @@ class Objective:
         seen, device, elements = through_bench(prediction.impedance, omega, bench)
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
         for column, p in self._bench[index]:
-            gradient[:, column] = elements[p.name]
+            if free is None or column in free:
+                gradient[:, column] = elements[p.name]
         slopes = np.conj(prediction.logarithmic_gradient(keys))
         for column, p, key in moved:
             slope = slopes[:, keys.index(key)]

@@ -148,12 +148,14 @@ class Predictor:
         """Let the model grow for parameters about `values` of which each of `moves` changes by so much.
 
         What an error of Z of `tolerance` does not need is left out; `corners` are further values that the basis must
-        hold the states of (`reduce.covering`).
+        hold the states of (`reduce.covering`). A model of a rank above :data:`WIDE` is left to the predictions that
+        hold it, and a new one begun: dense solves cost the cube of the rank.
         """
         around = {**self.problem.values, **values}
-        before = 0 if self.model is None else self.model.solves
+        start = self.model if self.model is not None and self.model.operators.size <= WIDE else None
+        before = 0 if start is None else start.solves
         self.model = covering(self.operators, self.frequencies, around, moves, tolerance=tolerance, depth=DEPTH,
-                              corners=[{**around, **corner} for corner in corners], start=self.model)
+                              corners=[{**around, **corner} for corner in corners], start=start)
         self.solves += self.model.solves - before
 
     def full(self, values: Mapping[str, complex], at: Real) -> Complex:
