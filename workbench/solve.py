@@ -406,6 +406,11 @@ def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values
     """The reduced model at every frequency: batched dense solves."""
     frequencies = np.asarray(frequencies, dtype=float)
     groups = frequency_groups(operators.integrals, 2.0 * np.pi * frequencies, values)
+    return solve_groups(operators, frequencies, groups)
+
+
+def solve_groups(operators: ReducedOperators, frequencies: Real, groups: Groups) -> Solution:
+    """The reduced model at every frequency, of which `groups` is all that depends on values."""
     summed = operators.combinations(np.array([constants for _, constants in groups]))
     factors = np.stack([h for h, _ in groups])
     states, residual = solve_dense(factors, summed)
