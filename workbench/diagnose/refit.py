@@ -38,7 +38,7 @@ MOVES = 1.5
 CENTRED, SAME, SHARE = 3, 2.0, 0.02
 
 #: What these moves bring into a basis is left out where an error of Z of this, relative, does not need it.
-UNNEEDED = 1e-4
+UNNEEDED = 1e-5
 
 #: They serve while parameters move by so many of their standard errors there, and need not be made again where the
 #: estimated relative error of Z, which is ten to a hundred times the true one, is below the second number; no step is
