@@ -233,7 +233,7 @@ def test_the_estimate_bounds_the_error_wherever_the_parameters_go(small_disc: Pr
     for _ in range(4):
         around = [model.solve(SHARP, base).states]
         around += [model.solve(SHARP, {**base, name: 1.002 * base[name]}).states for name in tangents]
-        few, _ = narrowed(model, np.concatenate(around, axis=1), 1e-6)
+        few = narrowed(model, np.concatenate(around, axis=1), 1e-6)
         for reach in (0.002, 0.01, 0.05, 0.2):
             values = moved(small_disc.with_values(base), random, reach)
             exact = solve_full(sharp, SHARP, values).impedance

@@ -36,11 +36,12 @@ from materials.registry import Registry
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fit.parameter import LOSS, part, placed
+from workbench.fit.predict import Prediction
 from workbench.operators import FullOperators, ReducedOperators, assemble
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
 from workbench.problem import Problem, build
 from workbench.reduce import ReducedModel, covering, energy_matrix, smallest
-from workbench.solve import Solution, System, one_thread
+from workbench.solve import System, one_thread
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -83,31 +84,31 @@ class NotCovered(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A spectrum of a range model: ``impedance`` (n,) ohm, e^{+j w t}, at ``frequency`` (n,) Hz.
+    """A spectrum of a range model: ``values`` the numbers asked for, by name, and the ``prediction`` made for them."""
 
-    ``values`` are the numbers asked for, by name.
-    """
-
-    frequency: Real
     values: Mapping[str, float]
-    solution: Solution
-    _model: ReducedModel
-    _complex: Mapping[str, complex]
+    prediction: Prediction
+
+    @property
+    def frequency(self) -> Real:
+        """(n,) Hz."""
+        return self.prediction.solution.frequency
 
     @property
     def impedance(self) -> Complex:
-        return np.conj(self.solution.impedance)
+        """(n,) ohm, e^{+j w t}."""
+        return self.prediction.impedance
 
-    @cached_property
+    @property
     def error(self) -> Real:
         """Estimated relative error (n,) of the impedance, against the mesh's own full solution."""
-        return self._model.error(self.solution)
+        return self.prediction.error
 
     def gradient(self, names: tuple[str, ...] | None = None) -> Complex:
         """d Z / d number (n, len(names)), ohm over the number's SI unit, by all that the model has if not named."""
         names = tuple(self.values) if names is None else names
         keys = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in names))
-        slopes = np.conj(self.solution.parameter_gradient(self._complex, keys))
+        slopes = np.conj(self.prediction.solution.parameter_gradient(self.prediction.values, keys))
         columns = [slopes[:, keys.index(name.removesuffix(LOSS))] * (-1j if name.endswith(LOSS) else 1.0)
                    for name in names]
         return np.stack(columns, axis=1)
@@ -153,8 +154,8 @@ class RangeModel:
             if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
                 raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
         placed_there = placed(self.problem.values, numbers)
-        return Response(self.frequency, numbers, self.compact.solve(self.frequency, placed_there), self.compact,
-                        placed_there)
+        solution = self.compact.solve(self.frequency, placed_there)
+        return Response(numbers, Prediction(solution, self.compact, placed_there))
 
     @cached_property
     def compact(self) -> ReducedModel:

@@ -21,7 +21,7 @@ A900: randomized residual-based error estimators for parametrized equations).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -33,7 +33,7 @@ from scipy.sparse.linalg import splu
 
 from workbench.operators import FullOperators, ReducedOperators, combined
 from workbench.physics.term import Values
-from workbench.solve import NotConverged, Solution, System, one_thread, solve_reduced
+from workbench.solve import NotConverged, Solution, System, chebyshev, one_thread, solve_reduced
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -252,20 +252,12 @@ def reduced(
         system = System(operators, values)
         while True:
             if wanted.size:
-                found: list[Complex] = []
-                changes: list[Complex] = []
+                solved = _Solves(model, frequencies)
                 for frequency in wanted:
-                    states, residual = system.krylov(float(frequency), depth, tangents=tuple(tangents))
+                    solved.add(system, float(frequency), depth, tangents)
                     spent += 1
-                    model = begun(system, frequencies, states[:, 0]) if model is None else model
-                    model = replace(model, solves=model.solves + 1, residual=max(model.residual, residual))
-                    found.append(states[:, :depth])
-                    size = np.sqrt(abs(system.charge(float(frequency), states[:, 0])))
-                    changes.append(states[:, depth:] * np.array(list(tangents.values())) / size)
                     report()
-                assert model is not None
-                model = model.grown(np.concatenate(found, axis=1), np.concatenate(changes, axis=1),
-                                    [(watched, values)], unneeded, tolerance)
+                model = solved.grown([(watched, values)], unneeded, tolerance)
                 # Where the new directions were not enough, too much may have been left out before them.
                 unneeded *= TIGHTER
             assert model is not None
@@ -284,7 +276,7 @@ def reduced(
                 spent += 1
                 report()
                 off = abs(solution.charge[index] / system.charge(worst, states[:, 0]) - 1.0)
-                model = replace(model, solves=model.solves + 1, residual=max(model.residual, residual))
+                model = counted(model, residual)
                 if off <= tolerance:
                     break
             wanted = np.array([worst])
@@ -349,20 +341,14 @@ def new_directions(basis: Real, states: Complex, weights: Real, unneeded: float 
     return np.asarray(new / weights[:, None])
 
 
-def spanned(states: Complex, tolerance: float) -> tuple[Real, Real]:
-    """Directions (r - 1, k) that reduced `states` (r, n) lie in, their lift apart, and their sizes (k,).
+def needed(states: Complex, tolerance: float) -> Real:
+    """The part of a basis that reduced `states` (r, n) need, in that basis: (r, k), its lift last.
 
-    Those below `tolerance`, relative to the largest, are left out.
+    Directions below `tolerance`, relative to the largest, are left out.
     """
     coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
-    directions, singular, _ = np.linalg.svd(coordinates, full_matrices=False)
-    kept = singular > tolerance * singular[0]
-    return directions[:, kept], singular[kept]
-
-
-def needed(states: Complex, tolerance: float) -> Real:
-    """The part of a basis that reduced `states` (r, n) need, in that basis: (r, k), its lift last."""
-    directions, _ = spanned(states, tolerance)
+    directions, sizes, _ = np.linalg.svd(coordinates, full_matrices=False)
+    directions = directions[:, sizes > tolerance * sizes[0]]
     result = np.zeros((len(states), directions.shape[1] + 1))
     result[:-1, :-1], result[-1, -1] = directions, 1.0
     return result
@@ -409,14 +395,46 @@ def estimated_error(residual: Complex, charge: Complex) -> Real:
     return np.asarray(SAFETY * np.mean(np.abs(residual) ** 2, axis=0) / np.abs(charge))
 
 
-def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> tuple[ReducedModel, Real]:
-    """`model` on the part of its basis that reduced `states` (rank, n) need, to `tolerance` relative to the largest.
+def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> ReducedModel:
+    """`model` on the part of its basis that reduced `states` (rank, n) need, to `tolerance` relative to the largest."""
+    return model.within(needed(states, tolerance))
 
-    Returns:
-        the model, and its basis in the old one (old rank, rank).
+
+@dataclass(eq=False)
+class _Solves:
+    """Full solves that a model is about to grow by.
+
+    ``model`` is the one there is, which counts them; ``states`` each (size, depth), and ``changes`` (size, tangents)
+    what moves of parameters change the states by, over the root of their charge.
     """
-    within = needed(states, tolerance)
-    return model.within(within), within
+
+    model: ReducedModel | None
+    frequencies: Real
+    states: list[Complex] = field(default_factory=list)
+    changes: list[Complex] = field(default_factory=list)
+
+    def add(self, system: System, frequency: float, depth: int, moves: Mapping[str, float] = NO_TANGENTS) -> None:
+        """One more, with its neighbours in frequency, for parameters that move by so much."""
+        found, residual = system.krylov(frequency, depth, tangents=tuple(moves))
+        if self.model is None:
+            self.model = begun(system, self.frequencies, found[:, 0])
+        self.model = counted(self.model, residual)
+        self.states.append(found[:, :depth])
+        size = np.sqrt(abs(system.charge(frequency, found[:, 0])))
+        self.changes.append(found[:, depth:] * np.array(list(moves.values())) / size)
+
+    def grown(
+        self, needed_at: Sequence[tuple[Real, Values]], unneeded: float, tolerance: float
+    ) -> ReducedModel:
+        """See :meth:`ReducedModel.grown`."""
+        assert self.model is not None
+        return self.model.grown(np.concatenate(self.states, axis=1), np.concatenate(self.changes, axis=1), needed_at,
+                                unneeded, tolerance)
+
+
+def counted(model: ReducedModel, residual: float) -> ReducedModel:
+    """`model` with one more full solve, which left that residual."""
+    return replace(model, solves=model.solves + 1, residual=max(model.residual, residual))
 
 
 def covering(
@@ -440,34 +458,16 @@ def covering(
     """
     frequencies = np.asarray(frequencies, dtype=float)
     at, watched = frequencies[chebyshev(frequencies.size, nodes)], _watched(frequencies)
-    names, reach = tuple(moves), np.array(list(moves.values()))
-    model, worst = start, 0.0
-    states: list[Complex] = []
-    changes: list[Complex] = []
+    solved = _Solves(start, frequencies)
     with one_thread():
         system = System(operators, values)
         for frequency in at:
-            found, residual = system.krylov(float(frequency), depth, tangents=names)
-            model = begun(system, frequencies, found[:, 0]) if model is None else model
-            worst = max(worst, residual)
-            states.append(found[:, :depth])
-            changes.append(found[:, depth:] * reach / np.sqrt(abs(system.charge(float(frequency), found[:, 0]))))
+            solved.add(system, float(frequency), depth, moves)
         for values_there in corners:
             there = System(operators, values_there)
             for frequency in at:
-                found, residual = there.krylov(float(frequency), CORNER_DEPTH)
-                worst = max(worst, residual)
-                states.append(found)
-        assert model is not None
-        model = model.grown(np.concatenate(states, axis=1), np.concatenate(changes, axis=1),
-                            [(watched, each) for each in (values, *corners)], smallest(tolerance), tolerance)
-    return replace(model, solves=model.solves + at.size * (1 + len(corners)), residual=max(model.residual, worst))
-
-
-def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
-    """Indices of `count` frequencies next to Chebyshev's nodes, as many as those fall on."""
-    angles = np.pi * (np.arange(nodes) + 0.5) / nodes
-    return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
+                solved.add(there, float(frequency), CORNER_DEPTH)
+        return solved.grown([(watched, each) for each in (values, *corners)], smallest(tolerance), tolerance)
 
 
 def _watched(frequencies: Real) -> Real:

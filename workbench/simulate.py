@@ -30,7 +30,7 @@ from workbench.mesh_error import MeshError
 from workbench.mesh_error import estimate as mesh_error
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem, build
-from workbench.reduce import reduce
+from workbench.reduce import reduced
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
 
@@ -163,9 +163,8 @@ def simulate(
         impedance, solves, residual = _full_spectrum(operators, frequencies, problem, known or {}, on_point, progress)
         error, of_mesh = 0.0, None
     else:
-        model = reduce(operators, frequencies, problem.values, tolerance=tolerance,
-                       progress=lambda fraction: progress("reduced model", fraction))
-        solution = model.solve(frequencies, problem.values)
+        model, solution = reduced(operators, frequencies, problem.values, tolerance=tolerance,
+                                  progress=lambda fraction: progress("reduced model", fraction))
         impedance, solves, residual = solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
         lap("spectrum")

@@ -272,8 +272,8 @@ class System:
 
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
-        self.constants = [c for _, c in frequency_groups(operators.integrals, np.ones(1), values)]
-        self._entries = np.stack([operators.matrix(constants) for constants in self.constants])
+        groups = frequency_groups(operators.integrals, np.ones(1), values)
+        self._entries = np.stack([operators.matrix(constants) for _, constants in groups])
 
     def factors(self, frequencies: Real) -> Complex:
         """h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
@@ -453,7 +453,7 @@ def _solve_narrowed(factors: Complex, matrices: Complex, right: Complex) -> Comp
     count, rank = factors.shape[1], matrices.shape[1]
     flat = matrices.reshape(len(matrices), rank**2)
     norm = np.linalg.norm(right, axis=0)
-    wanted = _chebyshev(count, NODES)
+    wanted = chebyshev(count, NODES)
     basis = np.zeros((rank, 0))
     done: set[int] = set()
     while True:
@@ -492,7 +492,8 @@ def _solve_narrowed(factors: Complex, matrices: Complex, right: Complex) -> Comp
             return solve_each(factors, matrices, right)
 
 
-def _chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
+def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
+    """Indices of `count` frequencies next to Chebyshev's nodes, as many as those fall on."""
     angles = np.pi * (np.arange(nodes) + 0.5) / nodes
     return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
 

@@ -85,7 +85,8 @@ def main() -> None:
             index = int(random.integers(model.frequency.size))
             system = System(model.reduced.full, placed(model.problem.values, numbers))
             state, _ = system.solve(float(model.frequency[index]))
-        off.append(abs(found.solution.charge[index] / system.charge(float(model.frequency[index]), state) - 1.0))
+        charge = system.charge(float(model.frequency[index]), state)
+        off.append(abs(found.prediction.solution.charge[index] / charge - 1.0))
         if number == 0:
             seconds.clear()  # what is summed up once is not counted
     print(f"a spectrum of {model.frequency.size} frequencies with its gradient by {len(twelve)}: median "

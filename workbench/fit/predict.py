@@ -33,7 +33,6 @@ MOVED = 0.1
 #: Directions that no state in a neighbourhood needs more of than this, relative, are left out of a model for it.
 NEGLIGIBLE = 1e-6
 
-
 #: Vectors from which on a basis forgets where it has been, and how small directions it then leaves out, relative.
 WIDE, LEFT_BEHIND = 100, 1e-4
 
@@ -141,7 +140,7 @@ class Predictor:
         if self.model is not None:
             every = [self.model.solve(self.frequencies, {**self.problem.values, **each}).states for each in settings]
             states = np.concatenate([every[0], *(each - every[0] for each in every[1:])], axis=1)
-            other.model, _ = narrowed(self.model, states, NEGLIGIBLE)
+            other.model = narrowed(self.model, states, NEGLIGIBLE)
         return other
 
     def cover(
@@ -170,7 +169,7 @@ class Predictor:
         start = self.model
         if start is not None and self._latest is not None and start.basis.shape[1] > WIDE:
             # Of a long way what was needed at its last place: dense solves cost the cube of the rank.
-            start, _ = narrowed(start, start.solve(self.frequencies, self._latest.values).states, LEFT_BEHIND)
+            start = narrowed(start, start.solve(self.frequencies, self._latest.values).states, LEFT_BEHIND)
         moves = {name: MOVED * abs(values[name]) for name in self.tangents}
         tolerance = 0.5 * self.tolerance if math.isfinite(self.tolerance) else 1e-3
         model, solution = reduced(self.operators, self.frequencies, values, tolerance=tolerance, tangents=moves,
