@@ -12,13 +12,12 @@ from scipy import sparse
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
+from workbench.coefficients import Coefficients
 from workbench.operators import (
     FullOperators,
     ModelError,
     ReducedOperators,
     assemble,
-    coefficients,
-    frequency_groups,
 )
 from workbench.physics.electrodes import Electrodes
 from workbench.physics.fluid import Fluid, PressureRelease, SolidFluidContact
@@ -90,8 +89,9 @@ def test_projections_are_those_of_the_matrices(
 def test_reduced_operators_answer_like_the_full_ones(
     filled_operators: FullOperators, columns: NDArray[np.float64], monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
-    monkeypatch.setattr("workbench.operators.PRODUCTS", at_once)
-    reduced = ReducedOperators(filled_operators.integrals, filled_operators.project(columns), filled_operators.forms)
+    monkeypatch.setattr("workbench.operators.AT_ONCE", at_once)
+    reduced = ReducedOperators(filled_operators.integrals, filled_operators.coefficients,
+                               filled_operators.project(columns), filled_operators.forms)
     assert (reduced.size, reduced.integrals) == (3, filled_operators.integrals)
     weights = np.random.default_rng(3).standard_normal((3, 4)).astype(np.complex128)
     states = (columns @ weights).astype(np.complex128)
@@ -105,8 +105,8 @@ def test_reduced_operators_answer_like_the_full_ones(
 
 def test_frequency_groups_are_the_coefficients(filled: Problem, filled_operators: FullOperators) -> None:
     omega = 2.0 * np.pi * np.array([1e5, 3e5, 1e6])
-    expected = coefficients(filled_operators.integrals, omega, filled.values)
-    groups = frequency_groups(filled_operators.integrals, omega, filled.values)
+    expected = np.stack([i.coefficient(omega, filled.values) for i in filled_operators.integrals], axis=1)
+    groups = filled_operators.coefficients.groups(omega, filled.values)
     assert len(groups) == 3  # w^-2, 1 and w^2: three matrices serve every frequency
     found = sum(h[:, None] * constants[None, :] for h, constants in groups)
     assert np.abs(found / expected - 1.0).max() < 1e-14
@@ -125,7 +125,7 @@ def test_a_coefficient_that_is_no_monomial_gets_a_group_of_its_own(filled_operat
             raise NotImplementedError
 
     integral: Integral = replace(filled_operators.integrals[0], coefficient=Relaxing())
-    groups = frequency_groups((integral,), np.array([1.0, 2.0]), {"time": 0.5})
+    groups = Coefficients.of([integral]).groups(np.array([1.0, 2.0]), {"time": 0.5})
     assert len(groups) == 1
     assert groups[0][0] == pytest.approx(1.0 / (1.0 - 0.5j * np.array([1.0, 2.0])))
     assert groups[0][1].tolist() == [1.0]
@@ -230,7 +230,7 @@ def test_an_operator_of_an_unknown_that_no_term_brings_in_is_refused(filled: Pro
 def test_a_missing_parameter_is_named(filled: Problem, filled_operators: FullOperators) -> None:
     values = {name: value for name, value in filled.values.items() if name != "pla.density"}
     with pytest.raises(KeyError, match=r"pla\.density"):
-        coefficients(filled_operators.integrals, np.array([1.0]), values)
+        filled_operators.coefficients.groups(np.array([1.0]), values)
 
 
 def test_the_mesh_sets_the_size_not_the_values(

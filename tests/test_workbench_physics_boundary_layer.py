@@ -19,7 +19,7 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid as FluidMaterial
 from materials.kinds import Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble, coefficients
+from workbench.operators import FullOperators, assemble
 from workbench.physics import boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.boundary_layer import ThermalBoundaryLayer, ViscousBoundaryLayer
 from workbench.physics.term import Term
@@ -59,7 +59,7 @@ def wall(boundary: str, region: str, fluid_region: str = "cavity", *, held: bool
 def between(operators: FullOperators, values: Mapping[str, complex], omega: float, keep: Callable[[object], bool],
             rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Complex:
     """The dense block of A(w) of the integrals that `keep` picks."""
-    g = coefficients(operators.integrals, np.array([omega]), values)[0]
+    g = operators.coefficients(np.array([omega]), values)[0]
     entries = operators.matrix(np.where([keep(i) for i in operators.integrals], g, 0.0))
     whole = System(operators, values).matrix(1.0).tocsc()
     whole.data = entries

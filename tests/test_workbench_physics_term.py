@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from geometry.chip import Chip
+from workbench.coefficients import Coefficients
 from workbench.dimensions import flexible
 from workbench.operators import FullOperators, assemble
 from workbench.physics.solid import IsotropicSolid
@@ -27,12 +28,10 @@ from workbench.physics.term import (
     Radial,
     Term,
     Times,
-    factored,
     parts_by_stretch,
     times,
 )
 from workbench.problem import Problem
-from workbench.solve import slopes_of
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -98,18 +97,21 @@ def test_a_product_has_the_derivative_of_one(coefficient: Coefficient, name: str
     tolerance = 1e-8 * np.abs(coefficient(OMEGA, VALUES)).max()
     assert coefficient.derivative(OMEGA, VALUES, name) == pytest.approx(exact, rel=1e-8, abs=tolerance)
     assert bool(np.abs(exact).max() > tolerance) == (name in coefficient.parameters)
-    # The same, sorted by powers of the frequency.
-    total = np.zeros(OMEGA.size, dtype=complex)
-    for power, constant, factor in slopes_of(coefficient, OMEGA, VALUES, name):
-        total += constant * (OMEGA**power if factor is None else factor)
-    assert total == pytest.approx(exact, rel=1e-8, abs=tolerance)
 
 
-@pytest.mark.parametrize("coefficient", PRODUCTS.values(), ids=PRODUCTS)
-def test_what_depends_on_frequency_is_taken_out_of_a_product(coefficient: Coefficient) -> None:
-    first, factor = factored(coefficient, VALUES)
-    assert not isinstance(first, Times)
-    assert factor * first(OMEGA, VALUES) == pytest.approx(coefficient(OMEGA, VALUES), rel=1e-14)
+def test_taken_apart_together_coefficients_are_what_each_is_alone() -> None:
+    integrals = [Integral(coefficient, "", ()) for coefficient in PRODUCTS.values()]
+    found = Coefficients.of(integrals)
+    alone = np.stack([coefficient(OMEGA, VALUES) for coefficient in PRODUCTS.values()], axis=1)
+    assert found(OMEGA, VALUES) == pytest.approx(alone, rel=1e-14)
+    assert found.parameters == {name for each in PRODUCTS.values() for name in each.parameters}
+    # Also where a factor is zero, which no derivative may be divided by.
+    for values in (VALUES, {**VALUES, "a": 0j}):
+        for name in found.parameters:
+            exact = np.stack([each.derivative(OMEGA, values, name) for each in PRODUCTS.values()], axis=1)
+            total = sum(np.outer(shape(OMEGA, values), constants)
+                        for shape, constants in found.slopes(values, name).items())
+            assert total == pytest.approx(exact, rel=1e-13)
 
 
 # --------------------------------------------------------------------------------------------------------------------

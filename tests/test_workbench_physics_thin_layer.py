@@ -14,7 +14,7 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
-from workbench.operators import FullOperators, ModelError, assemble, frequency_groups
+from workbench.operators import FullOperators, ModelError, assemble
 from workbench.physics.thin_layer import ADMISSIBLE, SKIN, ImperfectBond
 from workbench.problem import Problem, problem
 from workbench.reduce import reduce
@@ -251,7 +251,7 @@ def test_the_reduced_model_follows(skinned: Problem) -> None:
     reduced = reduce(operators, np.linspace(300e3, 400e3, 21), model.values)
     assert np.abs(reduced.solve(frequency, model.values).impedance / full - 1.0).max() < 1e-5
     # Three powers of w, as without the bond: the reduced model is solved by its eigenvectors.
-    assert len(frequency_groups(operators.integrals, frequency, model.values)) == 3
+    assert len(operators.coefficients.groups(frequency, model.values)) == 3
 
 
 def test_the_limits_are_a_hundred_times_the_epoxy_of_the_paper() -> None:

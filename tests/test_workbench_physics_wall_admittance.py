@@ -16,7 +16,7 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid as FluidMaterial
 from materials.kinds import Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble, coefficients
+from workbench.operators import FullOperators, assemble
 from workbench.physics import electrodes, fluid, piezoelectric
 from workbench.physics.wall_admittance import ADMISSIBLE, WallAdmittance
 from workbench.problem import Problem
@@ -33,7 +33,7 @@ def wall(admittance: complex, compliance: complex = 0.0) -> dict[str, complex]:
 def squared(operators: FullOperators, values: dict[str, complex], pressure: NDArray[np.int64], omega: float
             ) -> NDArray[np.complex128]:
     """w^2 of the modes of the fluid alone, with the wall as it is at `omega`."""
-    g = coefficients(operators.integrals, np.array([omega]), values)[0]
+    g = operators.coefficients(np.array([omega]), values)[0]
     compressed = np.array([i.coefficient.parameters == ("water.density", "water.sound_speed")
                            for i in operators.integrals])
     blocks = []

@@ -22,23 +22,20 @@ from skfem.refdom import RefLine, RefQuad
 
 from geometry.mesh import SectionMesh
 from geometry.names import across_columns, whole
+from workbench.coefficients import Coefficients
+from workbench.dense import Span
 from workbench.elements import Lagrange
 from workbench.factorisation import Factorisation, factorisation
 from workbench.physics.term import (
     COMPONENTS,
     FACING,
     OPERATORS,
-    Coefficient,
     Condition,
-    Formula,
     Integral,
-    Monomial,
     Part,
     Product,
     Radial,
     Term,
-    Values,
-    factored,
 )
 
 Real = NDArray[np.float64]
@@ -48,8 +45,8 @@ Complex = NDArray[np.complex128]
 #: Cells whose points are projected on at once: what that takes stays in the processor's cache.
 TOGETHER = 64
 
-#: Products of pairs of unknowns, at all frequencies together, that forms are made from at once, for the same reason.
-PRODUCTS = 500_000
+#: Entries of the states, at several frequencies together, that forms are made from at once, for the same reason.
+AT_ONCE = 40_000
 
 #: Cells that differ by less than this share of their size are the same: rounding of where they are.
 SAME_SHAPE = 1e-9
@@ -70,29 +67,21 @@ class Operators(Protocol):
         """The g_q A_q, in the order of every array over integrals."""
 
     @property
+    def coefficients(self) -> Coefficients:
+        """The g_q."""
+
+    @property
     def size(self) -> int:
         """Number of unknowns, electrode included."""
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
         """left^T A_q right for columns left, right (size, n): (n, number of integrals)."""
 
-    def combined_forms(self, states: Complex, constants: Complex) -> Complex:
-        """x^T sum_q constants_kq A_q x for columns x of `states` (size, n) and `constants` (k, integrals): (n, k)."""
+    def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
+        """x^T sum_q constants_kq A_q x for columns x of `states` (size, n) and `constants` (k, integrals): (n, k).
 
-
-def coefficients(integrals: tuple[Integral, ...], omega: Real, values: Values) -> Complex:
-    """g_q(w) of every integral: (number of frequencies, number of integrals). A missing parameter raises KeyError."""
-    shapes: dict[Coefficient, Complex] = {}
-    result = np.zeros((omega.size, len(integrals)), dtype=complex)
-    for q, integral in enumerate(integrals):
-        coefficient, factor = factored(integral.coefficient, values)
-        if isinstance(coefficient, Monomial | Formula):
-            result[:, q] = factor * coefficient(omega, values)
-            continue
-        if coefficient not in shapes:
-            shapes[coefficient] = coefficient(omega, values)
-        result[:, q] = factor * shapes[coefficient]
-    return result
+        `span` may say what few vectors the states are made of.
+        """
 
 
 @dataclass(frozen=True)
@@ -321,7 +310,7 @@ class FullOperators:
         parts = self.element_quadratic(left, right)
         return np.stack([part.sum(axis=0) for part in parts], axis=-1)
 
-    def combined_forms(self, states: Complex, constants: Complex) -> Complex:
+    def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
         acting = np.flatnonzero(constants.any(axis=0))
         return np.asarray(self.of(acting).quadratic(states, states) @ constants[:, acting].T)
 
@@ -346,6 +335,11 @@ class FullOperators:
         """The same unknowns with some of the integrals (k,) only."""
         kept = tuple(self.integrals[q] for q in integrals)
         return replace(self, integrals=kept, places={i.domain: self.places[i.domain] for i in kept})
+
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """The g_q of the integrals."""
+        return Coefficients.of(self.integrals)
 
     @cached_property
     def _index(self) -> dict[int, int]:
@@ -614,6 +608,7 @@ class ReducedOperators:
     """
 
     integrals: tuple[Integral, ...]
+    coefficients: Coefficients
     matrices: Real
     forms: NDArray[np.int64]
 
@@ -626,58 +621,79 @@ class ReducedOperators:
         return np.asarray(constants @ self._gather)
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        return self._forms(self._upper, left, right)[:, self.forms]
+        return bilinear(self.matrices, left, right)[:, self.forms]
 
-    def combined_forms(self, states: Complex, constants: Complex) -> Complex:
+    def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
         summed = self.by_form(constants)
+        parts = np.concatenate([summed.real, summed.imag])
+        acting = np.flatnonzero(parts.any(axis=1))
         # Most rows are the derivative by one parameter, which few forms follow.
-        upper = sparse.csr_array(np.concatenate([summed.real, summed.imag])) @ self._upper
-        forms = self._forms(np.asarray(upper), states, states)
-        return np.asarray(forms[:, : len(constants)] + 1j * forms[:, len(constants) :])
+        upper = np.asarray(sparse.csr_array(parts[acting]) @ self._upper)
+        forms = np.zeros((states.shape[1], len(parts)), dtype=complex)
+        matrices = self._whole(upper)
+        if span is None:
+            forms[:, acting] = bilinear(matrices, states, states)
+        else:
+            inner = span.basis.T @ real_times(matrices, span.basis)
+            forms[:, acting] = bilinear(inner, span.coordinates, span.coordinates)
+        return forms[:, : len(constants)] + 1j * forms[:, len(constants) :]
 
     def combinations(self, constants: Complex) -> Complex:
         """sum_q constants_kq A_q for `constants` (k, integrals): (k, r, r)."""
         summed = self.by_form(constants)
         acting = summed.any(axis=0)
-        upper = combined(summed[:, acting], self._upper[acting])
-        result = np.empty((len(constants), self.size, self.size), dtype=complex)
+        upper = self._upper if acting.all() else self._upper[acting]
+        parts = np.concatenate([summed.real, summed.imag])[:, acting] @ upper
+        return np.asarray(self._whole(parts[: len(constants)] + 1j * parts[len(constants) :]))
+
+    def _whole(self, upper: NDArray[np.inexact]) -> NDArray[np.inexact]:
+        """Symmetric matrices (k, r, r) from upper triangles (k, r(r+1)/2) as :attr:`_upper` has them."""
+        return np.take(upper * self._halved, self._mirror, axis=1)
+
+    @cached_property
+    def _mirror(self) -> NDArray[np.int64]:
+        """Where in the upper triangle each entry (r, r) of a symmetric matrix is."""
         row, column = np.triu_indices(self.size)
-        result[:, row, column] = np.where(row == column, 1.0, 0.5) * upper
-        result[:, column, row] = result[:, row, column]
-        return result
+        found = np.empty((self.size, self.size), dtype=np.int64)
+        found[row, column] = found[column, row] = np.arange(row.size)
+        return found
+
+    @cached_property
+    def _halved(self) -> Real:
+        """What an entry of :attr:`_upper` is to be multiplied by to be one of the matrix: (r(r+1)/2,)."""
+        row, column = np.triu_indices(self.size)
+        return np.where(row == column, 1.0, 0.5)
 
     @cached_property
     def _gather(self) -> sparse.csr_array:
         count = self.forms.size
         return sparse.csr_array((np.ones(count), (np.arange(count), self.forms)), shape=(count, len(self.matrices)))
 
-    def _forms(self, upper: Real, left: Complex, right: Complex) -> Complex:
-        """left^T A right (n, k) for matrices given as :attr:`_upper` is."""
-        rank, points = right.shape
-        result = np.empty((points, len(upper)), dtype=complex)
-        at_once = max(1, PRODUCTS // upper.shape[1])
-        for start in range(0, points, at_once):
-            some = slice(start, start + at_once)
-            one, other = left[:, some], right[:, some]
-            products = np.empty((upper.shape[1], one.shape[1]), dtype=complex)
-            end = 0
-            for row in range(rank):
-                begin, end = end, end + rank - row
-                np.multiply(one[row], other[row:], out=products[begin:end])
-                if left is not right:
-                    products[begin:end] += other[row] * one[row:]
-            # The matrices are real: one real product for both parts.
-            result[some] = (upper @ products.view(np.float64)).view(np.complex128).T
-        if left is not right:
-            result *= 0.5
-        return result
-
     @cached_property
     def _upper(self) -> Real:
         """The upper triangles of the matrices, row by row, what is beside the diagonal twice: (forms, r(r+1)/2)."""
         rank = self.size
         row, column = np.triu_indices(rank)
-        return np.asarray(self.matrices[:, row, column] * np.where(row == column, 1.0, 2.0))
+        return np.ascontiguousarray(self.matrices[:, row, column] * np.where(row == column, 1.0, 2.0))
+
+
+def bilinear(matrices: NDArray[np.inexact], left: Complex, right: Complex) -> Complex:
+    """left^T A right (n, k) for columns of `left` and `right` (r, n) and symmetric `matrices` A (k, r, r)."""
+    rank, points = right.shape
+    result = np.empty((points, len(matrices)), dtype=complex)
+    at_once = max(1, AT_ONCE // max(rank, 1))
+    for start in range(0, points, at_once):
+        some = slice(start, start + at_once)
+        np.einsum("kin,in->nk", real_times(matrices, right[:, some]), left[:, some], out=result[some])
+    return result
+
+
+def real_times(matrices: NDArray[np.inexact], columns: Complex) -> Complex:
+    """`matrices` (k, r, r) times `columns` (r, n): (k, r, n). Real ones take one real product for both parts."""
+    count, rows, rank = matrices.shape
+    flat, columns = matrices.reshape(count * rows, rank), np.ascontiguousarray(columns)
+    images = flat @ columns if np.iscomplexobj(flat) else (flat @ columns.view(np.float64)).view(np.complex128)
+    return np.asarray(images.reshape(count, rows, columns.shape[1]))
 
 
 def combined(constants: Complex, matrices: Real) -> Complex:
@@ -768,30 +784,3 @@ def _number(
     for component in COMPONENTS:
         numbering[component][live[component]] = count
     return numbering, count + 1
-
-
-def frequency_groups(
-    integrals: tuple[Integral, ...], omega: Real, values: Values
-) -> tuple[tuple[Complex, Complex], ...]:
-    """The model as few matrices as its frequency dependence allows: pairs of (h(w) (n,), constants (integrals,)).
-
-    sum_q g_q(w) A_q = sum over pairs of h(w) sum_q constants_q A_q. Those with the same power of w share a pair, and
-    those with the same other dependence. What is zero is left out.
-    """
-    powers: dict[float, Complex] = {}
-    others: dict[Coefficient, Complex] = {}
-
-    def none() -> Complex:
-        return np.zeros(len(integrals), dtype=complex)
-
-    for q, integral in enumerate(integrals):
-        coefficient, factor = factored(integral.coefficient, values)
-        if isinstance(coefficient, Monomial | Formula):
-            powers.setdefault(coefficient.omega_power, none())[q] = factor * coefficient.constant(values)
-        else:
-            others.setdefault(coefficient, none())[q] = factor
-    grouped = [(np.asarray(omega.astype(complex) ** power, dtype=np.complex128), constants)
-               for power, constants in powers.items() if constants.any()]
-    # Asked at one frequency, so that the groups are the same at every one: a thick layer underflows at some.
-    kept = [coefficient for coefficient in others if coefficient(np.ones(1), values).any()]
-    return (*grouped, *((coefficient(omega, values), others[coefficient]) for coefficient in kept))

@@ -33,6 +33,7 @@ from geometry.chip import Chip
 from geometry.stretch import tied
 from inputs import InputError, choose, replacing
 from materials.registry import Registry
+from workbench.coefficients import Coefficients
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fit.parameter import LOSS, part, placed
@@ -330,7 +331,7 @@ def compacted(model: ReducedModel, moving: set[str], values: Mapping[str, comple
                 weights.append(each)
     combine = model.operators.by_form(np.array(weights, dtype=complex)).real
     matrices = np.tensordot(combine, model.operators.matrices, axes=1)
-    operators = ReducedOperators(tuple(integrals), matrices, np.arange(len(integrals)))
+    operators = ReducedOperators(tuple(integrals), Coefficients.of(integrals), matrices, np.arange(len(integrals)))
     return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
 
 
@@ -394,7 +395,7 @@ def load(
                          "model was made for")
     operators = assemble(problem.mesh, problem.terms)
     energy = energy_matrix(System(operators, problem.values), float(np.median(frequency)))
-    inner = ReducedOperators(operators.integrals, stored["matrices"], operators.forms)
+    inner = ReducedOperators(operators.integrals, operators.coefficients, stored["matrices"], operators.forms)
     reduced = ReducedModel(operators, inner, stored["basis"], stored["weights"], stored["test"], stored["sketch"],
                            energy, content["solves"], content["residual"])
     return RangeModel(problem, ranges, frequency, reduced, content["tolerance"], content["error"], content["seconds"])

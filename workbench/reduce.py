@@ -31,9 +31,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from workbench.dense import chebyshev
 from workbench.operators import FullOperators, ReducedOperators, combined
 from workbench.physics.term import Values
-from workbench.solve import NotConverged, Solution, System, chebyshev, one_thread, solve_reduced
+from workbench.solve import NotConverged, Solution, System, one_thread, solve_reduced
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -148,7 +149,7 @@ class ReducedModel:
         magnifies what is left out.
         """
         wide = self.extended(states, changes, unneeded)
-        old, rank = self.basis.shape[1] - 1, wide.basis.shape[1] - 1
+        old = self.basis.shape[1] - 1
         wanted, enough = [], np.isfinite(tolerance)
         for frequencies, values in needed_at:
             found = wide.solve(frequencies, values)
@@ -163,12 +164,27 @@ class ReducedModel:
         while True:
             kept = sizes > unneeded
             directions, _ = np.linalg.qr(np.linalg.solve(root, every[:, kept]))
-            within = np.zeros((rank + 1, old + directions.shape[1] + 1))
-            within[:old, :old], within[old:rank, old:-1], within[rank, -1] = np.eye(old), directions, 1.0
-            result = wide.within(within)
+            result = wide.trimmed(old, directions)
             if not enough or kept.all() or all(result.worst(*each)[1] <= tolerance for each in needed_at):
                 return result
             unneeded *= TIGHTER
+
+    def trimmed(self, old: int, directions: Real) -> ReducedModel:
+        """The model on its first `old` vectors, on combinations (r - 1 - old, k) of the others, and on its lift."""
+        whole, last = self.operators.matrices, self.basis.shape[1] - 1
+        size = old + directions.shape[1] + 1
+        stay, there = np.r_[:old, last], np.r_[:old, size - 1]
+        matrices = np.empty((len(whole), size, size))
+        matrices[:, there[:, None], there] = whole[:, stay[:, None], stay]
+        cross = whole[:, stay, old:last] @ directions
+        matrices[:, there, old:-1], matrices[:, old:-1, there] = cross, cross.transpose(0, 2, 1)
+        matrices[:, old:-1, old:-1] = directions.T @ (whole[:, old:last, old:last] @ directions)
+
+        def on(columns: Real) -> Real:
+            return np.concatenate([columns[..., :old], columns[..., old:last] @ directions, columns[..., last:]], -1)
+
+        return replace(self, operators=replace(self.operators, matrices=matrices), basis=on(self.basis),
+                       sketch=on(self.sketch))
 
     def within(self, part: Real) -> ReducedModel:
         """The model on a part (r, k) of its basis, given in that."""
@@ -179,7 +195,8 @@ class ReducedModel:
     def of(self, integrals: NDArray[np.int64]) -> ReducedModel:
         """The same with some of the integrals (k,) only."""
         full = self.full.of(integrals)
-        operators = ReducedOperators(full.integrals, self.operators.matrices, self.operators.forms[integrals])
+        operators = ReducedOperators(full.integrals, full.coefficients, self.operators.matrices,
+                                     self.operators.forms[integrals])
         return replace(self, full=full, operators=operators)
 
     def expand(self, solution: Solution) -> Complex:
@@ -298,8 +315,9 @@ def begun(system: System, frequencies: Real, state: Complex) -> ReducedModel:
     weights, energy = np.sqrt(np.abs(system.matrix(middle).diagonal())), energy_matrix(system, middle)
     test, basis = test_vectors(energy, middle), state.real[:, None].copy()
     matrices, sketch = _extended(system.operators, basis, test, None)
-    return ReducedModel(system.operators, ReducedOperators(system.operators.integrals, matrices,
-                        system.operators.forms), basis, weights, test, sketch, energy, 0, 0.0)
+    full = system.operators
+    inner = ReducedOperators(full.integrals, full.coefficients, matrices, full.forms)
+    return ReducedModel(full, inner, basis, weights, test, sketch, energy, 0, 0.0)
 
 
 def _extended(

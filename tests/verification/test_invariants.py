@@ -14,7 +14,7 @@ from geometry.mesh import MeshSize, SectionMesh, mesh_section
 from geometry.section import cut_section
 from geometry.stretch import stretch
 from materials.kinds import Fluid, Material
-from workbench.operators import FullOperators, assemble, coefficients
+from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem, problem
 from workbench.solve import System, factorise, solve_full
 
@@ -127,7 +127,7 @@ def test_the_gradient_by_every_coefficient_is_the_central_difference(
     operators = filled_operators
     solution = solve_full(operators, np.array([frequency]), filled.values)
     exact = solution.impedance_gradient()[0]
-    g = coefficients(operators.integrals, solution.omega, filled.values)[0]
+    g = operators.coefficients(solution.omega, filled.values)[0]
     free, pattern = operators.size - 1, operators.pattern
     entries = operators.matrix(g)
     worst = 0.0

@@ -16,10 +16,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.operators import FullOperators, assemble, frequency_groups
+from workbench.coefficients import Groups
+from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
 from workbench.reduce import ReducedModel, covering, narrowed, reduced
-from workbench.solve import Groups, Solution, dependence, solve_full, solve_groups
+from workbench.solve import Solution, solve_full, solve_groups
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,7 +35,9 @@ MOVED = 0.1
 NEGLIGIBLE = 1e-6
 
 #: Vectors from which on a basis forgets where it has been, and how small directions it then leaves out, relative.
-WIDE, LEFT_BEHIND = 100, 1e-4
+#: Above the second number a basis that is made for a whole neighbourhood is begun anew: all of it is solved for there.
+WIDE, LEFT_BEHIND = 200, 1e-4
+OLD = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +72,7 @@ class Prediction:
         For ln Z of a spectrum take the conjugate: by the real part of theta conj(d), by its imaginary part conj(i d).
         Zero by what nothing here depends on.
         """
-        depending = dependence(self.solution.operators.integrals)
+        depending = self.solution.operators.coefficients.parameters
         known = [column for column, name in enumerate(names) if name in depending]
         result = np.zeros((self.solution.omega.size, len(names)), dtype=complex)
         gradient = self.solution.parameter_gradient(self.values, tuple(names[column] for column in known))
@@ -107,7 +110,7 @@ class Predictor:
             prediction = self._grow(values, None)
         else:
             operators = self.model.operators
-            groups = frequency_groups(operators.integrals, 2.0 * np.pi * self.frequencies, values)
+            groups = operators.coefficients.groups(2.0 * np.pi * self.frequencies, values)
             if known is not None and known.model is self.model and _alike(known.solution.groups, groups):
                 # Another state of a device, or a step of what does not act here.
                 return replace(known, values=values)
@@ -150,11 +153,11 @@ class Predictor:
         """Let the model grow for parameters about `values` of which each of `moves` changes by so much.
 
         What an error of Z of `tolerance` does not need is left out; `corners` are further values that the basis must
-        hold the states of (`reduce.covering`). A model of a rank above :data:`WIDE` is left to the predictions that
+        hold the states of (`reduce.covering`). A model of a rank above :data:`OLD` is left to the predictions that
         hold it, and a new one begun: dense solves cost the cube of the rank.
         """
         around = {**self.problem.values, **values}
-        start = self.model if self.model is not None and self.model.operators.size <= WIDE else None
+        start = self.model if self.model is not None and self.model.operators.size <= OLD else None
         before = 0 if start is None else start.solves
         self.model = covering(self.operators, self.frequencies, around, moves, tolerance=tolerance, depth=DEPTH,
                               corners=[{**around, **corner} for corner in corners], start=start)

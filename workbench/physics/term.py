@@ -266,15 +266,6 @@ def times(first: Coefficient, second: Constant) -> Coefficient:
     return Monomial(first.scale * second.scale, first.omega_power + second.omega_power, kept)
 
 
-def factored(coefficient: Coefficient, values: Values) -> tuple[Coefficient, complex]:
-    """What of a coefficient depends on frequency, and a constant factor."""
-    factor = 1.0 + 0.0j
-    while isinstance(coefficient, Times):
-        factor *= coefficient.second.constant(values)
-        coefficient = coefficient.first
-    return coefficient, factor
-
-
 @dataclass(frozen=True)
 class Admissible:
     """What a parameter of an effect can be in a real device: from `lowest` to `highest` in `unit`, and who says so."""
