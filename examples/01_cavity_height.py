@@ -10,7 +10,7 @@ import numpy as np
 
 import geometry
 from geometry.chip import read_chip
-from workbench.simulate import simulate
+from workbench.simulation import simulate
 
 chip = read_chip(Path(geometry.__file__).parent / "chips" / "reference_chip.toml")
 heights = np.linspace(0.68e-3, 0.76e-3, 5)

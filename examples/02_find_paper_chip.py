@@ -23,12 +23,12 @@ from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from geometry.chip import Chip, read_chip
-from inputs import InputError
 from materials.registry import Registry
+from workbench.files.errors import InputError
 from workbench.merit import NoResonance, figures
 from workbench.operators import assemble
 from workbench.problem import build
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.spectrum import Spectrum
 
 CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"

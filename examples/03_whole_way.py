@@ -32,8 +32,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from inputs import parse_quantity
 from materials.registry import Registry
+from workbench.files.quantities import parse_quantity
 
 FILES = Path(__file__).resolve().parent / "whole_way"
 WORKBENCH = (sys.executable, "-P", "-m", "workbench.cli")

@@ -31,15 +31,15 @@ from scipy.stats import qmc
 import geometry
 from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY
-from inputs import InputError
 from materials.kinds import Fluid
 from materials.registry import Registry
+from workbench.files.errors import InputError
 from workbench.merit import Figures, NoResonance, figures
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ADMISSIBLE
 from workbench.problem import Problem, build, with_boundary_layers
-from workbench.reduce import ReducedModel, reduce
-from workbench.simulate import loss_budget
+from workbench.reduction import ReducedModel, reduce
+from workbench.simulation import loss_budget
 from workbench.solve import Solution
 from workbench.spectrum import Spectrum
 

@@ -1,7 +1,7 @@
 """A chip as a person describes it: layers from bottom to top, a cavity through some of them, and its states.
 
 :func:`read_chip` reads a TOML file; every length carries its unit, every mistake is answered by an
-:class:`inputs.InputError` that names the file, the field, the value and the remedy. Materials are only names here.
+`InputError` that names the file, the field, the value and the remedy. Materials are only names here.
 
 Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one
 axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed below and above.
@@ -25,7 +25,9 @@ from geometry.names import (
     VACUUM,
     region_names,
 )
-from inputs import InputError, choose, nearest_names, parse_quantity, read_toml, refuse_unknown_keys
+from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import read_toml, refuse_unknown_keys
 
 #: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
 SAME_LENGTH = 1e-9

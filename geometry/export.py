@@ -6,7 +6,7 @@ from pathlib import Path
 
 from geometry.chip import Chip
 from geometry.solid import solids
-from inputs import replacing
+from workbench.files.writing import replacing
 
 
 def export_step(chip: Chip, path: Path) -> Path:

@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 
 from geometry.names import AXIS, CAVITY, TRANSDUCER, role_of, whole
 from geometry.section import VOID, Section, boundary_name
-from inputs import InputError, nearest_names, replacing
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.writing import replacing
 
 #: Part of the key of a cached mesh: raise it whenever the same section and size would give another mesh.
 CACHE_VERSION = 2

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import SAME_LENGTH, Chip, ElectrodeDisc
 from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, interface, outside
-from inputs import choose
+from workbench.files.errors import choose
 
 #: Marks a cell of :meth:`Section.grid` where there is nothing.
 VOID = -1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from materials.value import VACUUM_PERMITTIVITY
+from workbench.files.quantities import VACUUM_PERMITTIVITY
 
 _NEPERS_PER_DECIBEL = math.log(10.0) / 20.0
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from inputs import InputError
 from materials.kinds import Material
+from workbench.files.errors import InputError
 
 
 @dataclass(frozen=True)

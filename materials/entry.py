@@ -13,14 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import inputs
-from inputs import InputError
 from materials import conversions, passivity
 from materials.fit import parse_fit
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.lines import located
 from materials.temperature import parse_law
 from materials.value import RECORDING, Value, check_source, parse_value, text, unit_factor
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import read_toml, refuse_unknown_keys
 
 _Numbers = Mapping[str, complex]
 
@@ -184,7 +185,7 @@ def _temperature(
         if asked is not None:
             raise InputError(source, "temperature", f"{asked:g} K", "no temperature: this entry has no laws for it")
         return None
-    reference = inputs.parse_quantity(table.get("temperature"), "temperature", source=source, field="temperature")
+    reference = parse_quantity(table.get("temperature"), "temperature", source=source, field="temperature")
     return reference if asked is None else asked
 
 
@@ -206,20 +207,20 @@ def read_entry(
         passivity.PassivityWarning: active by no more than its own rounding.
     """
     with located(path):
-        return parse_entry(inputs.read_toml(path), name, file=str(path), references=references, temperature=temperature)
+        return parse_entry(read_toml(path), name, file=str(path), references=references, temperature=temperature)
 
 
 def parse_entry(
     table: Mapping[str, Any], name: str, *, file: str, references: Collection[str], temperature: float | None = None
 ) -> Material:
     """The material in the content of an entry file; see :func:`read_entry`."""
-    kind_name = inputs.choose(table.get("kind"), KINDS, source=file, field="kind")
+    kind_name = choose(table.get("kind"), KINDS, source=file, field="kind")
     kind = KINDS[kind_name]
     head = {key: item for key, item in table.items() if key in _HEAD}
     entries = {key: item for key, item in table.items() if key not in _HEAD}
     in_forms = {key: dimension for form in kind.forms for key, dimension in form.dimensions.items()}
     dimensions = {**kind.required, **kind.optional, **in_forms}
-    inputs.refuse_unknown_keys(table, [*_HEAD, *dimensions], source=file, field="")
+    refuse_unknown_keys(table, [*_HEAD, *dimensions], source=file, field="")
     text(table, "title", source=file, field="")
     text(table, "note", source=file, field="", default="")
     if not isinstance(table.get("default", False), bool):

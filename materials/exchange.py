@@ -14,8 +14,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import inputs
-from inputs import InputError
 from materials.entry import parse_entry
 from materials.history import load_quietly
 from materials.registry import PACKAGE_DATA, Registry, bibliography_keys
@@ -30,6 +28,8 @@ from materials.versions import (
     withdrawal_file,
     withdrawal_text,
 )
+from workbench.files.errors import InputError
+from workbench.files.writing import write_atomic
 
 #: First in the file, so that it is known for what it is.
 FORMAT = "acoustofluidic-chip-workbench materials 1"
@@ -70,7 +70,7 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
         if withdrawal is not None:
             entry["withdrawal"] = {"date": withdrawal.date, "reason": withdrawal.reason}
         entries.append(entry)
-    inputs.write_atomic(path, json.dumps({"format": FORMAT, "entries": entries}, indent=1, ensure_ascii=False) + "\n")
+    write_atomic(path, json.dumps({"format": FORMAT, "entries": entries}, indent=1, ensure_ascii=False) + "\n")
     return tuple(dict(found))
 
 

@@ -34,9 +34,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import inputs
-from inputs import InputError
 from materials.value import date_text, number, text
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import refuse_unknown_keys
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _KEYS = ("recordings", "algorithm", "software", "start", "band", "temperature", "mape_percent", "rms_log_residual",
@@ -105,7 +106,7 @@ def parse_fit(table: object, *, density: float, source: str) -> Fit:
     """
     if not isinstance(table, Mapping):
         raise InputError(source, "fit", table, "a table [fit]")
-    inputs.refuse_unknown_keys(table, _KEYS, source=source, field="fit")
+    refuse_unknown_keys(table, _KEYS, source=source, field="fit")
     confidence = _figure(table, "confidence", source=source)
     if not 0.0 < confidence < 1.0:
         raise InputError(source, "fit.confidence", confidence, "a level between 0 and 1, such as 0.95")
@@ -114,7 +115,7 @@ def parse_fit(table: object, *, density: float, source: str) -> Fit:
         raise InputError(source, "fit.forced", forced, "true or false")
     temperature = None
     if "temperature" in table:
-        temperature = inputs.parse_quantity(table["temperature"], "temperature", source=source, field="fit.temperature")
+        temperature = parse_quantity(table["temperature"], "temperature", source=source, field="fit.temperature")
     return Fit(
         recordings=_recordings(table.get("recordings"), source=source),
         algorithm=text(table, "algorithm", source=source, field="fit"),
@@ -151,7 +152,7 @@ def _texts(found: object, name: str, *, source: str) -> tuple[str, ...]:
 
 def _band(found: object, *, source: str) -> tuple[float, float]:
     if isinstance(found, list) and len(found) == 2:
-        low, high = (inputs.parse_quantity(end, "frequency", source=source, field="fit.band") for end in found)
+        low, high = (parse_quantity(end, "frequency", source=source, field="fit.band") for end in found)
         if 0.0 < low < high:
             return low, high
     raise InputError(source, "fit.band", found, 'two rising frequencies, for example ["910 kHz", "1155 kHz"]')
@@ -172,7 +173,7 @@ def _recordings(found: object, *, source: str) -> tuple[Recording, ...]:
 def _recording(found: object, name: str, *, source: str) -> Recording:
     if not isinstance(found, Mapping):
         raise InputError(source, name, found, "a table of path, sha256, chip, chip_sha256")
-    inputs.refuse_unknown_keys(found, ("path", "sha256", "chip", "chip_sha256"), source=source, field=name)
+    refuse_unknown_keys(found, ("path", "sha256", "chip", "chip_sha256"), source=source, field=name)
     digests = {key: text(found, key, source=source, field=name, default=None if key == "sha256" else "")
                for key in ("sha256", "chip_sha256")}
     for key, digest in digests.items():
@@ -186,7 +187,7 @@ def _correlation(found: object, *, source: str) -> Correlation:
     name = "fit.correlation"
     if not isinstance(found, Mapping):
         raise InputError(source, name, found, "a table of names and rows")
-    inputs.refuse_unknown_keys(found, ("names", "rows"), source=source, field=name)
+    refuse_unknown_keys(found, ("names", "rows"), source=source, field=name)
     names, rows = _texts(found.get("names"), f"{name}.names", source=source), found.get("rows")
     size = len(names)
     if not isinstance(rows, list) or len(rows) != size or any(not isinstance(r, list) or len(r) != size for r in rows):

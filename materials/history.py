@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 
-from inputs import InputError
 from materials.kinds import Material
 from materials.passivity import PassivityWarning
 from materials.registry import Registry
@@ -20,6 +19,7 @@ from materials.versions import (
     withdrawal_file,
     withdrawal_text,
 )
+from workbench.files.errors import InputError
 
 
 @dataclass(frozen=True)

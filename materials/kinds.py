@@ -17,7 +17,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from materials.fit import Fit
-from materials.value import VACUUM_PERMITTIVITY, Value
+from materials.value import Value
+from workbench.files.quantities import VACUUM_PERMITTIVITY
 
 
 def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> dict[str, Value]:

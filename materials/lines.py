@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from inputs import InputError
+from workbench.files.errors import InputError
 
 _HEADER = re.compile(r"""^\s*\[{1,2}([\w\s."'-]+)\]{1,2}\s*(?:#.*)?$""")
 _KEY = re.compile(r"""^\s*([\w."'-]+)\s*=""")

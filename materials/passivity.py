@@ -21,9 +21,9 @@ import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
-from materials.value import VACUUM_PERMITTIVITY
+from workbench.files.errors import InputError
+from workbench.files.quantities import VACUUM_PERMITTIVITY
 
 if TYPE_CHECKING:
     import numpy as np

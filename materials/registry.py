@@ -20,8 +20,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import inputs
-from inputs import InputError
 from materials.entry import read_entry
 from materials.kinds import Material
 from materials.versions import (
@@ -32,6 +30,8 @@ from materials.versions import (
     versions_of,
     withdrawal_file,
 )
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.tables import read_toml
 
 PACKAGE_DATA = Path(__file__).parent / "data"
 _BIBLIOGRAPHY_KEY = re.compile(r"^\s*@\w+\s*\{\s*([^,\s]+)\s*,", re.MULTILINE)
@@ -133,9 +133,9 @@ class Registry:
         label = name.split("@")[0]
         known = versions_of(label, files) or sorted(set(_unversioned(files)))
         siblings = [other for other in known if other.split("/")[0] == name.split("/")[0]]
-        near = tuple(siblings) if len(siblings) <= 10 else inputs.nearest_names(name, siblings)
+        near = tuple(siblings) if len(siblings) <= 10 else nearest_names(name, siblings)
         raise InputError("materials", "name", name, "one of " + ", ".join(known),
-                         near or inputs.nearest_names(name, known))
+                         near or nearest_names(name, known))
 
     def _default(self, material: str, files: Mapping[str, Path]) -> str:
         """The full name meant by a material's name alone."""
@@ -144,10 +144,10 @@ class Registry:
         if not entries:
             known = {name.split("/")[0] for name in files}
             raise InputError("materials", "name", material, "one of " + ", ".join(sorted(known)),
-                             inputs.nearest_names(material, known))
+                             nearest_names(material, known))
         if len(entries) == 1:
             return entries[0]
-        declared = [name for name in entries if name in files and inputs.read_toml(files[name]).get("default") is True]
+        declared = [name for name in entries if name in files and read_toml(files[name]).get("default") is True]
         if len(declared) != 1:
             count = "none is" if not declared else f"{len(declared)} are"
             raise InputError("materials", "name", material,

@@ -9,7 +9,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from inputs import InputError
 from materials import toml
 from materials.entry import KINDS, Kind, parse_entry
 from materials.fit import Fit
@@ -17,6 +16,7 @@ from materials.kinds import Material
 from materials.registry import PACKAGE_DATA, bibliography_keys
 from materials.value import RECORDING, UNITS, Value
 from materials.versions import check_name, entry_file, entry_name, put, split_version, versions_of
+from workbench.files.errors import InputError
 
 
 def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Material:

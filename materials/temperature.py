@@ -19,8 +19,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import inputs
-from inputs import InputError
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import refuse_unknown_keys
 
 _KEYS = ("origin", "scale", "coefficients", "powers", "denominator_coefficients", "denominator_powers", "range")
 
@@ -80,16 +81,16 @@ def parse_law(entry: object, unit_factor: float, *, source: str, field: str) -> 
     """
     if not isinstance(entry, Mapping):
         raise InputError(source, field, entry, "a table with origin, scale, coefficients, powers and range")
-    inputs.refuse_unknown_keys(entry, _KEYS, source=source, field=field)
-    origin = inputs.parse_quantity(entry.get("origin"), "temperature", source=source, field=f"{field}.origin")
-    scale = inputs.parse_quantity(entry.get("scale"), "temperature", source=source, field=f"{field}.scale")
+    refuse_unknown_keys(entry, _KEYS, source=source, field=field)
+    origin = parse_quantity(entry.get("origin"), "temperature", source=source, field=f"{field}.origin")
+    scale = parse_quantity(entry.get("scale"), "temperature", source=source, field=f"{field}.scale")
     if scale <= 0 or "degC" in str(entry["scale"]):
         raise InputError(source, f"{field}.scale", entry["scale"], 'a temperature difference in K, for example "1 K"')
     limits = entry.get("range")
     if not isinstance(limits, list) or len(limits) != 2:
         raise InputError(source, f"{field}.range", limits, 'two temperatures, for example ["0 degC", "50 degC"]')
     lowest, highest = (
-        inputs.parse_quantity(limit, "temperature", source=source, field=f"{field}.range") for limit in limits
+        parse_quantity(limit, "temperature", source=source, field=f"{field}.range") for limit in limits
     )
     if lowest >= highest:
         raise InputError(source, f"{field}.range", limits, "a lowest temperature below the highest")

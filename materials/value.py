@@ -18,25 +18,12 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-import inputs
-from inputs import InputError
-
-#: Permittivity of free space in F/m (CODATA 2018).
-VACUUM_PERMITTIVITY = 8.8541878128e-12
+from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.quantities import UNITS
+from workbench.files.tables import refuse_unknown_keys
 
 #: The source of a number that was fitted: its entry says in [fit] to which recording.
 RECORDING = "recording"
-
-#: Units of a data file: those of every file, and the kinds of number that only materials have. A permittivity is stored
-#: relative to that of free space, whichever way it is printed.
-UNITS: Mapping[str, Mapping[str, float]] = {
-    **inputs.UNITS,
-    "permittivity": {"1": 1.0, "F/m": 1.0 / VACUUM_PERMITTIVITY, "nF/m": 1e-9 / VACUUM_PERMITTIVITY},
-    "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12},
-    "piezoelectric charge": {"C/N": 1.0, "pC/N": 1e-12, "m/V": 1.0, "pm/V": 1e-12},
-    "thermal conductivity": {"W/(m K)": 1.0, "mW/(m K)": 1e-3},
-    "heat capacity": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
-}
 
 #: What a fit may say of a number or of its loss.
 STATUSES = ("fitted", "fixed", "at bound", "not determined")
@@ -113,7 +100,7 @@ def unit_factor(table: Mapping[str, object], dimension: str, *, source: str, fie
     units = UNITS[dimension]
     unit = table.get("unit")
     if not isinstance(unit, str) or unit not in units:
-        near = inputs.nearest_names(unit, units) if isinstance(unit, str) else ()
+        near = nearest_names(unit, units) if isinstance(unit, str) else ()
         raise InputError(source, f"{field}.unit", unit, f"a unit of {dimension}: one of {', '.join(units)}", near)
     return unit, units[unit]
 
@@ -121,7 +108,7 @@ def unit_factor(table: Mapping[str, object], dimension: str, *, source: str, fie
 def check_source(key: str, references: Collection[str], *, source: str, field: str) -> str:
     """`key` if it is the key of a reference; a number whose origin cannot be looked up is refused."""
     if key not in references:
-        near = inputs.nearest_names(key, references)
+        near = nearest_names(key, references)
         expected = "a key of references.bib" + (" (this one needs a [fit] table)" if key == RECORDING else "")
         raise InputError(source, f"{field}.source" if field else "source", key, expected, near)
     return key
@@ -157,7 +144,7 @@ def parse_value(
     if not isinstance(entry, Mapping):
         raise InputError(source, field, entry, 'a table such as { value = 1.0, unit = "GPa" }')
     keys = [key for key in _KEYS if lossy or not key.startswith("loss")]
-    inputs.refuse_unknown_keys(entry, keys, source=source, field=field)
+    refuse_unknown_keys(entry, keys, source=source, field=field)
     unit, factor = unit_factor(entry, dimension, source=source, field=field)
     real = number(entry, "value", source=source, field=field)
     if real is None:
@@ -173,7 +160,7 @@ def parse_value(
     low, high, loss_low, loss_high = (_end(entry, key, loss or 0.0 if key.startswith("loss") else real, factor,
                                            source=source, field=field) for key in _ENDS)
     status, loss_status = (
-        inputs.choose(entry[key], STATUSES, source=source, field=f"{field}.{key}") if key in entry else ""
+        choose(entry[key], STATUSES, source=source, field=f"{field}.{key}") if key in entry else ""
         for key in ("status", "loss_status"))
     return Value(
         value=complex(real, loss or 0.0) * factor,

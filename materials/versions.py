@@ -18,11 +18,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import inputs
-from inputs import InputError
 from materials.lines import located
 from materials.toml import quoted
 from materials.value import date_text, text
+from workbench.files.errors import InputError
+from workbench.files.tables import read_toml, refuse_unknown_keys
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*/[A-Za-z0-9][A-Za-z0-9_-]*")
 _VERSION = re.compile(rf"({_NAME.pattern})@([1-9][0-9]*)")
@@ -95,8 +95,8 @@ def read_withdrawal(entry: Path) -> Withdrawal | None:
     if not path.is_file():
         return None
     with located(path):
-        table, source = inputs.read_toml(path), str(path)
-        inputs.refuse_unknown_keys(table, ("date", "reason"), source=source, field="")
+        table, source = read_toml(path), str(path)
+        refuse_unknown_keys(table, ("date", "reason"), source=source, field="")
         return Withdrawal(date_text(table, "date", source=source, field=""),
                           text(table, "reason", source=source, field=""))
 

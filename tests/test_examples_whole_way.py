@@ -11,7 +11,7 @@ import pytest
 from geometry.chip import read_chip
 from materials.registry import Registry
 from workbench.bench.setup import read_bench
-from workbench.fit.parameter import POLYMER_FOUR, TRANSDUCER_TEN, part
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN, part
 from workbench.options import COMMANDS, parser
 
 _SPEC = importlib.util.spec_from_file_location(

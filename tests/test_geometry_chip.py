@@ -9,7 +9,7 @@ import pytest
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.names import interface, outside, region_names, role_of
-from inputs import InputError
+from workbench.files.errors import InputError
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
 

@@ -26,7 +26,7 @@ from geometry.mesh import (
     user_cache,
 )
 from geometry.section import Section, cut_section
-from inputs import InputError
+from workbench.files.errors import InputError
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
 #: Slowest waves of the reference chip, m/s: shear in the solids, sound in the fluids.

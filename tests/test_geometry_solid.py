@@ -13,7 +13,7 @@ from geometry.chip import Chip, Dimension, Ports, read_chip
 from geometry.export import export_step, export_stl
 from geometry.section import cut_section
 from geometry.solid import SolidError, part_volumes, parts, ports_volume, solids, volume
-from inputs import InputError
+from workbench.files.errors import InputError
 
 cadquery = pytest.importorskip("cadquery", reason="solids need CadQuery, the extra 'cad'")
 

@@ -13,7 +13,7 @@ from geometry.chip import SAME_LENGTH, Chip, Dimension, ElectrodeDisc, read_chip
 from geometry.mesh import MeshError, MeshSize, SectionMesh, mesh_section
 from geometry.section import cut_section
 from geometry.stretch import between, movable, split, stretch, tied, velocity
-from inputs import InputError
+from workbench.files.errors import InputError
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
 CHIP = read_chip(CHIPS / "reference_chip.toml")

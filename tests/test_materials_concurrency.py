@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-import inputs
+import materials
 from materials import Registry, history
 from materials.versions import put
 
-ROOT = Path(inputs.__file__).parent
+ROOT = Path(materials.__file__).parent.parent
 
 #: One process that saves `count` fits, each with a figure of its own, when all are ready.
 SAVER = """

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from inputs import InputError
 from materials import (
     Fit,
     Imported,
@@ -24,6 +23,7 @@ from materials import (
     save,
     withdraw,
 )
+from workbench.files.errors import InputError
 
 FIT = Fit(
     recordings=(Recording("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from inputs import InputError
 from materials import Fluid, IsotropicSolid, PassivityWarning, Piezoelectric, Registry, passivity
+from workbench.files.errors import InputError
 
 GPA = 1e9
 

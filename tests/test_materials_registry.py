@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-import inputs
-from inputs import InputError
+import materials
 from materials import Fluid, IsotropicSolid, Material, PassivityWarning, Piezoelectric, Registry, Value, conversions
 from materials.registry import PACKAGE_DATA, bibliography_keys
+from workbench.files.errors import InputError
 
 NAMES = Registry().names()
 REFERENCES = bibliography_keys(PACKAGE_DATA / "references.bib")
@@ -452,6 +452,6 @@ def test_a_key_twice_in_a_bibliography(tmp_path: Path) -> None:
 def test_importing_defines_and_reads_nothing_heavy() -> None:
     # numpy comes with the first material loaded, TOML and the data files with the material itself.
     script = "import sys, materials; print(sorted({'numpy', 'scipy', 'matplotlib'} & set(sys.modules)))"
-    root = Path(inputs.__file__).parent
+    root = Path(materials.__file__).parent.parent
     done = subprocess.run([sys.executable, "-c", script], cwd=root, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

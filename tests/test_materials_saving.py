@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from inputs import InputError
 from materials import (
     Correlation,
     Fit,
@@ -33,6 +32,7 @@ from materials import (
     user_registry,
     withdraw,
 )
+from workbench.files.errors import InputError
 
 FIT = Fit(
     recordings=(Recording("a \"disc\".csv", "0" * 64, "disc.toml", "f" * 64), Recording("b.csv", "1" * 64, "stack")),

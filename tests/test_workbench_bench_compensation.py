@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench.bench.compensation import Compensation, Fixture, Load, compensate, fixture_from_load
+from workbench.files.errors import InputError
 from workbench.instruments.circuit import Circuit
 from workbench.merit import bvd_impedance
 from workbench.spectrum import Spectrum

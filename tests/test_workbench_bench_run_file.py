@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench.bench.run_file import Event, Journal, Point, exists, journal_path, new_run, read_run, write_run
+from workbench.files.errors import InputError
 
 INSTRUMENTS = {"generator": "FY3224S", "oscilloscope": "TEKTRONIX,TDS 2024B,0,CF:91.1CT FV:v22.11"}
 

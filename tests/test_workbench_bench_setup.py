@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench.bench.setup import Sweep, read_bench
 from workbench.bench.spectra import read_compensation
+from workbench.files.errors import InputError
 
 TEXT = """
 [generator]

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench.bench.compensation import Compensation
 from workbench.bench.rig import DriveLeftOn, Rig, marker_path
 from workbench.bench.run_file import journal_path, read_run
 from workbench.bench.setup import read_bench
 from workbench.bench.spectra import level_spectra
 from workbench.bench.sweep import BenchFailure, LimitExceeded, measure
+from workbench.files.errors import InputError
 from workbench.instruments.circuit import IDEAL, resistor
 from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, Kind
 from workbench.instruments.instrument import InstrumentError

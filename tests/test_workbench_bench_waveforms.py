@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench.bench.sine_fit import fit_sines
 from workbench.bench.waveforms import pair_files, read_waveform
+from workbench.files.errors import InputError
 
 SAMPLES, STEP, SCALE = 2500, 4e-9, 0.2
 SETTINGS = {

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench.cli import main
 from workbench.commands import export as export_command
+from workbench.files.errors import InputError
 from workbench.operators import ModelError
 from workbench.options import parser
 from workbench.solve import NotConverged

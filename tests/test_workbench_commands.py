@@ -20,7 +20,7 @@ from workbench.cli import main
 from workbench.commands import mesh, states
 from workbench.discretisation import ROWS
 from workbench.readers import read
-from workbench.simulate import simulate as simulate_state
+from workbench.simulation import simulate as simulate_state
 from workbench.spectrum import Spectrum, write_csv
 
 pytestmark = pytest.mark.usefixtures("tables_fit")

@@ -198,7 +198,7 @@ def test_simulate_refuses(capsys: pytest.CaptureFixture[str], arguments: list[st
 def test_simulate_a_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The device behind the ports is the chip's own spectrum: the usual simulation, but for the order of the fields."""
     from geometry.chip import read_chip
-    from workbench.simulate import simulate
+    from workbench.simulation import simulate
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     chip = Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml"

@@ -10,9 +10,9 @@ from geometry.chip import Chip, read_chip
 from geometry.mesh import MeshError
 from geometry.names import LEVEL, outside, part
 from geometry.stretch import stretch
-from inputs import InputError
 from materials.registry import Registry
 from workbench.dimensions import flexible
+from workbench.files.errors import InputError
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.surface_load import SurfaceLoad

@@ -16,7 +16,7 @@ from workbench.discretisation import ACCURACY, discretisation
 from workbench.elements import Lagrange, gauss_lobatto
 from workbench.operators import assemble
 from workbench.problem import problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.spectrum import Spectrum
 
 ORDERS = (1, 2, 3, 4, 5)

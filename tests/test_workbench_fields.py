@@ -20,7 +20,7 @@ from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem, build
-from workbench.simulate import loss_budget
+from workbench.simulation import loss_budget
 from workbench.solve import Solution, solve_full
 
 CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"

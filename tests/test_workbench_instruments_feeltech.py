@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support import Wire
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.instruments import feeltech
 from workbench.instruments.feeltech import AMPLITUDE, FREQUENCY, MODEL, FeelTech, open_feeltech
 from workbench.instruments.instrument import GeneratorSettings, InstrumentError, Silence

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import Wire
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.instruments import tektronix
 from workbench.instruments.instrument import InstrumentError, OscilloscopeSettings, Silence
 from workbench.instruments.simulated_oscilloscope import Errors, SimulatedOscilloscope, Tone

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.instruments import transport
 from workbench.instruments.circuit import resistor
 from workbench.instruments.instrument import InstrumentError, Silence

@@ -17,7 +17,7 @@ from workbench.discretisation import Discretisation
 from workbench.mesh_error import _surplus, estimate, samples
 from workbench.operators import assemble
 from workbench.problem import Problem, problem
-from workbench.reduce import ReducedModel, reduce
+from workbench.reduction import ReducedModel, reduce
 from workbench.solve import System, solve_full
 
 

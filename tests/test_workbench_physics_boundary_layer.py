@@ -24,7 +24,7 @@ from workbench.physics import boundary_layer, electrodes, fluid, piezoelectric, 
 from workbench.physics.boundary_layer import ThermalBoundaryLayer, ViscousBoundaryLayer
 from workbench.physics.term import Term
 from workbench.problem import Problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.solve import System, solve_full
 
 Complex = NDArray[np.complex128]

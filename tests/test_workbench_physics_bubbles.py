@@ -18,7 +18,7 @@ from workbench.operators import FullOperators, assemble
 from workbench.physics import bubbles, electrodes, fluid, piezoelectric
 from workbench.physics.bubbles import AIR_IN_WATER, BubbleCompressibility, ResonantBubbles, WoodBubbles
 from workbench.problem import Problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.solve import solve_full
 
 LIQUID: dict[str, complex] = {"water.density": 998.0, "water.sound_speed": 1482.0, "water.shear_viscosity": 0.89e-3}

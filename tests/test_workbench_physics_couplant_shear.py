@@ -25,7 +25,7 @@ from workbench.physics.couplant_shear import ADMISSIBLE, CouplantShear
 from workbench.physics.loss_laws import KelvinVoigt
 from workbench.physics.term import Dispersion, Integral
 from workbench.problem import Problem, problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.solve import solve_full
 
 Complex = NDArray[np.complex128]

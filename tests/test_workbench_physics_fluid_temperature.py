@@ -9,7 +9,7 @@ import pytest
 
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.diagnose.catalogue import fluid_slopes
+from workbench.diagnosis.catalogue import fluid_slopes
 from workbench.operators import assemble
 from workbench.physics.fluid_temperature import ADMISSIBLE, FluidTemperature
 from workbench.problem import Problem

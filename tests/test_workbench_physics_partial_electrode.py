@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from geometry.chip import Chip, Dimension, ElectrodeDisc, Electrodes
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
+from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.operators import ModelError, assemble
 from workbench.physics.partial_electrode import HALFWAY, SKIN, PartialElectrode
-from workbench.physics.term import VACUUM_PERMITTIVITY
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 

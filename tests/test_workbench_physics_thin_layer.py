@@ -17,7 +17,7 @@ from materials.registry import Registry
 from workbench.operators import FullOperators, ModelError, assemble
 from workbench.physics.thin_layer import ADMISSIBLE, SKIN, ImperfectBond
 from workbench.problem import Problem, problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.solve import solve_full
 
 TERM = ImperfectBond("bond", "epoxy", "springs", upper=True)

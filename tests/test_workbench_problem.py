@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from geometry.chip import Chip, State, read_chip
 from geometry.mesh import SectionMesh, elements_per_wavelength
 from geometry.section import cut_section
-from inputs import InputError, parse_quantity
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench import options
 from workbench.discretisation import ACCURACY, ROWS, Discretisation, discretisation, film_speeds
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 from workbench.operators import assemble
 from workbench.physics import absorption, electrode_mass, electrodes, fluid, piezoelectric, solid
 from workbench.problem import (

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.merit import bvd_impedance
 from workbench.readers import FORMATS, ColumnMap, Quantity, detect, read, read_column_map
 from workbench.readers.findings import examine

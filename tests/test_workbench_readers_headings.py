@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench.cli import main
+from workbench.files.errors import InputError
 from workbench.merit import bvd_impedance
 from workbench.readers import ColumnMap, Quantity, read, read_column_map
 from workbench.readers.headings import Heading, understand

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from workbench.compare import compare
+from workbench.comparison import compare
 from workbench.merit import figures, fit_resonance
 from workbench.report import (
     FIGURE_COLUMNS,

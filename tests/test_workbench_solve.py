@@ -11,7 +11,7 @@ from scipy import sparse
 from workbench.dense import PENCIL_RESIDUAL, solve_dense, solve_each
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.solve import (
     RESIDUAL_LIMIT,
     Factor,

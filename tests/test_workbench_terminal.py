@@ -8,7 +8,7 @@ from support import check_table
 
 from workbench.commands.fit import _columns_table, _devices_table
 from workbench.commands.terminal import print_table, table_lines
-from workbench.fit.batch import Column
+from workbench.fitting.batch import Column
 from workbench.report import FIGURE_COLUMNS, Table
 
 STATES = ("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")

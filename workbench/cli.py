@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.options import parser
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def _show_warnings(console: Console) -> None:
     from numpy.exceptions import ComplexWarning
 
     root = Path(__file__).parent.parent
-    ours = tuple(str(root / name) for name in ("inputs.py", "geometry", "materials", "workbench"))
+    ours = tuple(str(root / name) for name in ("geometry", "materials", "workbench"))
     seen: set[str] = set()
 
     def show(

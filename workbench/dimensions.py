@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from geometry.chip import Chip
 from geometry.stretch import Piece, movable, split, tied
-from inputs import InputError, choose
+from workbench.files.errors import InputError, choose
 from workbench.physics.stretched import Column, Part, Radius, Rim, Stretched
 from workbench.problem import Problem
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from geometry.mesh import MeshSize
 from geometry.names import TRANSDUCER
 from geometry.section import Section
-from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Material
+from workbench.files.errors import InputError
 
 #: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.
 GAS_IMPEDANCE = 1e4

@@ -14,7 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError, parse_quantity
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 
 
 class Drive(Protocol):

@@ -12,9 +12,9 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from workbench.drive import Drive, VoltageDrive
 from workbench.elements import Lagrange
+from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.nodal import NodalMesh, gradient, grid_nodes
 from workbench.operators import FullOperators
-from workbench.physics.piezoelectric import VACUUM_PERMITTIVITY
 from workbench.physics.term import Values
 from workbench.problem import Problem
 from workbench.solve import Solution

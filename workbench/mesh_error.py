@@ -28,7 +28,7 @@ from skfem import Dofs
 from workbench.elements import Lagrange, gauss_lobatto
 from workbench.operators import FullOperators, Place, assemble
 from workbench.physics.term import Values
-from workbench.reduce import ReducedModel
+from workbench.reduction import ReducedModel
 from workbench.solve import System, factorise, one_thread
 
 Real = NDArray[np.float64]

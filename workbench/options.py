@@ -215,7 +215,8 @@ def _fit(sub: argparse.ArgumentParser) -> None:
                          help='thicknesses of the gel to predict the spectrum with after the fit, such as '
                               '"5um,20um,50um" (default: none)')
     batch = kind("batch", "fit many recordings, several at a time; a further run does only what is not finished")
-    batch.add_argument("file", type=Path, metavar="FILE.toml", help="lists the recordings; see workbench/fit/batch.py")
+    batch.add_argument("file", type=Path, metavar="FILE.toml",
+                       help="lists the recordings; see workbench/fitting/batch.py")
     with_search(batch)
     batch.add_argument("--again", action="store_true", help="fit again what is finished (default: only the rest)")
     batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")

@@ -10,11 +10,11 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh, mesh_section
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM
 from geometry.section import cut_section
-from inputs import InputError
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
 from workbench.discretisation import ACCURACY, Discretisation, discretisation
+from workbench.files.errors import InputError
 from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
 

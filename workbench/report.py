@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from inputs import write_atomic
 from workbench import particles
-from workbench.compare import Comparison
+from workbench.comparison import Comparison
+from workbench.files.writing import write_atomic
 from workbench.merit import Estimate, Figures, NoResonance, ResonanceFit, figures, fit_resonance
-from workbench.simulate import Simulation
+from workbench.simulation import Simulation
 from workbench.spectrum import Spectrum
 
 _STYLE = """

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from inputs import write_atomic
+from workbench.files.writing import write_atomic
 
 ORIGIN_KINDS = ("measured", "simulated", "unknown")
 

@@ -24,11 +24,11 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.trial import make_trial  # noqa: E402
 
-from workbench.diagnose.campaign import read_campaign  # noqa: E402
-from workbench.diagnose.device import model  # noqa: E402
-from workbench.diagnose.refit import refit  # noqa: E402
-from workbench.diagnose.score import score  # noqa: E402
-from workbench.diagnose.verdict import diagnose, gain  # noqa: E402
+from workbench.diagnosis.campaign import read_campaign  # noqa: E402
+from workbench.diagnosis.device import model  # noqa: E402
+from workbench.diagnosis.refit import refit  # noqa: E402
+from workbench.diagnosis.score import score  # noqa: E402
+from workbench.diagnosis.verdict import diagnose, gain  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
 from workbench.solve import sweep  # noqa: E402

@@ -30,13 +30,13 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from geometry.chip import Chip, Dimension, read_chip  # noqa: E402
-from inputs import InputError  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ROWS, Discretisation  # noqa: E402
+from workbench.files.errors import InputError  # noqa: E402
 from workbench.mesh_error import estimate  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
-from workbench.reduce import reduce  # noqa: E402
+from workbench.reduction import reduce  # noqa: E402
 
 Complex = NDArray[np.complex128]
 

@@ -30,11 +30,11 @@ from paper_algorithms import Case, cases, disc_of  # noqa: E402
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
-from workbench.fit import certainty  # noqa: E402
-from workbench.fit.gel import gel_study  # noqa: E402
-from workbench.fit.joint import COARSE, FINE, FitResult, Search, fit, refine  # noqa: E402
-from workbench.fit.objective import Objective  # noqa: E402
-from workbench.fit.prepare import prepare  # noqa: E402
+from workbench.fitting import certainty  # noqa: E402
+from workbench.fitting.gel import gel_study  # noqa: E402
+from workbench.fitting.joint import COARSE, FINE, FitResult, Search, fit, refine  # noqa: E402
+from workbench.fitting.objective import Objective  # noqa: E402
+from workbench.fitting.prepare import prepare  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.readers import read  # noqa: E402
 from workbench.solve import sweep  # noqa: E402

@@ -1,4 +1,4 @@
-"""The reference chip's spectrum by NGSolve and by `workbench.simulate`: accuracy and wall time in one run.
+"""The reference chip's spectrum by NGSolve and by `workbench.simulation`: accuracy and wall time in one run.
 
     .venv/bin/python tests/benchmarks/ngsolve_chip.py [--states empty filled] [--no-workbench] [--ordering COLAMD]
 
@@ -42,7 +42,7 @@ from geometry.section import Section, cut_section  # noqa: E402
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.problem import chip_materials  # noqa: E402
-from workbench.simulate import simulate  # noqa: E402
+from workbench.simulation import simulate  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
 
 Real = NDArray[np.float64]

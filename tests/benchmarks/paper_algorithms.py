@@ -32,11 +32,11 @@ from geometry.chip import Chip, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.commands.terminal import Show, progress_bars  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
-from workbench.fit.joint import fit  # noqa: E402
-from workbench.fit.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
-from workbench.fit.parameter import LOSS, POLYMER_FOUR, TRANSDUCER_TEN, part, started_at  # noqa: E402
-from workbench.fit.prepare import Prepared, material_starts, prepare  # noqa: E402
-from workbench.fit.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
+from workbench.fitting.joint import fit  # noqa: E402
+from workbench.fitting.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
+from workbench.fitting.parameter import LOSS, POLYMER_FOUR, TRANSDUCER_TEN, part, started_at  # noqa: E402
+from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa: E402
+from workbench.fitting.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import Problem, build  # noqa: E402
 from workbench.readers import read  # noqa: E402

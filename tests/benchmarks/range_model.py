@@ -26,9 +26,9 @@ sys.path.insert(0, str(ROOT))
 from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.stretch import movable  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.fit.parameter import placed  # noqa: E402
+from workbench.fitting.parameter import placed  # noqa: E402
 from workbench.problem import Problem, build  # noqa: E402
-from workbench.range_model import NotCovered, range_model  # noqa: E402
+from workbench.ranges import NotCovered, range_model  # noqa: E402
 from workbench.solve import System, one_thread  # noqa: E402
 
 THICK = ("couplant.thickness", "substrate.thickness", "sidewall.thickness", "superstrate.thickness")

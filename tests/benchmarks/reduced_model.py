@@ -36,7 +36,7 @@ from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.factorisation import chosen as chosen_factorisation  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
-from workbench.reduce import reduce  # noqa: E402
+from workbench.reduction import reduce  # noqa: E402
 from workbench.solve import System, solve_full, sweep  # noqa: E402
 
 

@@ -40,12 +40,12 @@ from concealed.device import GEL, PLA, PZT, REFERENCE_TEMPERATURE, WATER, water 
 from concealed.mechanisms import CATALOGUED, NONE, OUTSIDE  # noqa: E402
 from concealed.trial import make_trial  # noqa: E402
 
-from inputs import write_atomic  # noqa: E402
 from workbench.commands.diagnose import record  # noqa: E402
-from workbench.diagnose.campaign import read_campaign  # noqa: E402
-from workbench.diagnose.device import model  # noqa: E402
-from workbench.diagnose.verdict import diagnose  # noqa: E402
-from workbench.fit.parameter import BENCH_ELEMENTS  # noqa: E402
+from workbench.diagnosis.campaign import read_campaign  # noqa: E402
+from workbench.diagnosis.device import model  # noqa: E402
+from workbench.diagnosis.verdict import diagnose  # noqa: E402
+from workbench.files.writing import write_atomic  # noqa: E402
+from workbench.fitting.parameter import BENCH_ELEMENTS  # noqa: E402
 
 #: In one round every mechanism of the catalogue is hidden once, and so many times nothing, something outside the
 #: catalogue, and two effects at once.

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inputs import InputError
 from workbench import readers
 from workbench.bench.waveforms import read_waveform
+from workbench.files.errors import InputError
 
 pytestmark = pytest.mark.slow
 

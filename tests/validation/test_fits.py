@@ -13,9 +13,9 @@ import pytest
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
-from workbench.fit.joint import FitResult, fit
-from workbench.fit.parameter import part, started_at
-from workbench.fit.prepare import material_starts, prepare
+from workbench.fitting.joint import FitResult, fit
+from workbench.fitting.parameter import part, started_at
+from workbench.fitting.prepare import material_starts, prepare
 from workbench.readers import read
 
 # pzt4/acevedo_2026_fitted is a hair outside passivity, and says so when it is loaded.

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from geometry.mesh import SectionMesh
 from geometry.names import AXIS, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, outside
 from geometry.section import Electrode, Rectangle, Section
+from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.operators import FullOperators, assemble
 from workbench.physics.electrodes import Electrodes
 from workbench.physics.piezoelectric import Piezoelectric
-from workbench.physics.term import VACUUM_PERMITTIVITY
 from workbench.solve import solve_full
 
 Real = NDArray[np.float64]

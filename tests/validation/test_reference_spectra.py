@@ -19,7 +19,7 @@ from workbench.discretisation import ACCURACY, discretisation
 from workbench.merit import figures
 from workbench.operators import assemble
 from workbench.problem import problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.solve import solve_full
 from workbench.spectrum import Spectrum
 

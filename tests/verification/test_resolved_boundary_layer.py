@@ -23,7 +23,7 @@ from workbench.merit import figures
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.problem import Problem
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.spectrum import Spectrum
 
 RADIUS, CAVITY_RADIUS, CERAMIC, PLATE = 3e-3, 2.2e-3, 2e-3, 0.5e-3

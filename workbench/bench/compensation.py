@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.spectrum import Spectrum
 
 Complex = NDArray[np.complex128]

@@ -21,8 +21,8 @@ from types import TracebackType
 
 import numpy as np
 
-from inputs import write_atomic
 from workbench.bench.setup import BenchSetup
+from workbench.files.writing import write_atomic
 from workbench.instruments.feeltech import open_feeltech
 from workbench.instruments.instrument import Generator, InstrumentError, Oscilloscope, Waveform
 from workbench.instruments.opening import open_bench

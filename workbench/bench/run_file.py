@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError, replacing, sync_folder
+from workbench.files.errors import InputError
+from workbench.files.writing import replacing, sync_folder
 
 FORMAT = "workbench run 1"
 

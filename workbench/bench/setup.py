@@ -43,7 +43,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError, choose, parse_quantity, read_toml, refuse_unknown_keys
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import read_toml, refuse_unknown_keys
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
 
 #: What the generator can be set to: hertz and volt peak to peak.

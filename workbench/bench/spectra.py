@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError
 from workbench import readers
 from workbench.bench.compensation import Compensation, Load, compensate
 from workbench.bench.impedance import common_uncertainty
 from workbench.bench.plan import combined
 from workbench.bench.run_file import Point, Run, read_run
 from workbench.bench.setup import BenchSetup, Standards
+from workbench.files.errors import InputError
 from workbench.spectrum import Origin, Spectrum
 
 #: A lead of a hand's breadth, as inductance (henry): what is at stake when nothing was compensated.

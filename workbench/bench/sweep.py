@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from inputs import InputError
 from workbench.bench.impedance import impedance
 from workbench.bench.plan import Target, expected_points, next_target
 from workbench.bench.rig import Rig, marker_path
 from workbench.bench.run_file import Event, Journal, Point, Run, exists, new_run, read_run
 from workbench.bench.setup import AMPLITUDE_RESOLUTION, SOURCE_RESISTANCE, BenchSetup
 from workbench.bench.sine_fit import NoSine, SineFit, fit_sines
+from workbench.files.errors import InputError
 from workbench.instruments.instrument import InstrumentError, Waveform
 
 #: The pause (s) before the bench is opened anew, doubled from one attempt to the next.

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.instruments.instrument import Waveform
 
 _PAIR = re.compile(r"CH(\d)", re.IGNORECASE)

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
-from inputs import InputError, parse_quantity
 from materials.registry import Registry, user_folder, user_registry
 from workbench.discretisation import Discretisation, discretisation
 from workbench.drive import Drive, parse_drive
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Asked:
-    """What the options say about a model: frequencies in Hz, the rest as :func:`workbench.simulate.simulate` has it."""
+    """What the options say about a model: frequencies in Hz, the rest as in `workbench.simulation.simulate`."""
 
     registry: Registry
     band: tuple[float, float]

@@ -16,13 +16,14 @@ import numpy as np
 
 from geometry.chip import read_chip
 from geometry.mesh import user_cache
-from inputs import InputError, choose, parse_quantity
 from workbench.bench.impedance import impedance
 from workbench.bench.rig import Rig, marker_path
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.sine_fit import NoSine, fit_sines
 from workbench.commands.asked import asked_model, asked_reading
 from workbench.commands.terminal import print_line, print_table
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
 from workbench.instruments.circuit import IDEAL, TYPICAL, Device, device_of, open_circuit, resistor
 from workbench.instruments.faults import KINDS, Fault, Kind
 from workbench.instruments.instrument import InstrumentError
@@ -31,9 +32,9 @@ from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_oscilloscope import Errors
 from workbench.operators import assemble
 from workbench.problem import build, with_boundary_layers
-from workbench.reduce import reduce
+from workbench.reduction import reduce
 from workbench.report import Table
-from workbench.simulate import frequency_grid, state_name
+from workbench.simulation import frequency_grid, state_name
 from workbench.spectrum import Spectrum
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
-from inputs import InputError
 from workbench.commands.asked import asked_model, asked_reading, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.tables import model_table, origin_table
 from workbench.commands.terminal import print_table, progress_bars
+from workbench.files.errors import InputError
 from workbench.report import (
     Block,
     Note,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
-    from workbench.compare import compare as compare_spectra
+    from workbench.comparison import compare as compare_spectra
     from workbench.render import plots
 
     reading = asked_reading(options, options.recording, console)

@@ -13,14 +13,14 @@ from geometry.mesh import user_cache
 from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
 from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_line, print_table, progress_bars
-from workbench.compare import compare
-from workbench.diagnose.campaign import DeviceState, read_campaign
-from workbench.diagnose.device import model
-from workbench.diagnose.element_map import element_map, largest
-from workbench.diagnose.refit import StateFit
-from workbench.diagnose.verdict import Diagnosis, detection_limits, diagnose, gain, intervals, known_physics
-from workbench.fit.objective import log_ratio
-from workbench.fit.parameter import shown_factor, shown_unit
+from workbench.comparison import compare
+from workbench.diagnosis.campaign import DeviceState, read_campaign
+from workbench.diagnosis.device import model
+from workbench.diagnosis.element_map import element_map, largest
+from workbench.diagnosis.refit import StateFit
+from workbench.diagnosis.verdict import Diagnosis, detection_limits, diagnose, gain, intervals, known_physics
+from workbench.fitting.objective import log_ratio
+from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.merit import Figures
 from workbench.readers import READ_AS
 from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inputs import InputError, choose, parse_quantity
 from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
 from workbench.commands.fit_job import (
     Done,
@@ -25,7 +24,9 @@ from workbench.commands.fit_job import (
     shown,
 )
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
-from workbench.fit.batch import (
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.fitting.batch import (
     OUTLIER,
     Column,
     Job,
@@ -36,9 +37,9 @@ from workbench.fit.batch import (
     summarise,
     summary_record,
 )
-from workbench.fit.parameter import shown_factor, shown_unit
-from workbench.fit.prepare import DEFAULT
-from workbench.fit.record import refusals
+from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.fitting.prepare import DEFAULT
+from workbench.fitting.record import refusals
 from workbench.readers import READ_AS
 from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
 

@@ -13,20 +13,20 @@ import numpy as np
 
 from geometry.chip import read_chip
 from geometry.mesh import user_cache
-from inputs import InputError
 from materials import Registry, save, user_registry
 from materials.kinds import Material
 from materials.versions import check_name
 from workbench.commands.asked import saving_folder
 from workbench.commands.tables import origin_table
-from workbench.fit import paper
-from workbench.fit.batch import Job, Member, Settings, content_key, finished
-from workbench.fit.certainty import Fitted
-from workbench.fit.gel import PUBLISHED, GelCase, gel_study, with_gel
-from workbench.fit.joint import FitResult, fit
-from workbench.fit.parameter import shown_factor, shown_unit
-from workbench.fit.prepare import Prepared, free_region, material_starts, prepare, together, with_material
-from workbench.fit.record import (
+from workbench.files.errors import InputError
+from workbench.fitting import paper
+from workbench.fitting.batch import Job, Member, Settings, content_key, finished
+from workbench.fitting.certainty import Fitted
+from workbench.fitting.gel import PUBLISHED, GelCase, gel_study, with_gel
+from workbench.fitting.joint import FitResult, fit
+from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.fitting.prepare import Prepared, free_region, material_starts, prepare, together, with_material
+from workbench.fitting.record import (
     Source,
     derived_quantities,
     fit_record,

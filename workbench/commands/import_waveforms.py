@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from inputs import InputError, parse_quantity, write_atomic
 from workbench.bench.impedance import PointImpedance, impedance
 from workbench.bench.sine_fit import NoSine, SineFit, fit_sines
 from workbench.bench.waveforms import pair_files, read_waveform
 from workbench.commands.asked import output_folder
 from workbench.commands.terminal import print_table
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_atomic
 from workbench.report import Table
 from workbench.spectrum import Origin, Spectrum, write_csv
 

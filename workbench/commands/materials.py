@@ -7,7 +7,6 @@ import datetime
 import warnings
 from typing import TYPE_CHECKING
 
-from inputs import InputError, parse_quantity
 from materials import (
     Registry,
     describe,
@@ -22,6 +21,8 @@ from materials.history import load_quietly
 from materials.versions import read_withdrawal
 from workbench.commands.asked import saving_folder
 from workbench.commands.terminal import print_line, print_table
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 from workbench.report import Table
 
 if TYPE_CHECKING:

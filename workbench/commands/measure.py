@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError
 from workbench.bench.compensation import Compensation
 from workbench.bench.run_file import Run, exists, read_run, write_run
 from workbench.bench.setup import BenchSetup, read_bench
@@ -24,6 +23,7 @@ from workbench.bench.spectra import LevelSpectrum, level_spectra, read_compensat
 from workbench.bench.sweep import Progress, measure
 from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_table
+from workbench.files.errors import InputError
 from workbench.report import (
     FIGURE_COLUMNS,
     Block,

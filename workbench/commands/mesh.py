@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
 from geometry.mesh import elements_per_wavelength, user_cache
-from inputs import InputError
 from workbench.commands.asked import Asked, asked_accuracy, asked_model, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.discretisation import ROWS, discretisation
+from workbench.files.errors import InputError
 from workbench.problem import build
 from workbench.report import Block, Picture, Table, number, write_json, write_report
-from workbench.simulate import Simulation, state_name
+from workbench.simulation import Simulation, state_name
 
 Real = NDArray[np.float64]
 

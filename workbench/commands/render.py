@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
 from geometry.mesh import user_cache
-from inputs import InputError, choose
 from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.states import SIMULATED, simulated, write_fields
 from workbench.commands.terminal import print_line, progress_bars
-from workbench.simulate import snapshot, state_name
+from workbench.files.errors import InputError, choose
+from workbench.simulation import snapshot, state_name
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -12,11 +12,12 @@ import numpy as np
 from geometry.chip import Chip, read_chip
 from geometry.mesh import user_cache
 from geometry.names import TRANSDUCER
-from inputs import InputError, parse_quantity
 from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
-from workbench.fit.parameter import LOSS
-from workbench.fit.sensitivity import (
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
+from workbench.fitting.parameter import LOSS
+from workbench.fitting.sensitivity import (
     LOSS_THRESHOLD,
     REAL_THRESHOLD,
     TABLE_ONE,
@@ -26,7 +27,7 @@ from workbench.fit.sensitivity import (
 )
 from workbench.problem import Problem, build
 from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
-from workbench.simulate import state_name
+from workbench.simulation import state_name
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -31,7 +31,7 @@ from workbench.report import (
     write_json,
     write_report,
 )
-from workbench.simulate import Simulation
+from workbench.simulation import Simulation
 from workbench.spectrum import write_csv
 
 if TYPE_CHECKING:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from geometry.chip import Chip
 from geometry.mesh import user_cache
-from inputs import write_atomic
 from workbench.commands.asked import Asked
 from workbench.commands.terminal import Show
 from workbench.discretisation import discretisation
+from workbench.files.writing import write_atomic
 from workbench.problem import chip_materials
-from workbench.simulate import Simulation, Snapshot, state_name
-from workbench.simulate import simulate as simulate_state
+from workbench.simulation import Simulation, Snapshot, state_name
+from workbench.simulation import simulate as simulate_state
 
 #: Share of the progress bar of a state that is the simulation; the pictures are the rest.
 SIMULATED = 0.9

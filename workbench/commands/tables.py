@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from workbench.report import Table
-from workbench.simulate import Simulation
+from workbench.simulation import Simulation
 from workbench.spectrum import Origin
 
 

@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from inputs import InputError, choose
+from workbench.files.errors import InputError, choose
 from workbench.instruments.instrument import GeneratorSettings, InstrumentError
 from workbench.instruments.transport import ATTEMPTS, Link, Query, open_port
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import InputError, choose
+from workbench.files.errors import InputError, choose
 from workbench.instruments.instrument import InstrumentError, OscilloscopeSettings, Waveform
 from workbench.instruments.transport import Link, Query, open_port
 

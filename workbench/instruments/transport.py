@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from inputs import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_names
 from workbench.instruments.instrument import InstrumentError, Silence
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import VACUUM_PERMITTIVITY, Admissible, Integral, Monomial, Product, Term
+from workbench.files.quantities import VACUUM_PERMITTIVITY
+from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
 
 #: What the poling of a rim can be.
 ADMISSIBLE: Mapping[str, Admissible] = {

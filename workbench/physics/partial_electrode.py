@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import VACUUM_PERMITTIVITY, Admissible, Formula, Integral, Product, Term
+from workbench.files.quantities import VACUUM_PERMITTIVITY
+from workbench.physics.term import Admissible, Formula, Integral, Product, Term
 
 #: Share of the transducer's thickness, below the electrode, that cuts it off: thin beside a ring that shows.
 SKIN = 0.01

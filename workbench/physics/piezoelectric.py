@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from workbench.physics.term import VACUUM_PERMITTIVITY, Condition, Integral, Monomial, Product, Term
+from workbench.files.quantities import VACUUM_PERMITTIVITY
+from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-#: Vacuum permittivity, F/m (CODATA 2018).
-VACUUM_PERMITTIVITY = 8.8541878128e-12
-
 #: The scalar unknowns: displacement (m), electric potential (V), pressure (Pa).
 COMPONENTS = ("u_r", "u_z", "phi", "p")
 

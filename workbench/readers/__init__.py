@@ -5,7 +5,7 @@
 
 A table whose headings say what its columns are needs no more; of one whose headings do not, :func:`read` asks for a
 column map, and proposes one. A file that cannot be trusted (cut short, out of order, not a number) is an
-:class:`inputs.InputError` with the line. A file that can be read but contradicts physics gives findings, and is
+`InputError` with the line. A file that can be read but contradicts physics gives findings, and is
 corrected only on request.
 """
 
@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from inputs import InputError, choose
+from workbench.files.errors import InputError, choose
 from workbench.readers import columns as _columns
 from workbench.readers import e4990a, headed, hp4294a, touchstone, workbench_csv
 from workbench.readers.columns import READ_AS, ColumnMap, read_column_map

@@ -12,7 +12,9 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
 
-from inputs import UNITS, InputError, nearest_names, read_toml, refuse_unknown_keys
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import UNITS
+from workbench.files.tables import read_toml, refuse_unknown_keys
 from workbench.readers.quantities import Quantity
 from workbench.readers.text import RecordingText, Rows, cells, check_frequencies, check_impedance, numbers
 from workbench.spectrum import Origin, Spectrum

@@ -15,7 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import UNITS, InputError
+from workbench.files.errors import InputError
+from workbench.files.quantities import UNITS
 from workbench.readers.columns import COMMENTS, ColumnMap, in_words, map_text, spectrum, table_rows, uncommented
 from workbench.readers.findings import PLAUSIBLE_HZ, examine
 from workbench.readers.headings import SYMBOLS, Heading, is_unit, understand

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
 from workbench.spectrum import Origin, Spectrum
 

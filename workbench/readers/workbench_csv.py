@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from inputs import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_names
 from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
 from workbench.spectrum import COLUMNS, ORIGIN_KINDS, UNCERTAINTY_COLUMN, Origin, Spectrum
 

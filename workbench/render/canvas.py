@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import replacing
+from workbench.files.writing import replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,9 +9,9 @@ import numpy as np
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from inputs import InputError
+from workbench.files.errors import InputError
 from workbench.report import Picture
-from workbench.simulate import Snapshot
+from workbench.simulation import Snapshot
 
 #: Fields that can be asked for by name.
 FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh")

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inputs import replacing
 from workbench.elements import Lagrange, polynomials
+from workbench.files.writing import replacing
 from workbench.nodal import NodalMesh
 
 if TYPE_CHECKING:

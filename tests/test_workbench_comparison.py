@@ -1,0 +1,127 @@
+"""workbench.comparison: residuals whose answers are known, and the arithmetic of the paper's Table 5."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from workbench.comparison import MetricRow, compare
+from workbench.merit import bvd_impedance, figures
+from workbench.readers import read
+from workbench.spectrum import Spectrum
+
+REFERENCE = Path(__file__).parent / "data" / "reference"
+SWEEP = np.arange(910e3, 1155.1e3, 500.0)
+CIRCUIT = {"motional_resistance": 5.905, "motional_inductance": 151.99e-6, "motional_capacitance": 168.61e-12,
+           "static_capacitance": 792.06e-12}
+MEASURED = Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT))
+
+
+def test_a_spectrum_against_itself():
+    got = compare(MEASURED, MEASURED)
+    assert (got.mape_percent, got.phase_max_deg, got.rms_log_residual) == pytest.approx((0.0, 0.0, 0.0), abs=1e-10)
+    assert got.fraction_used == 1.0
+    assert got.reduced_chi_square is None
+    assert [row.error_percent for row in got.rows] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_gain_error_is_seen_as_it_is():
+    """Z_sim = 1.1 e^{j 5 deg} Z_meas: 10 % at every point, 5 degrees, |ln| = |ln 1.1 + j 5 deg|."""
+    factor = 1.1 * np.exp(1j * np.radians(5.0))
+    got = compare(MEASURED, Spectrum(SWEEP, factor * MEASURED.impedance))
+    assert got.mape_percent == pytest.approx(10.0, rel=1e-9)
+    assert got.worst_percent == pytest.approx(10.0, rel=1e-9)
+    assert (got.phase_mean_deg, got.phase_max_deg) == pytest.approx((5.0, 5.0), rel=1e-9)
+    assert got.rms_log_residual == pytest.approx(abs(np.log(factor)), rel=1e-9)
+    np.testing.assert_allclose(got.log_residual, np.log(factor), rtol=1e-9)
+    rows = {row.metric: row for row in got.rows}
+    assert list(rows) == ["f0 (Hz)", "Z_min (ohm)", "Q factor"]
+    assert rows["Z_min (ohm)"].difference_percent == pytest.approx(10.0, rel=1e-6)
+    assert rows["f0 (Hz)"].error_percent == pytest.approx(0.0, abs=1e-6)
+
+
+def test_sign_and_size_of_a_row():
+    low = MetricRow("Q factor", 100.0, 80.0)
+    assert (low.difference_percent, low.error_percent) == (-20.0, 20.0)
+
+
+#: Table 5 of Acevedo-Espinosa et al. (RP-UEIS): metric, measured, simulated, printed error in per cent.
+TABLE_5 = [("f0 (MHz)", "1.0284", "1.0286", "0.02"), ("f0 (MHz)", "1.0274", "1.0306", "0.31"),
+           ("Z_min (ohm)", "3.01", "3.24", "7.56"), ("Z_min (ohm)", "4.10", "4.04", "1.46"),
+           ("Q factor", "113.89", "114.29", "0.35"), ("Q factor", "85.33", "103.06", "20.77")]
+
+
+@pytest.mark.parametrize(("metric", "measured", "simulated", "printed"), TABLE_5)
+def test_error_is_defined_as_in_table_5(metric, measured, simulated, printed):
+    """Two of the printed errors, 7.56 and 20.77, are not what the printed values give, 7.64 and 20.78: the authors
+    divided before they rounded. Every printed error must lie within what the rounding
+    of its three numbers allows."""
+    def interval(text):
+        half = 0.5 * 10.0 ** -len(text.partition(".")[2])
+        return float(text) - half, float(text) + half
+
+    errors = [MetricRow(metric, m, s).error_percent
+              for m, s in itertools.product(interval(measured), interval(simulated))]
+    low, high = interval(printed)
+    assert min(errors) <= high
+    assert low <= max(errors)
+    got = MetricRow(metric, float(measured), float(simulated)).error_percent
+    assert got == pytest.approx(float(printed), abs=0.1)
+
+
+def test_only_the_common_band_is_used():
+    """Simulated on a shifted, coarser grid: 980 kHz to 1.05 MHz holds 141 of 491 measured points."""
+    grid = np.arange(980e3, 1050.1e3, 700.0)
+    got = compare(MEASURED, Spectrum(grid, bvd_impedance(grid, **CIRCUIT)))
+    assert len(got.measured.frequency) == 141
+    assert got.fraction_used == pytest.approx(141 / 491, rel=1e-12)
+    np.testing.assert_array_equal(got.simulated.frequency, got.measured.frequency)
+    assert got.rms_log_residual < 1e-7  # the interpolant's error at 700 Hz steps
+
+
+def test_bands_that_do_not_overlap():
+    elsewhere = Spectrum(SWEEP + 1e6, MEASURED.impedance)
+    with pytest.raises(ValueError, match="measured 910000 to 1155000 Hz, simulated 1910000 to 2155000"):
+        compare(MEASURED, elsewhere)
+    with pytest.raises(ValueError, match="holds 1 points"):
+        compare(MEASURED, Spectrum(SWEEP + 245e3 - 100.0, MEASURED.impedance))
+
+
+def test_missing_resonance_leaves_the_residual():
+    high = Spectrum(SWEEP[200:], MEASURED.impedance[200:])
+    got = compare(high, MEASURED)
+    assert got.rows == ()
+    assert got.rows_missing.startswith("measured: the smallest |Z| is at an edge")
+    assert got.mape_percent == pytest.approx(0.0, abs=1e-6)
+
+
+def test_reduced_chi_square_is_one_for_noise_alone():
+    """490 complex points: standard deviation sqrt(2 / 982) = 0.045; four of them."""
+    generator = np.random.default_rng(3)
+    deviation = 0.01 * MEASURED.magnitude
+    noise = deviation * (generator.normal(size=SWEEP.size) + 1j * generator.normal(size=SWEEP.size))
+    noisy = Spectrum(SWEEP, MEASURED.impedance + noise, deviation)
+    assert compare(noisy, MEASURED).reduced_chi_square == pytest.approx(1.0, abs=0.18)
+    both = Spectrum(SWEEP, MEASURED.impedance, deviation)
+    assert compare(noisy, both).reduced_chi_square == pytest.approx(
+        0.5 * compare(noisy, MEASURED).reduced_chi_square, rel=1e-9)
+
+
+def test_worst_point_is_on_a_peak():
+    moved = CIRCUIT | {"motional_resistance": 8.0}
+    got = compare(MEASURED, Spectrum(SWEEP, bvd_impedance(SWEEP, **moved)))
+    assert got.worst_percent > 5.0 * got.mape_percent
+    f0 = figures(MEASURED).f0
+    fa = figures(MEASURED).antiresonance.frequency
+    assert min(abs(got.worst_frequency - f0), abs(got.worst_frequency - fa)) < 1000.0
+
+
+def test_empty_against_filled_chip():
+    """Two states of the independent solver's chip: rows equal the two states' own figures of merit."""
+    empty, filled = (read(REFERENCE / f"chip_{state}.csv").spectrum for state in ("empty", "filled"))
+    got = compare(empty, filled)
+    f0, z_min, q = got.rows
+    assert (f0.measured, f0.simulated) == (figures(empty).f0, figures(filled).f0)
+    assert (z_min.measured, z_min.simulated) == pytest.approx((6.119, 4.987), rel=1e-3)
+    assert q.difference_percent == pytest.approx(100.0 * (142.63 / 66.627 - 1.0), abs=0.1)

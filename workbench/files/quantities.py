@@ -1,0 +1,72 @@
+"""Quantities with units. Everything inside the packages is a float in SI units; text such as ``"2.02 mm"`` is read
+here, once, where a file is read."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+
+from workbench.files.errors import InputError, nearest_names
+
+#: Permittivity of free space in F/m (CODATA 2018).
+VACUUM_PERMITTIVITY = 8.8541878128e-12
+
+#: Factor to SI of every unit accepted in a file, by dimension. Temperatures are handled in :func:`parse_quantity`.
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+    "peak-to-peak voltage": {"Vpp": 1.0, "mVpp": 1e-3},
+    "power": {"W": 1.0, "mW": 1e-3},
+    "resistance": {"ohm": 1.0, "Ohm": 1.0, "mohm": 1e-3, "kohm": 1e3},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
+    "speed": {"m/s": 1.0, "mm/us": 1e3},
+    "viscosity": {"Pa s": 1.0, "mPa s": 1e-3, "uPa s": 1e-6},
+    "piezoelectric": {"C/m^2": 1.0},
+    "temperature": {"K": 1.0, "degC": 1.0},
+    "inductance": {"H": 1.0, "mH": 1e-3, "uH": 1e-6, "nH": 1e-9},
+    "capacitance": {"F": 1.0, "uF": 1e-6, "nF": 1e-9, "pF": 1e-12},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+    "diffusivity": {"m^2/s": 1.0},
+    # A permittivity is held relative to that of free space, whichever way it is written.
+    "permittivity": {"1": 1.0, "F/m": 1.0 / VACUUM_PERMITTIVITY, "nF/m": 1e-9 / VACUUM_PERMITTIVITY},
+    "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12},
+    "piezoelectric charge": {"C/N": 1.0, "pC/N": 1e-12, "m/V": 1.0, "pm/V": 1e-12},
+    "thermal conductivity": {"W/(m K)": 1.0, "mW/(m K)": 1e-3},
+    "heat capacity": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
+    "dimensionless": {"1": 1.0, "%": 1e-2},
+}
+
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+
+
+def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> float:
+    """The SI value of a text such as ``"2.02 mm"``. `dimension` is a key of :data:`UNITS`.
+
+    A bare number is refused unless the dimension is dimensionless: a length without its unit is the commonest
+    mistake in a chip file. Temperatures in degC are returned in kelvin.
+
+    Raises:
+        InputError: no number, no unit, an unknown unit, or a value that is not finite.
+    """
+    units = UNITS[dimension]
+    example, named = next(iter(units)), f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
+    if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
+        if not math.isfinite(text):
+            raise InputError(source, field, text, "a finite number")
+        return float(text)
+    if isinstance(text, bool) or not isinstance(text, str):
+        raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
+    match = _NUMBER.match(text)
+    if match is None:
+        raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
+    number, unit = float(match.group(1)), match.group(2) or ("1" if dimension == "dimensionless" else "")
+    if unit not in units:
+        expected = f"{named} in one of {', '.join(units)}"
+        raise InputError(source, field, text, expected, nearest_names(unit, units) if unit else ())
+    if not math.isfinite(number):
+        raise InputError(source, field, text, "a finite number")
+    return number + 273.15 if unit == "degC" else number * units[unit]

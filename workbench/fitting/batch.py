@@ -1,0 +1,414 @@
+"""Many recordings at once: the file that lists them, fits in parallel that lose nothing, and what they have in common.
+
+    [batch]
+    name = "four discs"
+
+    [[recordings]]
+    name = "disc 1"                     # also the folder of its results
+    file = "disc_1.csv"                 # paths are relative to this file
+    chip = "disc.toml"
+    kind = "pzt"                        # or "polymer"
+    state = "default"                   # optional, as are all below
+    material = "pzt4/comsol_nominal"    # to start from, in place of the chip's
+    region = "substrate"                # whose material is free, in place of transducer or sample
+    free = ["default", "bench.series_resistance"]
+    band = ["0.91 MHz", "1.15 MHz"]
+    columns = "columns.toml"
+    format = "e4990a"
+    correction = "conjugate"
+    save = "pzt4/disc_1"
+
+    [[joint]]                           # recordings fitted together: parameters of one name are shared
+    name = "disc 1 and 2"
+    recordings = ["disc 1", "disc 2"]
+    own = ["transducer.thickness"]      # dimensions and bench elements that each has for itself
+    save = "pzt4/batch_7"
+
+A recording of a joint group is not fitted by itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import read_toml, refuse_unknown_keys
+from workbench.fitting.prepare import DEFAULT, KINDS
+from workbench.fitting.record import file_digest, software
+
+Real = NDArray[np.float64]
+
+#: An outlier lies this many standard deviations from the median, the deviation judged from the median absolute one
+#: (Iglewicz and Hoaglin 1993, How to detect and handle outliers).
+OUTLIER = 3.5
+
+#: Standard deviation of a normal law over its median absolute deviation.
+MAD_TO_SIGMA = 1.4826
+
+#: With fewer devices nobody can say which of them is the odd one.
+ENOUGH = 4
+
+#: Seconds between looks at what is running.
+POLLING = 0.1
+
+_NAME = re.compile(r"[^\W_][\w .+-]*")
+_RECORDING_KEYS = ("name", "file", "chip", "kind", "state", "material", "region", "free", "band", "columns", "format",
+                   "correction", "save")
+
+
+@dataclass(frozen=True)
+class Member:
+    """One recording to be fitted; see the module for the fields, `prepare.prepare` for their meaning."""
+
+    name: str
+    recording: Path
+    chip: Path
+    kind: str
+    state: str | None = None
+    material: str | None = None
+    region: str | None = None
+    free: tuple[str, ...] = (DEFAULT,)
+    band: tuple[float | None, float | None] = (None, None)
+    columns: Path | None = None
+    format: str | None = None
+    correction: str | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is fitted at once: one recording, or several that share parameters."""
+
+    name: str
+    members: tuple[Member, ...]
+    own: tuple[str, ...] = ()
+    save: str | None = None
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What holds for every job: folders of materials, mesh, algorithm, further starts, and whether to insist."""
+
+    materials: tuple[Path, ...] = ()
+    accuracy: float | Discretisation = ACCURACY
+    algorithm: str = "joint"
+    starts: tuple[str, ...] = ()
+    tries: int = 32
+    force: bool = False
+    gel_thicknesses: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A list of jobs, and what to call it."""
+
+    name: str
+    jobs: tuple[Job, ...]
+
+
+def read_batch(path: Path) -> Batch:
+    """The batch that a TOML file describes.
+
+    Raises:
+        InputError: the file is not as the module says; file, field, value and remedy.
+    """
+    table, source = read_toml(path), str(path)
+    refuse_unknown_keys(table, ("batch", "recordings", "joint"), source=source, field="")
+    head = table.get("batch", {})
+    if not isinstance(head, Mapping):
+        raise InputError(source, "batch", head, "a table [batch]")
+    refuse_unknown_keys(head, ("name",), source=source, field="batch")
+    name = _text(head, "name", path.stem, source=source, field="batch")
+    members: dict[str, Member] = {}
+    saves: dict[str, str | None] = {}
+    for index, row in enumerate(_tables(table, "recordings", source=source)):
+        field = f"recordings[{index}]"
+        refuse_unknown_keys(row, _RECORDING_KEYS, source=source, field=field)
+        member = _member(row, path.parent, source=source, field=field)
+        if member.name in members:
+            raise InputError(source, f"{field}.name", member.name, "a name of its own")
+        members[member.name] = member
+        saves[member.name] = _optional(row, "save", source=source, field=field)
+    if not members:
+        raise InputError(source, "recordings", "none", "at least one table [[recordings]]")
+    groups: list[Job] = []
+    grouped: set[str] = set()
+    for index, row in enumerate(_tables(table, "joint", source=source)):
+        field = f"joint[{index}]"
+        refuse_unknown_keys(row, ("name", "recordings", "own", "save"), source=source, field=field)
+        wanted = _texts(row, "recordings", (), source=source, field=field)
+        for one in wanted:
+            choose(one, members, source=source, field=f"{field}.recordings")
+            if one in grouped:
+                raise InputError(source, f"{field}.recordings", one, "each recording in one group only")
+            grouped.add(one)
+        if len(wanted) < 2:
+            raise InputError(source, f"{field}.recordings", list(wanted), "two recordings or more")
+        groups.append(Job(_name(row, source=source, field=field), tuple(members[one] for one in wanted),
+                          _texts(row, "own", (), source=source, field=field),
+                          _optional(row, "save", source=source, field=field)))
+    jobs = [Job(member.name, (member,), save=saves[member.name]) for member in members.values()
+            if member.name not in grouped] + groups
+    for job in jobs:
+        if [other.name for other in jobs].count(job.name) > 1:
+            raise InputError(source, "joint.name", job.name, "a name that no recording has")
+    return Batch(name, tuple(jobs))
+
+
+def _tables(table: Mapping[str, Any], key: str, *, source: str) -> list[Mapping[str, Any]]:
+    rows = table.get(key, [])
+    if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
+        raise InputError(source, key, rows, f"tables [[{key}]]")
+    return rows
+
+
+def _member(row: Mapping[str, Any], folder: Path, *, source: str, field: str) -> Member:
+    def path(key: str) -> Path:
+        found = folder / _text(row, key, None, source=source, field=field)
+        if not found.is_file():
+            raise InputError(source, f"{field}.{key}", str(found), "an existing file")
+        return found
+
+    band: tuple[float | None, float | None] = (None, None)
+    if "band" in row:
+        ends = row["band"]
+        if not isinstance(ends, list) or len(ends) != 2:
+            raise InputError(source, f"{field}.band", ends, 'two frequencies, for example ["910 kHz", "1155 kHz"]')
+        low, high = (parse_quantity(end, "frequency", source=source, field=f"{field}.band") for end in ends)
+        if not 0.0 < low < high:
+            raise InputError(source, f"{field}.band", ends, "two rising frequencies")
+        band = low, high
+    correction = _optional(row, "correction", source=source, field=field)
+    return Member(
+        _name(row, source=source, field=field), path("file"), path("chip"),
+        choose(row.get("kind"), KINDS, source=source, field=f"{field}.kind"),
+        _optional(row, "state", source=source, field=field), _optional(row, "material", source=source, field=field),
+        _optional(row, "region", source=source, field=field),
+        _texts(row, "free", (DEFAULT,), source=source, field=field), band,
+        path("columns") if "columns" in row else None, _optional(row, "format", source=source, field=field),
+        None if correction is None else choose(correction, ("negate", "conjugate"), source=source,
+                                               field=f"{field}.correction"),
+    )
+
+
+def _text(row: Mapping[str, Any], key: str, default: str | None, *, source: str, field: str) -> str:
+    found = row.get(key, default)
+    if not isinstance(found, str) or not found:
+        raise InputError(source, f"{field}.{key}", found, "a text")
+    return found
+
+
+def _optional(row: Mapping[str, Any], key: str, *, source: str, field: str) -> str | None:
+    return _text(row, key, None, source=source, field=field) if key in row else None
+
+
+def _texts(
+    row: Mapping[str, Any], key: str, default: tuple[str, ...], *, source: str, field: str
+) -> tuple[str, ...]:
+    found = row.get(key, list(default))
+    if not isinstance(found, list) or not all(isinstance(item, str) for item in found):
+        raise InputError(source, f"{field}.{key}", found, "a list of texts")
+    return tuple(found)
+
+
+def _name(row: Mapping[str, Any], *, source: str, field: str) -> str:
+    found = _text(row, "name", None, source=source, field=field)
+    if _NAME.fullmatch(found) is None:
+        raise InputError(source, f"{field}.name", found, "letters, digits, blanks and . + - _, as it names a folder")
+    return found
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Running.
+
+
+def content_key(job: Job, settings: Settings, filling: Sequence[Mapping[str, object]]) -> str:
+    """A digest of all that decides a result: contents of the files, materials with their values, options, version.
+
+    Args:
+        filling: for every member the materials of its chip by region.
+    """
+    files = [(file_digest(m.recording), file_digest(m.chip), "" if m.columns is None else file_digest(m.columns))
+             for m in job.members]
+    members = [(m.name, m.kind, m.state, m.material, m.region, m.free, m.band, m.format, m.correction)
+               for m in job.members]
+    options = (settings.accuracy, settings.algorithm, settings.starts, settings.tries,
+               settings.gel_thicknesses)
+    values = [sorted((region, repr(material)) for region, material in one.items()) for one in filling]
+    deciding = repr((files, members, job.name, job.own, job.save, options, values, software()))
+    return hashlib.sha256(deciding.encode()).hexdigest()
+
+
+def finished(folder: Path, key: str) -> dict[str, Any] | None:
+    """The ``fit.json`` of a folder if it is whole and of that `key`; None otherwise."""
+    try:
+        record = json.loads((folder / "fit.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return record if isinstance(record, dict) and record.get("key") == key else None
+
+
+def run_commands(
+    commands: Mapping[str, Sequence[str]], *, workers: int, report: Callable[[str, str], None]
+) -> dict[str, str]:
+    """Run labelled commands, `workers` at a time; the last words of those that did not end with status 0.
+
+    A command writes its results itself, so that what is finished stays when the rest is interrupted. `report` is
+    called with a label and "fitting", "done" or "failed". However the function is left, no command is left running.
+
+    (Programs rather than the processes of `multiprocessing`, which would run the caller's script once more in each.)
+    """
+    waiting, running = list(commands.items()), dict[str, tuple[subprocess.Popen[str], IO[str]]]()
+    failed: dict[str, str] = {}
+    # The cores are busy with one another's fits: one thread each for linear algebra.
+    surroundings = {**os.environ, **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")}
+    with ExitStack() as stack:
+        stack.callback(_end, running)
+        while waiting or running:
+            while waiting and len(running) < workers:
+                label, command = waiting.pop(0)
+                report(label, "fitting")
+                words = stack.enter_context(tempfile.TemporaryFile("w+"))
+                running[label] = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words, text=True,
+                                                  env=surroundings), words
+            time.sleep(POLLING)
+            for label, (process, stream) in list(running.items()):
+                status = process.poll()
+                if status is None:
+                    continue
+                del running[label]
+                if status:
+                    stream.seek(0)
+                    said = stream.read().strip()
+                    failed[label] = _last_words(said) if said else f"ended with {status}"
+                report(label, "failed" if status else "done")
+    return failed
+
+
+def _last_words(said: str) -> str:
+    """The error that a command ended with, all its lines, or else its last line."""
+    _, error, words = f"\n{said}".rpartition("\nerror: ")
+    return words if error else said.splitlines()[-1]
+
+
+def _end(running: Mapping[str, tuple[subprocess.Popen[str], IO[str]]]) -> None:
+    for process, _ in running.values():
+        process.terminate()
+    for process, _ in running.values():
+        process.wait()
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Summary.
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One parameter over the devices.
+
+    ``values``, ``low`` and ``high`` (d,) in ``unit``; ``mean``, ``deviation`` (standard, of the sample, NaN for one),
+    ``dispersion_percent`` the range over the mean; ``outliers`` names of the devices beyond :data:`OUTLIER`.
+    """
+
+    name: str
+    unit: str
+    devices: tuple[str, ...]
+    values: Real
+    low: Real
+    high: Real
+    mean: float
+    deviation: float
+    dispersion_percent: float
+    outliers: tuple[str, ...]
+
+
+def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
+    """What the fits of several devices have in common: by parameter, for those that two devices or more have.
+
+    Args:
+        records: ``fit.json`` by device. Materials are left out of the parameters' names, so that c33 of one disc stands
+            beside c33 of another. A parameter of a joint group that each recording has for itself is a device each.
+    """
+    found: dict[str, dict[str, tuple[float, ...]]] = {}
+    units: dict[str, str] = {}
+
+    def add(name: str, unit: str, device: str, entry: Mapping[str, Any]) -> None:
+        # Without an interval (see `record`): the value alone.
+        found.setdefault(name, {})[device] = tuple(
+            entry["value"] if entry.get(key) is None else entry[key] for key in ("value", "low", "high"))
+        units[name] = unit
+
+    for device, record in records.items():
+        shown = [p["name"] for p in record["parameters"] if not p["recordings"]]
+        short = {name: name.split(".", 1)[1] if "/" in name else name for name in shown}
+        # A free disc and a sample fitted together: both have a density.
+        short = {name: text if list(short.values()).count(text) == 1 else name for name, text in short.items()}
+        for parameter in record["parameters"]:
+            own = parameter["recordings"]
+            add(parameter["name"] if own else short[parameter["name"]], parameter["unit"],
+                f"{device}: {own[0]}" if own else device, parameter)
+        for one in record["recordings"]:
+            merit = one["figures"]["measured"]
+            for name, key, unit in (("f0", "f0_hz", "Hz"), ("Z_min", "z_min_ohm", "ohm"), ("Q", "q", "1")):
+                if merit.get(key) is not None:
+                    label = device if len(record["recordings"]) == 1 else f"{device}: {one['name']}"
+                    add(f"measured {name}", unit, label, {"value": merit[key]})
+        for quantity in record.get("derived", []):
+            add(quantity["name"], quantity["unit"], device, quantity)
+    return tuple(_column(name, units[name], rows) for name, rows in found.items() if len(rows) > 1)
+
+
+def _column(name: str, unit: str, rows: Mapping[str, tuple[float, ...]]) -> Column:
+    table = np.array(list(rows.values()))
+    values, devices = table[:, 0], tuple(rows)
+    mean = float(values.mean())
+    return Column(
+        name, unit, devices, values, table[:, 1], table[:, 2], mean, float(values.std(ddof=1)),
+        100.0 * float(np.ptp(values)) / abs(mean) if mean else float("nan"),
+        tuple(device for device, out in zip(devices, outlying(values), strict=True) if out))
+
+
+def outlying(values: Real) -> NDArray[np.bool_]:
+    """Which values (d,) lie further than :data:`OUTLIER` robust standard deviations from the median.
+
+    None of fewer than :data:`ENOUGH`. Where more than half agree exactly, whatever differs by more than rounding lies
+    outside.
+    """
+    if values.size < ENOUGH:
+        return np.zeros(values.size, dtype=bool)
+    away = np.abs(values - np.median(values))
+    sigma = MAD_TO_SIGMA * float(np.median(away))
+    return np.asarray(away > max(OUTLIER * sigma, 1e-9 * abs(float(np.median(values)))))
+
+
+def summary_record(
+    name: str, columns: Sequence[Column], records: Mapping[str, Mapping[str, Any]], failed: Mapping[str, str]
+) -> dict[str, Any]:
+    """The summary for a JSON file, SI units beside the numbers."""
+    return {
+        "batch": name, "failed": dict(failed),
+        "devices": {device: {key: record[key] for key in (
+            "accepted", "refusals", "mape_percent", "rms_log_residual", "wall_seconds", "full_solves", "saved_as")}
+            for device, record in records.items()},
+        "parameters": [
+            {"name": c.name, "unit": c.unit, "mean": c.mean, "standard_deviation": c.deviation,
+             "dispersion_percent": c.dispersion_percent if np.isfinite(c.dispersion_percent) else None,
+             "outliers": list(c.outliers),
+             "devices": {device: {"value": float(v), "low": float(low), "high": float(high)} for device, v, low, high in
+                         zip(c.devices, c.values, c.low, c.high, strict=True)}} for c in columns],
+    }

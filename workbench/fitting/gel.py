@@ -1,0 +1,81 @@
+"""What the thickness of the coupling gel does to the spectrum of a fitted sample: Fig. 6 of the paper.
+
+Acevedo-Espinosa et al. (RP-UEIS), section 4.3: nothing is fitted again, only the gel is made thicker or thinner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geometry.chip import Chip
+from materials.registry import Registry
+from workbench.comparison import Comparison, compare
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.files.errors import InputError
+from workbench.fitting.objective import through_bench
+from workbench.fitting.parameter import placed
+from workbench.fitting.prepare import Prepared
+from workbench.operators import assemble
+from workbench.problem import build
+from workbench.reduction import reduce
+from workbench.spectrum import Origin, Spectrum
+
+COUPLANT = "couplant"
+
+#: The thicknesses (m) of the paper and the mean errors of |Z| (%) it found with its recording.
+PUBLISHED = {5e-6: 26.19, 20e-6: 25.91, 50e-6: 32.82}
+
+
+@dataclass(frozen=True, eq=False)
+class GelCase:
+    """One thickness (m) of the gel: the spectrum predicted with it, and how far that is from the recording."""
+
+    thickness: float
+    spectrum: Spectrum
+    comparison: Comparison
+
+
+def with_gel(chip: Chip, thickness: float) -> Chip:
+    """The chip with another thickness (m) of its gel.
+
+    Raises:
+        InputError: the chip has no couplant, or is none with that thickness.
+    """
+    if COUPLANT not in chip.regions:
+        raise InputError(chip.file, "layers", ", ".join(chip.regions), f"a layer with role {COUPLANT!r}")
+    return chip.with_dimensions({f"{COUPLANT}.thickness": thickness})
+
+
+def gel_study(
+    prepared: Prepared,
+    registry: Registry,
+    *,
+    numbers: Mapping[str, float],
+    thicknesses: Sequence[float],
+    accuracy: float | Discretisation = ACCURACY,
+    cache: Path | None = None,
+) -> tuple[GelCase, ...]:
+    """Predict the first recording with the fitted `numbers` (by parameter name, SI) and each gel thickness (m).
+
+    Raises:
+        InputError: see :func:`with_gel`.
+    """
+    recording = prepared.recordings[0]
+    chip = prepared.chip.with_dimensions({p.name: numbers[p.name] for p in prepared.parameters if p.is_dimension})
+    bench = {p.name: numbers[p.name] for p in prepared.parameters if p.is_bench}
+    values = placed(recording.problem.values, {p.name: numbers[p.name] for p in prepared.parameters if p.is_material})
+    frequency = recording.measured.frequency
+    cases = []
+    for thickness in thicknesses:
+        problem = build(with_gel(chip, thickness), prepared.state, registry, band=recording.problem.band,
+                        accuracy=accuracy, cache=cache)
+        model = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-4)
+        solution = model.solve(frequency, values)
+        seen, _, _ = through_bench(np.conj(solution.impedance), solution.omega, bench)
+        spectrum = Spectrum(frequency, seen, origin=Origin("simulated"))
+        cases.append(GelCase(thickness, spectrum, compare(recording.measured, spectrum)))
+    return tuple(cases)

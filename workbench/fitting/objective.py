@@ -1,0 +1,345 @@
+"""How far a set of parameters is from the recordings, and its exact derivative.
+
+The residual is ln(Z_model / Z_measured), complex: the relative error of the magnitude and the error of the phase in
+radian, equally weighted, which is what an instrument of constant relative accuracy leaves. Each point is divided by
+its relative standard deviation.
+
+A spectrum with sharp overtones has many local minima: one for every way to lay the overtones of the model on those of
+the recording. Both are therefore smoothed first, with the same Lorentzian weights applied to both admittances: for a
+causal response this is the response at a complex frequency, that is with damping added, in which overtones merge into
+the one broad resonance that every parameter set has. The width is then let down to nothing (`joint`).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.stretch import tied
+from workbench.dimensions import flexible
+from workbench.fitting.parameter import BENCH, LOSS, Parameter, part, placed
+from workbench.fitting.predict import Prediction, Predictor
+from workbench.problem import Problem
+from workbench.spectrum import Spectrum
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A measured spectrum and the problem that is to explain it; the chip where its dimensions may be moved."""
+
+    name: str
+    problem: Problem
+    measured: Spectrum
+    chip: Chip | None = None
+
+    def thinned(self, points: int) -> Recording:
+        """The recording with at most about so many of its points, evenly; itself where it has no more."""
+        measured = self.measured
+        every = max(1, round(measured.frequency.size / points))
+        if every == 1:
+            return self
+        uncertainty = None if measured.uncertainty is None else measured.uncertainty[::every]
+        thin = Spectrum(measured.frequency[::every], measured.impedance[::every], uncertainty, measured.origin)
+        return replace(self, measured=thin)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Weighted residuals and their derivative by the parameters in SI units.
+
+    ``vector`` (2 n,) real parts then imaginary parts, recording after recording; ``jacobian`` (2 n, p); ``log_ratio``
+    ln(Z_model / Z_measured) of every recording, unweighted; ``predictions`` one for every recording.
+    """
+
+    vector: Real
+    jacobian: Real
+    log_ratio: tuple[Complex, ...]
+    impedance: tuple[Complex, ...]
+    predictions: tuple[Prediction, ...] = ()
+
+    @cached_property
+    def error(self) -> float:
+        """The largest estimated relative error of any prediction."""
+        return max((float(each.error.max()) for each in self.predictions), default=0.0)
+
+    @property
+    def cost(self) -> float:
+        return 0.5 * float(self.vector @ self.vector)
+
+
+class Objective:
+    """Residuals of several recordings as a function of one vector of parameters.
+
+    A parameter moves the value of its name among those of a recording's problem; lengths of the chip are put among them
+    (`dimensions.flexible`). Recordings of one problem share a predictor. ``tolerance`` as of a `Predictor`.
+    """
+
+    def __init__(
+        self, recordings: Sequence[Recording], parameters: Sequence[Parameter], *, tolerance: float
+    ) -> None:
+        self.parameters = tuple(parameters)
+        names = [r.name for r in recordings]
+        if len(set(names)) < len(names):
+            raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
+        acting = [[(column, p) for column, p in enumerate(self.parameters)
+                   if not p.recordings or r.name in p.recordings] for r in recordings]
+        flexed: dict[Any, Problem] = {}
+        self.recordings = tuple(_with_lengths(r, [p for _, p in own], flexed)
+                                for r, own in zip(recordings, acting, strict=True))
+        self._bench = [[(column, p) for column, p in own if p.is_bench] for own in acting]
+        #: Of every recording, the columns and parameters that move a value of its problem, and which.
+        self._moved = [[(column, p, key) for column, p in own if (key := _moves(p, r)) is not None]
+                       for r, own in zip(self.recordings, acting, strict=True)]
+        #: Of every recording, the values that parameters move.
+        self.moved = [tuple(dict.fromkeys(key for _, _, key in moved)) for moved in self._moved]
+        shared: dict[Any, Predictor] = {}
+        predictors = []
+        for r, tangents in zip(self.recordings, self.moved, strict=True):
+            frequency = r.measured.frequency
+            alike = (id(r.problem.mesh), r.problem.terms, tangents, frequency.tobytes())
+            if alike not in shared:
+                shared[alike] = Predictor(r.problem, frequency, tolerance=tolerance, tangents=tangents)
+            predictors.append(shared[alike])
+        self.predictors = tuple(predictors)
+        #: Why steps of searches could not be taken, one entry for each; shared by all that are made of this.
+        self.refusals: list[str] = []
+
+    @property
+    def solves(self) -> int:
+        return sum(p.solves for p in set(self.predictors))
+
+    def cover(self, x: Real, reach: Mapping[str, float], tolerance: float, corners: Sequence[Real] = ()) -> None:
+        """Let every model grow for parameters about x (p,) that move by so much, by name (`Predictor.cover`).
+
+        `corners` are further points (p,) to hold the states of.
+        """
+        done: set[int] = set()
+        for index, predictor in enumerate(self.predictors):
+            if id(predictor) in done:
+                continue
+            done.add(id(predictor))
+            problem = self.recordings[index].problem
+            values, _ = self.settings(x, index)
+            moves: dict[str, float] = {}
+            for _, p, key in self._moved[index]:
+                if p.name in reach:
+                    size = abs(problem.values[key]) if p.relative else 1.0
+                    moves[key] = max(moves.get(key, 0.0), reach[p.name] * size)
+            others = [self.settings(corner, index)[0] for corner in corners]
+            predictor.cover(values, moves, tolerance, [other for other in others if other != values])
+
+    def measured_as(self, spectra: Sequence[Spectrum]) -> Objective:
+        """The same with other spectra at the same frequencies, sharing what the predictors have learnt.
+
+        Raises:
+            ValueError: other frequencies.
+        """
+        for recording, spectrum in zip(self.recordings, spectra, strict=True):
+            if not np.array_equal(recording.measured.frequency, spectrum.frequency):
+                raise ValueError(f"{recording.name}: other frequencies than those the predictor was made for")
+        other = copy.copy(self)
+        other.recordings = tuple(replace(r, measured=m) for r, m in zip(self.recordings, spectra, strict=True))
+        return other
+
+    def of(self, names: Collection[str]) -> Objective:
+        """The same of some recordings only, sharing what the predictors have learnt."""
+        kept = [k for k, recording in enumerate(self.recordings) if recording.name in names]
+        other = copy.copy(self)
+        other.recordings = tuple(self.recordings[k] for k in kept)
+        other.predictors = tuple(self.predictors[k] for k in kept)
+        other._moved, other._bench = [self._moved[k] for k in kept], [self._bench[k] for k in kept]
+        other.moved = [self.moved[k] for k in kept]
+        return other
+
+    def narrowed(self, points: Sequence[Real]) -> Objective:
+        """The same :meth:`apart`, on no more of each basis than the spectra at `points` (p,) need: for a neighbourhood.
+
+        Elsewhere the estimated error rises, and the models grow again.
+        """
+        other, done = copy.copy(self), dict[int, Predictor]()
+        for index, predictor in enumerate(self.predictors):
+            if id(predictor) not in done:
+                done[id(predictor)] = predictor.narrowed([self.settings(point, index)[0] for point in points])
+        other.predictors = tuple(done[id(predictor)] for predictor in self.predictors)
+        return other
+
+    def apart(self) -> Objective:
+        """The same with predictors of its own, beginning with the bases there are now."""
+        return self._apart(self.recordings)
+
+    def thinned(self, points: int) -> Objective:
+        """The same :meth:`apart`, of at most about so many points of each recording."""
+        return self._apart([recording.thinned(points) for recording in self.recordings])
+
+    def _apart(self, recordings: Sequence[Recording]) -> Objective:
+        other = copy.copy(self)
+        other.recordings = tuple(recordings)
+        # What recordings share they go on sharing.
+        copies: dict[tuple[int, bytes], Predictor] = {}
+        predictors = []
+        for predictor, recording in zip(self.predictors, recordings, strict=True):
+            frequency = recording.measured.frequency
+            key = (id(predictor), frequency.tobytes())
+            if key not in copies:
+                copies[key] = predictor.at(frequency)
+            predictors.append(copies[key])
+        other.predictors = tuple(predictors)
+        return other
+
+    def settings(self, x: Real, index: int) -> tuple[dict[str, complex], dict[str, float]]:
+        """Complex values and bench elements that x (p,) means for the recording of that index."""
+        problem = self.recordings[index].problem
+        result = {name: complex(problem.values[name]) for name in self.moved[index]}
+        for column, p, key in self._moved[index]:
+            number = float(x[column]) * (part(problem.values, p.name) if p.relative else 1.0)
+            result = placed(result, {key + LOSS if p.is_loss else key: number})
+        return result, {p.name: float(x[column]) for column, p in self._bench[index]}
+
+    def predict(
+        self, x: Real, index: int, free: Collection[int] | None = None
+    ) -> tuple[Complex, Complex, Prediction]:
+        """Impedance (n,) as the instrument would see it, d ln Z / dx (n, p), and the prediction behind them.
+
+        Derivatives by other parameters than those of the indices `free`, if these are given, are left zero.
+        """
+        problem, predictor = self.recordings[index].problem, self.predictors[index]
+        moved = [each for each in self._moved[index] if free is None or each[0] in free]
+        keys = tuple(dict.fromkeys(key for _, _, key in moved))
+        values, bench = self.settings(x, index)
+        prediction = predictor({**problem.values, **values})
+        omega = prediction.solution.omega
+        seen, device, elements = through_bench(prediction.impedance, omega, bench)
+        gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
+        for column, p in self._bench[index]:
+            if free is None or column in free:
+                gradient[:, column] = elements[p.name]
+        slopes = np.conj(prediction.logarithmic_gradient(keys))
+        for column, p, key in moved:
+            slope = slopes[:, keys.index(key)]
+            # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
+            factor = part(problem.values, p.name) if p.relative else 1.0
+            gradient[:, column] = device * factor * (-1j * slope if p.is_loss else slope)
+        return seen, gradient, prediction
+
+    def __call__(
+        self, x: Real, *, deviation: Sequence[Real | float], smoothing: float = 0.0,
+        free: Collection[int] | None = None,
+    ) -> Residual:
+        """The residuals at x (p,), SI; `smoothing` is the half width (Hz) of the Lorentzian, 0 for none.
+
+        `free` as in :meth:`predict`.
+
+        Raises:
+            NotEnriched, MeshError, InputError: nothing can be predicted at x.
+        """
+        parts, rows, logs, seen, predictions = [], [], [], [], []
+        for index, recording in enumerate(self.recordings):
+            impedance, gradient, prediction = self.predict(x, index, free)
+            measured = recording.measured.impedance
+            predictions.append(prediction)
+            logs.append(log_ratio(impedance, measured))
+            seen.append(impedance)
+            if smoothing > 0.0:
+                weights = lorentzian(recording.measured.frequency, smoothing)
+                admittance = weights @ (1.0 / impedance)
+                gradient = (weights @ (gradient / impedance[:, None])) / admittance[:, None]
+                impedance, measured = 1.0 / admittance, 1.0 / (weights @ (1.0 / measured))
+            ratio = log_ratio(impedance, measured) / deviation[index]
+            scaled = gradient / (deviation[index] if np.isscalar(deviation[index])
+                                 else np.asarray(deviation[index])[:, None])
+            parts += [ratio.real, ratio.imag]
+            rows += [scaled.real, scaled.imag]
+        return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), tuple(predictions))
+
+
+def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: dict[Any, Problem]) -> Recording:
+    """The recording with those lengths of its chip among the values of its problem that parameters move.
+
+    Problems of one mesh and one model go on sharing these; `known` holds those made so far.
+    """
+    chip, problem = recording.chip, recording.problem
+    lacking = [p for p in parameters if p.is_dimension and not set(p.names) & set(problem.values)]
+    if chip is None or not lacking:
+        return recording
+    lengths = chip.dimensions()
+    named = [(next((name for name in p.names if name in lengths), ""), p) for p in lacking]
+    radii = {name: (p.low, p.high) for name, p in named if name.endswith("radius")}
+    if not radii and not any(name.endswith("thickness") for name, _ in named):
+        return recording
+    key = id(problem.mesh), problem.terms, tuple(radii.items())
+    if key not in known:
+        known[key] = flexible(problem, chip, radii)
+    like = known[key]
+    return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
+                                              values={**like.values, **problem.values}))
+
+
+def _moves(parameter: Parameter, recording: Recording) -> str | None:
+    """The value of a recording's problem that a parameter moves, None if there is none."""
+    values = recording.problem.values
+    if parameter.is_bench:
+        return None
+    if not parameter.is_dimension:
+        return parameter.coefficient if parameter.coefficient in values else None
+    known = {} if recording.chip is None else tied(recording.chip)
+    return next((key for name in parameter.names for key in (name, known.get(name, name)) if key in values), None)
+
+
+def log_ratio(model: Complex, measured: Complex) -> Complex:
+    """ln(model / measured) (n,), the phase as its principal value."""
+    ratio = model / measured
+    return np.asarray(np.log(np.abs(ratio)) + 1j * np.angle(ratio))
+
+
+def through_bench(
+    impedance: Complex, omega: Real, bench: Mapping[str, float]
+) -> tuple[Complex, Complex, dict[str, Complex]]:
+    """What an instrument sees of an impedance (n,), e^{+j w t}, through the elements named in `bench`.
+
+    A clock that is off shifts the spectrum by so little that its slope between the given points tells by how much.
+
+    Returns:
+        the impedance seen (n,), d ln seen / d ln impedance (n,), and d ln seen / d element (n,) for every element; for
+        the clock only where it is named.
+    """
+    def element(name: str) -> float:
+        return bench.get(BENCH + name, 0.0)
+
+    clock = BENCH + "clock" in bench
+    if clock:
+        logarithm = np.log(np.abs(impedance)) + 1j * np.unwrap(np.angle(impedance))
+        drift = np.gradient(logarithm, np.log(omega)) if omega.size > 1 else np.zeros(1)
+        impedance = impedance * np.exp(element("clock") * drift)
+    parallel = impedance / (1.0 + 1j * omega * element("parallel_capacitance") * impedance)
+    whole = element("series_resistance") + 1j * omega * element("series_inductance") + parallel
+    gain = np.exp(element("gain") + 1j * (element("phase") - omega * element("delay")))
+    one = np.ones(impedance.size, dtype=complex)
+    slopes = {
+        "series_resistance": 1.0 / whole,
+        "series_inductance": 1j * omega / whole,
+        "parallel_capacitance": -1j * omega * parallel**2 / whole,
+        "gain": one,
+        "phase": 1j * one,
+        "delay": -1j * omega,
+    }
+    device = parallel**2 / (impedance * whole)
+    if clock:
+        slopes["clock"] = device * drift
+    return gain * whole, device, {BENCH + name: slope for name, slope in slopes.items()}
+
+
+def lorentzian(frequency: Real, half_width: float) -> Real:
+    """Weights (n, n), rows of sum one, that smooth with a Lorentzian of that half width (Hz) on any grid."""
+    spacing = np.gradient(frequency)
+    weights = spacing[None, :] / ((frequency[:, None] - frequency[None, :]) ** 2 + half_width**2)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

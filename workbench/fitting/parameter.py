@@ -1,0 +1,337 @@
+"""What a fit may move: real numbers with a start, bounds and what was known of them before.
+
+Names say what they are:
+
+    pzt4/acevedo_2026_initial.c33        real part of a material's coefficient, SI
+    pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
+    transducer.thickness                 a dimension of the chip, metres
+    bench.series_resistance              an element between the electrodes and the instrument
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.chip import Chip
+from geometry.stretch import movable, tied
+from materials.kinds import IsotropicSolid, Piezoelectric
+from materials.registry import Material
+from workbench.files.errors import InputError, nearest_names
+from workbench.problem import Problem
+
+LOSS = ".loss"
+BENCH = "bench."
+
+#: How the name of a dimension of a chip ends (`geometry.chip.Chip.dimensions`).
+LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
+
+#: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
+#: sheets of one class of ceramic differ from each other (the entries pic255, pzt5a, pzt5h of the registry do so).
+DATA_SHEET: Mapping[str, float] = {"c": 0.1, "eps": 0.2, "e": 0.15, "density": 0.01}
+
+#: The same of a modulus or a sound speed of anything else.
+HANDBOOK = 0.2
+
+#: The loss a fit starts from where none is known, and how far it may lie off, relative to the real part. A ceramic
+#: starts as in Acevedo-Espinosa et al. (RP-UEIS), section 4.2.
+CERAMIC_LOSS = 1e-3
+CERAMIC_LOSS_REACH = 5e-2
+POLYMER_LOSS_REACH = 0.3
+
+#: Standard uncertainty of a dimension without a stated tolerance, relative.
+MEASURED = 0.005
+
+#: What to do about a radius that would pass another (`geometry.stretch.movable`).
+BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
+
+
+@dataclass(frozen=True)
+class Element:
+    """A bench element: what it is in words, its unit, its standard uncertainty before the measurement, its bounds."""
+
+    text: str
+    unit: str
+    prior: float
+    low: float
+    high: float
+
+
+#: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
+#: frequency (1 + clock) f that the generator makes of f; all are zero (the gain as its logarithm) where it is ideal.
+#: How large they may be: what contacts, leads and probes have; data sheets of generators state 1 to 50 in a million.
+#: Below zero, what a compensation takes away too much: of a bad contact, 10 cm of wire, 20 cm of cable.
+BENCH_ELEMENTS: Mapping[str, Element] = {
+    "series_resistance": Element("resistance of leads and contacts", "ohm", 0.3, -0.3, 5.0),
+    "series_inductance": Element("inductance of the leads", "H", 2e-7, -1e-7, 2e-6),
+    "parallel_capacitance": Element("stray and probe capacitance", "F", 1e-11, -2e-11, 2e-10),
+    "gain": Element("logarithm of the gain", "1", 0.05, -0.5, 0.5),
+    "phase": Element("phase of the gain", "rad", 0.02, -0.5, 0.5),
+    "delay": Element("delay between the channels", "s", 2e-9, -5e-8, 5e-8),
+    "clock": Element("relative error of the generator's clock", "1", 1e-5, -1e-4, 1e-4),
+}
+
+#: Units of material properties, SI.
+UNITS: Mapping[str, str] = {
+    **dict.fromkeys(("c11", "c12", "c13", "c33", "c44", "bulk_modulus", "shear_modulus"), "Pa"),
+    **dict.fromkeys(("e31", "e33", "e15"), "C/m^2"),
+    **dict.fromkeys(("eps11", "eps33"), "1"),
+    "density": "kg/m^3", "sound_speed": "m/s", "diffusivity_of_sound": "m^2/s",
+}
+
+
+#: Units in which numbers are shown, and their factor from SI.
+SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9), "1": ("", 1.0)}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A real number a fit may move.
+
+    ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
+    beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``,
+    the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. ``beyond``
+    tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with this one
+    since they are as long.
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+    prior: float | None
+    unit: str
+    recordings: tuple[str, ...] = ()
+    relative: bool = False
+    beyond: str = ""
+    tied: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.start <= self.high or not self.low < self.high:
+            raise ValueError(f"{self.name}: start {self.start:g} must lie between {self.low:g} and {self.high:g}")
+        if self.prior is not None and not self.prior > 0.0:
+            raise ValueError(f"{self.name}: prior {self.prior!r} must be a positive standard uncertainty")
+
+    @property
+    def is_bench(self) -> bool:
+        return self.name.startswith(BENCH)
+
+    @property
+    def is_material(self) -> bool:
+        return "/" in self.name
+
+    @property
+    def is_dimension(self) -> bool:
+        return self.name.rpartition(".")[2] in LENGTHS
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its name, and those of the lengths tied to it."""
+        return (self.name, *self.tied)
+
+    @property
+    def is_loss(self) -> bool:
+        return self.name.endswith(LOSS)
+
+    @property
+    def coefficient(self) -> str:
+        """The complex coefficient of a material parameter: the name without ``.loss``."""
+        return self.name.removesuffix(LOSS)
+
+    @property
+    def material(self) -> str:
+        return self.name.split(".")[0]
+
+    @property
+    def scale(self) -> float:
+        """What a step is measured in: the prior, or a fifth of the admitted range."""
+        return self.prior if self.prior is not None else 0.2 * (self.high - self.low)
+
+
+#: What a fit of a transducer frees unless told otherwise: the ten of Acevedo-Espinosa et al. (RP-UEIS), Table 2.
+TRANSDUCER_TEN = ("c11", "c13", "c33", "c44", "e15", "e33", "eps33", "c11.loss", "c13.loss", "c33.loss")
+
+#: What a fit of a polymer sample frees: section 3.5 of the paper.
+POLYMER_FOUR = ("bulk_modulus", "bulk_modulus.loss", "shear_modulus", "shear_modulus.loss")
+
+
+def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
+    """The parameter ``<material>.<name>`` of a problem, with the bounds and the prior of its kind.
+
+    A real part may move by half of itself, with the registry's uncertainty for prior or else that of a data sheet;
+    a loss within the reach of its kind. A loss the registry does not know starts at a thousandth of the real part.
+
+    Raises:
+        InputError: the material has no such coefficient, or it cannot have a loss.
+    """
+    known = [key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")]
+    coefficient = name.removesuffix(LOSS)
+    if coefficient not in known:
+        raise InputError("fit", "free", name, f"a coefficient of {material}: {', '.join(known)}, each also with "
+                         f"{LOSS!r}", nearest_names(coefficient, known))
+    found = next(m for m in problem.materials.values() if m.name == material)
+    value = complex(problem.values[f"{material}.{coefficient}"])
+    full = f"{material}.{name}"
+    unit = UNITS.get(coefficient, "")
+    if name.endswith(LOSS):
+        return _loss(full, coefficient, value, found, unit)
+    known_value = found.values.get(coefficient)
+    prior = known_value.uncertainty if known_value is not None else None
+    if prior is None:
+        prior = _data_sheet(coefficient) * abs(value.real)
+    reach = max(0.5 * abs(value.real), 5.0 * prior)
+    low, high = value.real - reach, value.real + reach
+    if coefficient in ("c11", "c33", "c44", "eps11", "eps33", "density", "sound_speed", "bulk_modulus",
+                       "shear_modulus"):
+        low = max(low, 0.05 * value.real)
+    return Parameter(full, value.real, low, high, prior, unit)
+
+
+def _data_sheet(coefficient: str) -> float:
+    for prefix in ("density", "eps", "e", "c"):
+        if coefficient.startswith(prefix):
+            return DATA_SHEET[prefix]
+    return HANDBOOK
+
+
+def _loss(name: str, coefficient: str, value: complex, material: Material, unit: str) -> Parameter:
+    if coefficient == "density" or not isinstance(material, Piezoelectric | IsotropicSolid):
+        raise InputError("fit", "free", name, "a coefficient that can have a loss: a stiffness, a modulus, a "
+                         "piezoelectric constant or a permittivity")
+    size = abs(value.real)
+    ceramic = isinstance(material, Piezoelectric)
+    reach = (CERAMIC_LOSS_REACH if ceramic else POLYMER_LOSS_REACH) * size
+    gains = coefficient in ("eps11", "eps33")
+    diagonal = gains or coefficient in ("c11", "c33", "c44", "bulk_modulus", "shear_modulus")
+    sign = 1.0 if gains or not diagonal else -1.0
+    start = value.imag
+    if start == 0.0 and diagonal:
+        start = sign * (CERAMIC_LOSS if ceramic else 0.02) * size
+    reach = max(reach, 3.0 * abs(start))
+    low, high = (-reach, reach) if not diagonal else ((0.0, reach) if gains else (-reach, 0.0))
+    return Parameter(name, start, low, high, max(0.5 * reach, abs(start)), unit)
+
+
+def dimension_parameter(chip: Chip, name: str) -> Parameter:
+    """A dimension of a chip: within three tolerances of its value, the tolerance read as the limits of a uniform law.
+
+    A radius does not reach the next one, and stands for all radii of its length, under the first of their names; what
+    several of them state of their tolerance must agree.
+
+    Raises:
+        InputError: the chip has no such dimension, states it as exact, or states two tolerances of radii that coincide.
+    """
+    known = chip.dimensions()
+    if name not in known:
+        raise InputError(chip.file, "free", name, f"a dimension of the chip: {', '.join(known)}",
+                         nearest_names(name, known))
+    first = tied(chip).get(name, name)
+    others = tuple(other for other, each in tied(chip).items() if each == first and other != first)
+    stated = {each: known[each].tolerance for each in (first, *others) if known[each].tolerance is not None}
+    if len(set(stated.values())) > 1:
+        raise InputError(chip.file, name, ", ".join(f"{each}: {value:g} m" for each, value in stated.items()),
+                         "one tolerance of radii that coincide, which are one parameter")
+    found, tolerance = known[first], next(iter(stated.values()), None)
+    if tolerance == 0.0:
+        raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
+                         "free")
+    prior = MEASURED * found.value if tolerance is None else tolerance / np.sqrt(3.0)
+    reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value)
+    wanted = found.value - reach, found.value + reach
+    low, high = stretchable([chip], first, *wanted)
+    beyond = BEYOND if first.endswith("radius") and (low, high) != wanted else ""
+    return Parameter(first, found.value, low, high, float(prior), "m", beyond=beyond, tied=others)
+
+
+def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
+    """What is left of bounds (m) where the meshes of those `chips` that have the dimension keep their topology."""
+    for chip in chips:
+        if name in chip.dimensions():
+            low, high = movable(chip, name, low, high)
+    return low, high
+
+
+def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
+    """A bench element, named with or without ``bench.``.
+
+    Raises:
+        InputError: no such element.
+    """
+    element = name.removeprefix(BENCH)
+    if element not in BENCH_ELEMENTS:
+        raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
+                         nearest_names(element, BENCH_ELEMENTS))
+    known = BENCH_ELEMENTS[element]
+    return Parameter(BENCH + element, 0.0, known.low, known.high, known.prior, known.unit, tuple(recordings))
+
+
+def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequence[str]) -> tuple[Parameter, ...]:
+    """The parameters called `names`: coefficients of `material`, dimensions of `chip`, or bench elements.
+
+    A coefficient of another material is given by its full name, ``material/source.coefficient``.
+
+    Raises:
+        InputError: a name that is none of these, or given twice.
+    """
+    result: list[Parameter] = []
+    for name in names:
+        if name.startswith(BENCH):
+            found = bench_parameter(name)
+        elif "/" in name:
+            owner = next((m.name for m in problem.materials.values() if name.startswith(f"{m.name}.")), None)
+            if owner is None:
+                raise InputError("fit", "free", name, "a coefficient of one of "
+                                 + ", ".join(sorted({m.name for m in problem.materials.values()})))
+            found = material_parameter(problem, owner, name.removeprefix(f"{owner}."))
+        elif chip is not None and name in chip.dimensions():
+            found = dimension_parameter(chip, name)
+        else:
+            found = _own_or_none(problem, chip, material, name)
+        if any(other.name == found.name for other in result):
+            raise InputError("fit", "free", name, "each parameter once")
+        result.append(found)
+    return tuple(result)
+
+
+def _own_or_none(problem: Problem, chip: Chip | None, material: str, name: str) -> Parameter:
+    own = {key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")}
+    if name.removesuffix(LOSS) in own:
+        return material_parameter(problem, material, name)
+    dimensions = [] if chip is None else list(chip.dimensions())
+    known = [*sorted(own), *(f"{key}{LOSS}" for key in sorted(own)), *dimensions,
+             *(BENCH + key for key in BENCH_ELEMENTS)]
+    raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
+                     f"{', '.join(known)}", nearest_names(name, known))
+
+
+def part(values: Mapping[str, complex], name: str) -> float:
+    """The number called `name` among complex `values`: a real part, or with ``.loss`` an imaginary one."""
+    value = complex(values[name.removesuffix(LOSS)])
+    return value.imag if name.endswith(LOSS) else value.real
+
+
+def placed(values: Mapping[str, complex], numbers: Mapping[str, float]) -> dict[str, complex]:
+    """Complex `values` with real `numbers`, by parameter name, in the place of the parts they are."""
+    result = dict(values)
+    for name, number in numbers.items():
+        key = name.removesuffix(LOSS)
+        old = complex(result[key])
+        result[key] = complex(old.real, number) if name.endswith(LOSS) else complex(number, old.imag)
+    return result
+
+
+def shown_unit(unit: str) -> str:
+    """The unit in which numbers of an SI unit are shown."""
+    return SHOWN.get(unit, (unit, 1.0))[0]
+
+
+def shown_factor(unit: str) -> float:
+    """What brings numbers of an SI unit into the one they are shown in."""
+    return SHOWN.get(unit, (unit, 1.0))[1]
+
+
+def started_at(parameter: Parameter, start: float) -> Parameter:
+    """The same parameter with another start, moved into its bounds."""
+    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))

@@ -1,0 +1,402 @@
+"""A chip's spectrum as a function of its lengths, moduli and losses, anywhere within ranges, in a fraction of a second.
+
+    model = range_model(read_chip("chip.toml"), "filled", {"substrate.thickness": (0.7e-3, 1.0e-3),
+                                                           "pla.shear_modulus": (0.8e9, 1.1e9)})
+    model({"substrate.thickness": 0.8e-3}).impedance
+
+The basis of a reduced model is grown for the ranges (weak greedy: Rozza, Huynh and Patera 2008, Arch. Comput. Methods
+Eng. 15, 229): at points spread evenly over them the error is estimated at frequencies all over the band, and where it
+is largest the full model is solved. Whether the model is good enough is what these solves say, since an estimate
+bounds the error by a factor of its own. What does not move is summed once, so that a model of few parameters is small.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import time
+import zipfile
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from geometry.chip import Chip
+from geometry.stretch import tied
+from materials.registry import Registry
+from workbench.coefficients import Coefficients
+from workbench.dimensions import flexible
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.files.errors import InputError, choose
+from workbench.files.writing import replacing
+from workbench.fitting.parameter import LOSS, part, placed
+from workbench.fitting.predict import Prediction
+from workbench.operators import FullOperators, ReducedOperators, assemble
+from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
+from workbench.problem import Problem, build
+from workbench.reduction import ReducedModel, covering, energy_matrix, smallest
+from workbench.solve import System, one_thread
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ranges = Mapping[str, tuple[float, float]]
+Progress = Callable[[float], None]
+
+#: Frequencies at which errors are estimated while a model grows, points of the ranges looked at in a round, and solved.
+WATCHED, LOOKED_AT, SOLVED = 61, 32, 12
+
+#: Frequencies and vectors of the first solves, in the middle of the ranges; vectors from each of the others.
+FIRST, FIRST_DEPTH, DEPTH = 6, 8, 5
+
+#: The energy of what is left out of a basis bounds the error of Z many times over: over wide ranges by some 60 times,
+#: measured (`tests/benchmarks/range_model.py`), of which this share is used. Full solves confirm what comes of it.
+SLACK = 30.0
+
+#: Most full solves of a model, unless told otherwise.
+LIMIT = 400
+
+#: What a stored model begins with; raise it where the layout changes.
+FORMAT = 1
+
+
+class OutOfRange(ValueError):
+    """A parameter outside the range that a model was made for."""
+
+
+class NotCovered(RuntimeError):
+    """A range model that did not reach its tolerance. Carries the ``model``, whose ``error`` is what it reached."""
+
+    def __init__(self, model: RangeModel) -> None:
+        super().__init__(f"the range model is off by {100.0 * model.error:.2g} % where it was checked last, after "
+                         f"{model.reduced.solves} full solves and at rank {model.rank}, above the tolerance of "
+                         f"{100.0 * model.tolerance:.2g} %; narrow the ranges, or allow more solves")
+        self.model = model
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (NotCovered, (self.model,))
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """A spectrum of a range model: ``values`` the numbers asked for, by name, and the ``prediction`` made for them."""
+
+    values: Mapping[str, float]
+    prediction: Prediction
+
+    @property
+    def frequency(self) -> Real:
+        """(n,) Hz."""
+        return self.prediction.solution.frequency
+
+    @property
+    def impedance(self) -> Complex:
+        """(n,) ohm, e^{+j w t}."""
+        return self.prediction.impedance
+
+    @property
+    def error(self) -> Real:
+        """Estimated relative error (n,) of the impedance, against the mesh's own full solution."""
+        return self.prediction.error
+
+    def gradient(self, names: tuple[str, ...] | None = None) -> Complex:
+        """d Z / d number (n, len(names)), ohm over the number's SI unit, by all that the model has if not named."""
+        names = tuple(self.values) if names is None else names
+        keys = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in names))
+        slopes = np.conj(self.prediction.solution.parameter_gradient(self.prediction.values, keys))
+        columns = [slopes[:, keys.index(name.removesuffix(LOSS))] * (-1j if name.endswith(LOSS) else 1.0)
+                   for name in names]
+        return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeModel:
+    """The spectrum of one problem for parameters within ``ranges`` (SI, by name, ``.loss`` for imaginary parts).
+
+    ``frequency`` (n,) Hz is where it answers; ``tolerance`` the relative error it was made for, ``error`` the largest
+    found by full solves where it was checked last (where estimates were largest), ``seconds`` what it took.
+    """
+
+    problem: Problem
+    ranges: Ranges
+    frequency: Real
+    reduced: ReducedModel
+    tolerance: float
+    error: float
+    seconds: float
+
+    @property
+    def rank(self) -> int:
+        """Unknowns of the reduced model."""
+        return self.reduced.operators.size
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.ranges)
+
+    def __call__(self, values: Mapping[str, float] | None = None) -> Response:
+        """The spectrum at these numbers; those not given are the problem's own.
+
+        Raises:
+            KeyError: a name that the model has no range for.
+            OutOfRange: a number outside its range.
+        """
+        numbers = {name: part(self.problem.values, name) for name in self.ranges} | dict(values or {})
+        for name, number in numbers.items():
+            if name not in self.ranges:
+                raise KeyError(f"the model has no range for {name!r}; it has {', '.join(self.ranges)}")
+            low, high = self.ranges[name]
+            if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
+                raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
+        placed_there = placed(self.problem.values, numbers)
+        solution = self.compact.solve(self.frequency, placed_there)
+        return Response(numbers, Prediction(solution, self.compact, placed_there))
+
+    @cached_property
+    def compact(self) -> ReducedModel:
+        """The reduced model with what no parameter of the ranges moves summed up."""
+        return compacted(self.reduced, {name.removesuffix(LOSS) for name in self.ranges}, self.problem.values)
+
+    def grown(
+        self, tolerance: float | None = None, *, limit: int = LIMIT, seed: int = 1, progress: Progress | None = None
+    ) -> RangeModel:
+        """A model of the same ranges that has been checked at further points, and is larger where that asks for it.
+
+        Raises:
+            NotCovered: `limit` further solves were not enough.
+        """
+        return _grown(self, self.tolerance if tolerance is None else tolerance, limit, seed, progress)
+
+    def save(self, path: Path) -> None:
+        """Keep the model in a file, to be read by :func:`load` with the chip it is of."""
+        content = {"format": FORMAT, "ranges": dict(self.ranges), "tolerance": self.tolerance, "error": self.error,
+                   "seconds": self.seconds, "solves": self.reduced.solves, "residual": self.reduced.residual,
+                   "problem": fingerprint(self.problem)}
+        with replacing(path) as written:
+            np.savez(written, content=np.frombuffer(json.dumps(content).encode(), dtype=np.uint8),
+                     frequency=self.frequency, basis=self.reduced.basis, weights=self.reduced.weights,
+                     test=self.reduced.test, matrices=self.reduced.operators.matrices, sketch=self.reduced.sketch)
+
+
+def range_model(
+    chip: Chip,
+    state: str | None,
+    ranges: Ranges,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 241,
+    tolerance: float = 1e-3,
+    limit: int = LIMIT,
+    seed: int = 0,
+    progress: Progress | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+) -> RangeModel:
+    """A model of a chip's spectrum over `ranges` of its lengths and of its materials' coefficients.
+
+    Args:
+        state: name of the state; the last one of the file if None.
+        ranges: lowest and highest number (SI) by name: ``substrate.thickness``, ``cavity.radius``,
+            ``<material>.shear_modulus``, ``<material>.shear_modulus.loss``. Of radii that coincide one is named.
+        points: frequencies of the band at which it answers.
+        tolerance: relative error of the impedance, against the full solution on the same mesh.
+        limit: most full solves.
+        seed: of the points that it is grown and checked at.
+        accuracy: of the mesh, see `discretisation`.
+
+    Raises:
+        InputError: something in the chip or its materials, or a range that names nothing or holds no number.
+        NotCovered: `limit` solves were not enough; the error carries the model.
+    """
+    started = time.perf_counter()
+    name = chip.states[-1].name if state is None else chip.state(state).name
+    low, high = chip.band if band is None else band
+    plain = build(chip, name, registry or Registry(), band=(low, high), accuracy=accuracy)
+    problem, ranges = with_ranges(plain, chip, ranges)
+    frequency = np.linspace(low, high, points)
+    centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
+    moves: dict[str, float] = {}
+    for key, (lowest, highest) in ranges.items():
+        moves[key.removesuffix(LOSS)] = max(moves.get(key.removesuffix(LOSS), 0.0), 0.5 * (highest - lowest))
+    operators = assemble(problem.mesh, problem.terms)
+    first = covering(operators, frequency, centre, moves, tolerance=SLACK * tolerance, nodes=FIRST, depth=FIRST_DEPTH)
+    model = RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
+    return _grown(model, tolerance, limit, seed, progress)
+
+
+def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, Ranges]:
+    """`problem` with the lengths among its values that `ranges` name, and the ranges by the names they have there.
+
+    Raises:
+        InputError: a name that is neither a coefficient nor a length, a range that holds no number, or two ranges for
+            radii that coincide.
+    """
+    first, lengths = tied(chip), chip.dimensions()
+    radii = {key: ends for key, ends in ranges.items() if key in first}
+    flexed = flexible(problem, chip, radii)
+    found: dict[str, tuple[float, float]] = {}
+    for key, ends in ranges.items():
+        known = first.get(key, key)
+        choose(known.removesuffix(LOSS), {*flexed.values, *lengths}, source=chip.file, field="range")
+        if known.removesuffix(LOSS) not in flexed.values:
+            raise InputError(chip.file, f"range of {key}", key, "a coefficient, or a length that the spectrum feels")
+        low, high = map(float, ends)
+        if not low < high:
+            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}", "a lower number, then a higher one")
+        if not low <= part(flexed.values, known) <= high:
+            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}",
+                             f"a range that holds the present {part(flexed.values, known):g}")
+        found[known] = (low, high)
+    return flexed, found
+
+
+def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress | None) -> RangeModel:
+    started = time.perf_counter()
+    operators, reduced, ranges = model.reduced.full, model.reduced, model.ranges
+    low, high = (np.array(ends) for ends in zip(*ranges.values(), strict=True))
+    sampler = qmc.Sobol(len(ranges), seed=seed)
+    watched = np.linspace(model.frequency[0], model.frequency[-1], WATCHED)
+    spent, error, first, share = 0, np.inf, 0.0, 0.0
+    moving = {name.removesuffix(LOSS) for name in ranges}
+    with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(2, os.cpu_count() or 1))) as pool:
+        while True:
+            points = low + (high - low) * sampler.random(LOOKED_AT)
+            values = [placed(model.problem.values, dict(zip(ranges, map(float, x), strict=True))) for x in points]
+            compact = compacted(reduced, moving, model.problem.values)
+            seen = list(pool.map(partial(_worst, compact, watched), values))
+            chosen = sorted(range(len(values)), key=lambda k: -seen[k][0])[:SOLVED]
+            jobs = [(values[k], float(watched[seen[k][1]])) for k in chosen]
+            solved = list(pool.map(lambda job: _solved(operators, *job), jobs))
+            spent += len(solved)
+            off = [abs(seen[k][2] / charge - 1.0) for k, (_, charge, _) in zip(chosen, solved, strict=True)]
+            error = max(off)
+            first = first or error
+            residual = max(reduced.residual, *(each for _, _, each in solved))
+            reduced = replace(reduced, solves=reduced.solves + len(solved), residual=residual)
+            if progress is not None and first > tolerance:
+                # How much of the way, in orders of magnitude, is behind.
+                share = max(share, float(np.clip(np.log(first / error) / np.log(first / tolerance), 0.0, 0.99)))
+                progress(share)
+            done = replace(model, reduced=reduced, tolerance=tolerance, error=float(error),
+                           seconds=model.seconds + time.perf_counter() - started)
+            if error <= tolerance:
+                if progress is not None:
+                    progress(1.0)
+                return done
+            if spent >= limit:
+                raise NotCovered(done)
+            reduced = reduced.grown(np.concatenate([states for states, _, _ in solved], axis=1), None,
+                                    [(watched, value) for value, _ in jobs], smallest(SLACK * tolerance))
+
+
+def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]) -> tuple[float, int, complex]:
+    """The largest estimated error of a model, the index of its frequency, and the charge there."""
+    solution, error, index = model.worst(frequencies, values)
+    return error, index, complex(solution.charge[index])
+
+
+def _solved(
+    operators: FullOperators, values: Mapping[str, complex], frequency: float
+) -> tuple[Complex, complex, float]:
+    """A full state and its neighbours in frequency (size, n), its charge, and its residual."""
+    system = System(operators, values)
+    states, residual = system.krylov(frequency, DEPTH)
+    return states, system.charge(frequency, states[:, 0]), residual
+
+
+def compacted(model: ReducedModel, moving: set[str], values: Mapping[str, complex]) -> ReducedModel:
+    """`model` for parameters of which only those named `moving` change: what depends on them alike is one integral.
+
+    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow.
+    """
+    groups: dict[Coefficient, dict[int, complex]] = {}
+    for q, integral in enumerate(model.operators.integrals):
+        coefficient, constant = _separated(integral.coefficient, moving, values)
+        if constant != 0.0:
+            groups.setdefault(coefficient, {})[q] = constant
+    integrals: list[Integral] = []
+    weights: list[Real] = []
+    for coefficient, members in groups.items():
+        constants = np.zeros(len(model.operators.integrals), dtype=complex)
+        constants[list(members)] = list(members.values())
+        for turn, each in ((1.0, constants.real), (1j, constants.imag)):
+            if each.any():
+                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), "", ()))
+                weights.append(each)
+    combine = model.operators.by_form(np.array(weights, dtype=complex)).real
+    matrices = np.tensordot(combine, model.operators.matrices, axes=1)
+    operators = ReducedOperators(tuple(integrals), Coefficients.of(integrals), matrices, np.arange(len(integrals)))
+    return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
+
+
+def _separated(
+    coefficient: Coefficient, moving: set[str], values: Mapping[str, complex]
+) -> tuple[Coefficient, complex]:
+    """What of a coefficient depends on frequency or on parameters that move, and the constant rest."""
+    constant, kept = 1.0 + 0.0j, list[Constant]()
+    while isinstance(coefficient, Times):
+        if moving & set(coefficient.second.parameters):
+            kept.append(coefficient.second)
+        else:
+            constant *= coefficient.second.constant(values)
+        coefficient = coefficient.first
+    if isinstance(coefficient, Monomial):
+        still = tuple((name, power) for name, power in coefficient.factors if name not in moving)
+        constant *= Monomial(coefficient.scale, 0, still).constant(values)
+        coefficient = Monomial(1.0, coefficient.omega_power,
+                               tuple((name, power) for name, power in coefficient.factors if name in moving))
+    elif isinstance(coefficient, Formula) and not moving & set(coefficient.parameters):
+        constant *= coefficient.constant(values)
+        coefficient = Monomial(1.0, coefficient.omega_power)
+    for each in reversed(kept):
+        coefficient = times(coefficient, each)
+    return coefficient, constant
+
+
+def fingerprint(problem: Problem) -> str:
+    """What tells a problem from others: its mesh, its terms and its values."""
+    found = hashlib.sha256()
+    found.update(np.ascontiguousarray(problem.mesh.mesh.p).tobytes())
+    found.update(np.ascontiguousarray(problem.mesh.mesh.t).tobytes())
+    found.update(repr((problem.mesh.order, problem.terms, sorted(problem.values.items()))).encode())
+    return found.hexdigest()
+
+
+def load(
+    path: Path, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+) -> RangeModel:
+    """A model that :meth:`RangeModel.save` has kept, with the chip it is of.
+
+    Raises:
+        InputError: the file is no such model, or one of another chip, state, material or mesh.
+    """
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            stored = {name: archive[name] for name in archive.files}
+        content = json.loads(stored["content"].tobytes())
+        ranges = {name: (float(low), float(high)) for name, (low, high) in content["ranges"].items()}
+        frequency = stored["frequency"]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(str(path), "file", repr(error), "a range model that was saved before") from error
+    if content.get("format") != FORMAT:
+        raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
+    name = chip.states[-1].name if state is None else chip.state(state).name
+    band = float(frequency[0]), float(frequency[-1])
+    problem, _ = with_ranges(build(chip, name, registry or Registry(), band=band, accuracy=accuracy), chip, ranges)
+    if fingerprint(problem) != content["problem"]:
+        raise InputError(str(path), "chip", f"{chip.name}, {name}", "the chip, state, materials and mesh that the "
+                         "model was made for")
+    operators = assemble(problem.mesh, problem.terms)
+    energy = energy_matrix(System(operators, problem.values), float(np.median(frequency)))
+    inner = ReducedOperators(operators.integrals, operators.coefficients, stored["matrices"], operators.forms)
+    reduced = ReducedModel(operators, inner, stored["basis"], stored["weights"], stored["test"], stored["sketch"],
+                           energy, content["solves"], content["residual"])
+    return RangeModel(problem, ranges, frequency, reduced, content["tolerance"], content["error"], content["seconds"])

@@ -1,0 +1,309 @@
+"""The main job in Python: a chip in one of its states becomes a spectrum, figures of merit, fields and traps.
+
+    result = simulate(read_chip("chip.toml"), "filled")
+    result.spectrum, result.figures, result.fields, result.traps
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import geometry.mesh
+from geometry.chip import Chip
+from geometry.names import CAVITY
+from materials.kinds import Fluid, IsotropicSolid
+from materials.registry import Registry
+from workbench import particles
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.drive import Drive, VoltageDrive
+from workbench.fields import Fields, fields
+from workbench.files.errors import InputError
+from workbench.merit import Figures, NoResonance, figures
+from workbench.mesh_error import MeshError
+from workbench.mesh_error import estimate as mesh_error
+from workbench.operators import FullOperators, assemble
+from workbench.problem import Problem, build
+from workbench.reduction import reduced
+from workbench.solve import Solution, solve_full, sweep
+from workbench.spectrum import Origin, Spectrum
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Called with what is being done and the fraction of it that is done.
+Progress = Callable[[str, float], None]
+
+
+class MeshTooCoarse(UserWarning):
+    """The mesh has fewer elements per wavelength than its discretisation at some frequency in some region, or leaves a
+    larger error than asked for."""
+
+
+def quiet(_activity: str, _fraction: float) -> None:
+    """A :data:`Progress` that shows nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One state of a chip at one frequency under one drive.
+
+    ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
+    ``traps`` is None without a fluid-filled cavity and a particle. ``residual`` is the scaled residual of the solve.
+    """
+
+    chip: Chip
+    state: str
+    problem: Problem
+    fields: Fields
+    losses: Mapping[str, float]
+    closure: float
+    traps: particles.TrapReport | None
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation(Snapshot):
+    """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
+
+    ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
+    estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
+    (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual``
+    the largest scaled residual of one. ``seconds`` by step.
+    """
+
+    operators: FullOperators
+    spectrum: Spectrum
+    figures: Figures | None
+    no_resonance: str
+    error: float
+    mesh_error: MeshError | None
+    solves: int
+    seconds: Mapping[str, float]
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns of the full model."""
+        return self.operators.size
+
+
+def frequency_grid(band: tuple[float, float], points: int) -> Real:
+    """`points` equally spaced frequencies (Hz) over `band`, both ends included.
+
+    Raises:
+        InputError: fewer than 5 points, or a band that is not rising and positive.
+    """
+    low, high = band
+    if points < 5:
+        raise InputError("simulate", "points", points, "at least 5 frequencies")
+    if not 0.0 < low < high < np.inf:
+        raise InputError("simulate", "band", f"{low:g} to {high:g} Hz", "a rising band of positive frequencies")
+    return np.linspace(low, high, points)
+
+
+def simulate(
+    chip: Chip,
+    state: str | None = None,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 481,
+    at: float | None = None,
+    full: bool = False,
+    tolerance: float = 1e-4,
+    drive: Drive | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+    mesh_cache: Path | None = None,
+    on_point: Callable[[float, complex], None] | None = None,
+    known: Mapping[float, complex] | None = None,
+    progress: Progress = quiet,
+) -> Simulation:
+    """Simulate a chip in one of its states.
+
+    Args:
+        state: name of the state; the last one of the file if not given.
+        band: two frequencies (Hz); the chip's own if not given. The mesh is made for its upper end.
+        at: frequency (Hz) of the fields; f0 if not given, the middle of the band if there is no resonance.
+        full: solve every frequency instead of the reduced model; `on_point` is then called with every frequency and
+            impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
+        tolerance: relative error of the reduced model's impedance.
+        drive: how the device is driven; 10 Vpp at the electrodes if not given.
+        accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
+
+    Raises:
+        InputError: something in the chip, its materials or the arguments.
+        NotConverged, NotEnriched: a full solve or the reduced model did not reach its tolerance.
+    """
+    started = time.perf_counter()
+    seconds: dict[str, float] = {}
+
+    def lap(name: str) -> None:
+        nonlocal started
+        now = time.perf_counter()
+        seconds[name], started = now - started, now
+
+    name = state_name(chip, state)
+    registry = registry or Registry()
+    if not 0.0 < tolerance < 1.0:
+        raise InputError("simulate", "tolerance", tolerance, "a relative error between 0 and 1")
+    frequencies = frequency_grid(chip.band if band is None else band, points)
+    span = (float(frequencies[0]), float(frequencies[-1]))
+    progress("mesh", 0.0)
+    problem = build(chip, name, registry, band=span, accuracy=accuracy, cache=mesh_cache)
+    lap("mesh")
+    operators = assemble(problem.mesh, problem.terms)
+    lap("assembly")
+    if full:
+        impedance, solves, residual = _full_spectrum(operators, frequencies, problem, known or {}, on_point, progress)
+        error, of_mesh = 0.0, None
+    else:
+        model, solution = reduced(operators, frequencies, problem.values, tolerance=tolerance,
+                                  progress=lambda fraction: progress("reduced model", fraction))
+        impedance, solves, residual = solution.impedance, model.solves, model.residual
+        error = float(model.error(solution).max())
+        lap("spectrum")
+        of_mesh = mesh_error(model, frequencies, problem.values)
+        if isinstance(accuracy, float) and of_mesh.rms > accuracy:
+            warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * of_mesh.rms:.2g} % rms in Z, above "
+                          f"the {100.0 * accuracy:g} % asked for; ask for less", MeshTooCoarse, stacklevel=2)
+        lap("error of the mesh")
+    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, error, of_mesh))
+    if full:
+        lap("spectrum")
+    try:
+        merit, reason = figures(spectrum), ""
+    except NoResonance as missing:
+        merit, reason = None, missing.reason
+    frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
+    check_mesh(problem, frequency)
+    progress("fields", 0.0)
+    shot = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
+    lap("fields")
+    progress("fields", 1.0)
+    return Simulation(
+        chip=chip, state=name, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
+        traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
+    )
+
+
+def snapshot(
+    chip: Chip,
+    state: str | None,
+    frequency: float,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    drive: Drive | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+    mesh_cache: Path | None = None,
+    progress: Progress = quiet,
+) -> Snapshot:
+    """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
+
+    Raises:
+        InputError: something in the chip, its materials or the arguments.
+        NotConverged: the solve did not reach its tolerance.
+    """
+    name, registry = state_name(chip, state), registry or Registry()
+    progress("mesh", 0.0)
+    problem = build(chip, name, registry, band=band, accuracy=accuracy, cache=mesh_cache)
+    check_mesh(problem, frequency)
+    progress("fields", 0.5)
+    operators = assemble(problem.mesh, problem.terms)
+    found = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
+    progress("fields", 1.0)
+    return found
+
+
+def state_name(chip: Chip, state: str | None) -> str:
+    """The name of a state, checked; None is the last one, in which a device works: the filled one after the empty."""
+    return chip.states[-1].name if state is None else chip.state(state).name
+
+
+def _snapshot(
+    chip: Chip, state: str, problem: Problem, operators: FullOperators, frequency: float, drive: Drive,
+    registry: Registry,
+) -> Snapshot:
+    solution = solve_full(operators, np.array([frequency]), problem.values)
+    found = fields(problem, operators, solution, drive)
+    losses, closure = loss_budget(solution, abs(found.voltage))
+    return Snapshot(chip, state, problem, found, losses, closure, _traps(chip, state, problem, found, registry),
+                    float(solution.residual[0]))
+
+
+def _full_spectrum(
+    operators: FullOperators, frequencies: Real, problem: Problem, known: Mapping[float, complex],
+    on_point: Callable[[float, complex], None] | None, progress: Progress,
+) -> tuple[Complex, int, float]:
+    """Impedance (e^{-i w t}) at every frequency by full solves, their number, and the largest residual."""
+    impedance = np.conj(np.array([known.get(float(f), 0.0) for f in frequencies], dtype=np.complex128))
+    missing = np.flatnonzero(impedance == 0.0)
+    residual = 0.0
+    for done, (index, solution) in enumerate(zip(missing, sweep(operators, frequencies[missing], problem.values),
+                                                 strict=True), start=1):
+        impedance[index] = solution.impedance[0]
+        residual = max(residual, float(solution.residual[0]))
+        if on_point is not None:
+            on_point(float(frequencies[index]), complex(np.conj(impedance[index])))
+        progress("full spectrum", done / missing.size)
+    return impedance, int(missing.size), residual
+
+
+def check_mesh(problem: Problem, frequency: float) -> None:
+    """Warn, once for the problem, of every region with fewer elements per wavelength at `frequency` (Hz) than its
+    discretisation has. A mesh of the caller's own is not checked."""
+    made = problem.discretisation
+    if made is None:
+        return
+    wanted = made.elements_per_wavelength
+    speeds = {region: speed
+              for region, speed in made.mesh_speeds(problem.mesh.section.regions, problem.materials).items()
+              if np.isfinite(speed)}
+    counts = geometry.mesh.elements_per_wavelength(problem.mesh, speeds, frequency)
+    coarse = {region: count for region, count in counts.items() if count < wanted * (1.0 - 1e-9)}
+    if coarse:
+        listed = ", ".join(f"{count:.1f} in {region}" for region, count in coarse.items())
+        warnings.warn(f"{problem.name}: elements per wavelength at {frequency / 1e6:.4g} MHz: {listed}; wanted "
+                      f"{wanted:g}. Make the mesh for a band that reaches this frequency", MeshTooCoarse, stacklevel=3)
+
+
+def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], float]:
+    """Power (W) lost in every place by a solution at one frequency under an electrode voltage amplitude (V), and the
+    relative difference of the sum from the electrical input power."""
+    parts = solution.dissipation()[0] * voltage**2
+    losses: dict[str, float] = {}
+    for integral, power in zip(solution.operators.integrals, parts, strict=True):
+        if power != 0.0:
+            losses[integral.place] = losses.get(integral.place, 0.0) + float(power)
+    supplied = float(solution.input_power()[0]) * voltage**2
+    return losses, abs(sum(losses.values()) / supplied - 1.0) if supplied else 0.0
+
+
+def _traps(
+    chip: Chip, state: str, problem: Problem, found: Fields, registry: Registry
+) -> particles.TrapReport | None:
+    chosen = chip.state(state)
+    fluid = problem.materials.get(CAVITY)
+    if not isinstance(fluid, Fluid) or chosen.particle is None or chosen.particle_radius is None:
+        return None
+    material = registry.load(chosen.particle)
+    if not isinstance(material, IsotropicSolid):
+        raise InputError(chip.file, f"states.{state}.particle", chosen.particle, "an isotropic solid")
+    bead = particles.particle_from(material, chosen.particle_radius)
+    forces = particles.particle_forces(found, bead, fluid=fluid, region=CAVITY)
+    return particles.find_traps(forces)
+
+
+def _origin(chip: Chip, state: str, problem: Problem, error: float, of_mesh: MeshError | None) -> Origin:
+    method = "full solves" if of_mesh is None else (
+        f"reduced model, estimated relative error at most {error:.1e}, of its mesh {of_mesh.rms:.1e} rms")
+    settings = {"chip": chip.name, "state": state, "method": method,
+                **{f"material of {region}": material.name for region, material in problem.materials.items()}}
+    return Origin(kind="simulated", source=chip.file, settings=settings)
