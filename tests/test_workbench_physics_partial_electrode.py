@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geometry.chip import Chip, Dimension, ElectrodeDisc, Electrodes
+from geometry.chip import Chip, Dimension
 from geometry.mesh import SectionMesh
+from geometry.parts import ElectrodeDisc, Electrodes
 from materials.kinds import Material, Piezoelectric
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.operators import ModelError, assemble
