@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.chip import Chip, Dimension, read_chip
-from geometry.mesh import MeshError, MeshSize, SectionMesh, mesh_section
+from geometry.mesh import MeshError, SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
 from geometry.parts import SAME_LENGTH, ElectrodeDisc
 from geometry.section import cut_section
 from geometry.stretch import between, movable, split, stretch, tied, velocity

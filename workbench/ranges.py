@@ -39,9 +39,10 @@ from workbench.files.errors import InputError, choose
 from workbench.files.writing import replacing
 from workbench.fitting.parameter import LOSS, part, placed
 from workbench.fitting.predict import Prediction
-from workbench.operators import FullOperators, ReducedOperators, assemble
+from workbench.operators import FullOperators, assemble
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
 from workbench.problem import Problem, build
+from workbench.reduced_operators import ReducedOperators
 from workbench.reduction import ReducedModel, covering, energy_matrix, smallest
 from workbench.solve import System, one_thread
 

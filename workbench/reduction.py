@@ -32,8 +32,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from workbench.dense import chebyshev
-from workbench.operators import FullOperators, ReducedOperators, combined
+from workbench.forms import combined
+from workbench.operators import FullOperators
 from workbench.physics.term import Values
+from workbench.reduced_operators import ReducedOperators
 from workbench.solve import NotConverged, Solution, System, one_thread, solve_reduced
 
 Real = NDArray[np.float64]
