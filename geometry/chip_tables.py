@@ -88,9 +88,7 @@ def _disc(table: Table, name: str, rim: float) -> ElectrodeDisc:
 def read_ports(table: Table) -> Ports:
     """The inlet and the outlet."""
     table.only(("diameter", "height", "count"))
-    count = table.content.get("count", 2)
-    if not isinstance(count, int) or isinstance(count, bool):
-        raise table.error("count", "a whole number from 1 to 8")
+    count = table.whole("count", 2, low=1, high=8)
     return Ports(read_dimension(table, "diameter"), _optional_dimension(table, "height"), count)
 
 
