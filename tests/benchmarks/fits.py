@@ -36,7 +36,7 @@ from workbench.fitting.joint import COARSE, FINE, FitResult, Search, fit, refine
 from workbench.fitting.objective import Objective  # noqa: E402
 from workbench.fitting.prepare import prepare  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
-from workbench.readers import read  # noqa: E402
+from workbench.readers import read_recording  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
 
@@ -169,7 +169,7 @@ def starts(arguments: argparse.Namespace) -> None:
 def recording(arguments: argparse.Namespace) -> None:
     if arguments.recordings is None:
         sys.exit("--recordings: the folder that holds the real disc is needed")
-    measured = read(arguments.recordings / "unibas-disc-20x2/MODULOFASEMODOTHICKNES.CSV").spectrum
+    measured = read_recording(arguments.recordings / "unibas-disc-20x2/MODULOFASEMODOTHICKNES.CSV").spectrum
     rows = [["data sheet", "MAPE at the start", "MAPE", "rms", "ways down", "s", *SIXTEEN]]
     for sheet in arguments.sheets:
         chip = disc_of(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), sheet)
