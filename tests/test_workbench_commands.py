@@ -19,7 +19,7 @@ from materials.registry import PACKAGE_DATA
 from workbench.cli import main
 from workbench.commands import mesh, states
 from workbench.discretisation import ROWS
-from workbench.readers import read
+from workbench.readers import read_recording
 from workbench.simulation import simulate as simulate_state
 from workbench.spectrum import Spectrum, write_csv
 
@@ -74,7 +74,7 @@ def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -
     assert len(table) == 1 + 41
     assert lines.index(table[0]) == len(lines) - 42
     assert (out / "spectrum.csv").read_bytes() == (out / "spectrum_filled.csv").read_bytes()
-    empty, filled = (read(out / f"spectrum_{state}.csv").spectrum for state in ("empty", "filled"))
+    empty, filled = (read_recording(out / f"spectrum_{state}.csv").spectrum for state in ("empty", "filled"))
     assert not np.array_equal(empty.impedance, filled.impedance)
     record = standard_json(out / "merit.json")
     assert record["spectrum_csv"] == "filled"

@@ -16,7 +16,7 @@ from workbench.commands import fit_job
 from workbench.fitting.joint import FitResult
 from workbench.operators import assemble
 from workbench.problem import build
-from workbench.readers import read
+from workbench.readers import read_recording
 from workbench.reduction import reduce
 from workbench.spectrum import Spectrum, write_csv
 
@@ -88,7 +88,7 @@ def test_a_fit_that_explains_nothing_is_a_verdict_and_is_saved_only_by_force(
 ) -> None:
     # One permittivity cannot take the place of a stiffness: the resonance stays where it was.
     record_of(folder / "disc.toml", {f"{MATERIAL}.c11": 0.8, f"{MATERIAL}.c33": 0.8}, "softer.csv")
-    spectrum = read(folder / "softer.csv").spectrum
+    spectrum = read_recording(folder / "softer.csv").spectrum
     np.savetxt(folder / "softer.csv", np.stack([spectrum.frequency, spectrum.magnitude, spectrum.phase_deg], axis=1),
                delimiter=",", header="Frequency (Hz),|Z| (Ohm),theta (deg)", comments="", fmt="%.17g")
     bad = ("disc", "--free", "eps11", "--save", "pzt4/pea", "--force")

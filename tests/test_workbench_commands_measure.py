@@ -19,7 +19,7 @@ from workbench.commands.measure import sketch
 from workbench.instruments.circuit import device_of, open_circuit, resistor
 from workbench.instruments.simulated import SimulatedBench
 from workbench.merit import bvd_impedance
-from workbench.readers import read
+from workbench.readers import read_recording
 from workbench.spectrum import Spectrum
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
@@ -88,7 +88,7 @@ def test_a_compensated_run_from_the_command_line(tmp_path, capsys):
         left = (tmp_path / "run.csv").read_bytes()
         assert main(["measure", file, "-o", str(tmp_path / "run.h5"), "--resume"]) == 2
         assert (tmp_path / "run.csv").read_bytes() == left
-    spectrum = read(tmp_path / "run.csv").spectrum
+    spectrum = read_recording(tmp_path / "run.csv").spectrum
     assert len(spectrum.frequency) == 11
     truth = DEVICE.interpolant()(spectrum.frequency)
     # Within its own uncertainty, as a root mean square over 22 values; without compensation it is off by 8 to 25 %.
@@ -149,7 +149,7 @@ def test_a_request_to_end_ends_safe_with_everything_kept(tmp_path, end):
     run = read_run(path)
     assert 3 <= len(run.points) < 201
     assert not run.complete
-    assert len(read(tmp_path / "run.csv").spectrum.frequency) == len(run.points)
+    assert len(read_recording(tmp_path / "run.csv").spectrum.frequency) == len(run.points)
     assert "not complete" in (tmp_path / "run.html").read_text()
 
 
@@ -186,7 +186,7 @@ def test_import_of_waveforms_taken_by_hand(tmp_path, capsys):
         saved(folder / f"F000{number}CH2.CSV", np.real(0.1 * turn), 2)
     out = tmp_path / "out"
     assert main(["import", str(folder), "--resistance", "1 ohm", "--tolerance", "1 %", "-o", str(out)]) == 0
-    spectrum = read(out / "spectrum.csv").spectrum
+    spectrum = read_recording(out / "spectrum.csv").spectrum
     np.testing.assert_allclose(spectrum.frequency, [0.9e6, 1.1e6], rtol=1e-4)
     # The resistor's 0.1 V are 12 steps of the converter: a clean sine is read to half a per cent.
     np.testing.assert_allclose(spectrum.impedance, [3.0 - 4.0j, 3.0 + 4.0j], rtol=1e-2)

@@ -8,7 +8,7 @@ import pytest
 
 from workbench.comparison import MetricRow, compare
 from workbench.merit import bvd_impedance, figures
-from workbench.readers import read
+from workbench.readers import read_recording
 from workbench.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
@@ -119,7 +119,7 @@ def test_worst_point_is_on_a_peak():
 
 def test_empty_against_filled_chip():
     """Two states of the independent solver's chip: rows equal the two states' own figures of merit."""
-    empty, filled = (read(REFERENCE / f"chip_{state}.csv").spectrum for state in ("empty", "filled"))
+    empty, filled = (read_recording(REFERENCE / f"chip_{state}.csv").spectrum for state in ("empty", "filled"))
     got = compare(empty, filled)
     f0, z_min, q = got.rows
     assert (f0.measured, f0.simulated) == (figures(empty).f0, figures(filled).f0)

@@ -195,10 +195,10 @@ def test_a_window_without_a_resonance_is_refused(chip: Chip) -> None:
 def test_the_real_disc_passes_and_another_size_does_not(shared: Path) -> None:
     # 20 mm x 2 mm, measured; the same recording is not of a disc ten times as thick.
     from geometry.chip import read_chip as read_chip_file
-    from workbench.readers import read
+    from workbench.readers import read_recording
 
     real = read_chip_file(Path(__file__).parent.parent / "geometry" / "chips" / "disc_20x2.toml")
-    measured = read(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV").spectrum
+    measured = read_recording(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV").spectrum
     for low, high in ((0.95e6, 1.13e6), (0.97e6, 1.02e6)):
         check(measured.restricted(low, high), real)
     with pytest.raises(InputError, match="not of this device"):

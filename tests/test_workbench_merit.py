@@ -17,7 +17,7 @@ from workbench.merit import (
     fit_resonance,
     thickness_coupling,
 )
-from workbench.readers import read
+from workbench.readers import read_recording
 from workbench.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
@@ -93,7 +93,7 @@ TOLERANCES = {"chip_empty": (5e-5, 2e-4, 1e-3), "chip_filled": (5e-5, 2e-4, 2e-3
 
 @pytest.mark.parametrize("name", TOLERANCES)
 def test_figures_of_an_independent_solver(name):
-    got = figures(read(REFERENCE / f"{name}.csv").spectrum)
+    got = figures(read_recording(REFERENCE / f"{name}.csv").spectrum)
     printed = json.loads((REFERENCE / f"{name}.json").read_text())["figures"]
     frequency, impedance, q = TOLERANCES[name]
     assert got.f0 == pytest.approx(1e6 * printed["f0_MHz"], rel=frequency)
@@ -246,7 +246,7 @@ def test_unibas_disc(shared):
     each way of fitting finds its own: the analyser reads R1 and the half-power points of G about the peak. A fit
     over that peak alone agrees to 5 %, and so does the static capacitance of the band as a whole.
     """
-    spectrum = read(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV").spectrum
+    spectrum = read_recording(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV").spectrum
     got = figures(spectrum)
     assert got.f0 == pytest.approx(993875.0, abs=112.5 / 2)  # within half a step of the lowest point
     assert got.z_min == pytest.approx(5.356, rel=1e-3)
@@ -265,7 +265,7 @@ def test_unibas_disc(shared):
 
 def test_stutts_close_modes(shared):
     """G peaks at 111.28 and 112.72 kHz, phase reversed in the file."""
-    reading = read(shared / "recordings" / "stutts-4294a" / "sampleadmittance.txt", correction="negate")
+    reading = read_recording(shared / "recordings" / "stutts-4294a" / "sampleadmittance.txt", correction="negate")
     pole = fit_resonance(reading.spectrum, "pole", near=112.72e3)
     assert pole.frequency.value == pytest.approx(112.72e3, abs=50.0)
     with pytest.raises(NoResonance):

@@ -8,7 +8,7 @@ import pytest
 
 from workbench.files.errors import InputError
 from workbench.merit import bvd_impedance
-from workbench.readers import FORMATS, ColumnMap, Quantity, detect, read, read_column_map
+from workbench.readers import FORMATS, ColumnMap, Quantity, detect, read_column_map, read_recording
 from workbench.readers.findings import examine
 from workbench.spectrum import Origin, Spectrum, write_csv
 
@@ -39,7 +39,7 @@ SEMICOLONS = ColumnMap("Frequenz", "R", "X", Quantity("impedance", "rectangular"
 ])
 def test_every_format_gives_the_same_circuit(name, format, tolerance):
     assert detect(DATA / name) == format
-    reading = read(DATA / name)
+    reading = read_recording(DATA / name)
     # scikit-rf multiplies the megahertz of a file by 1e6, which may round the last bit.
     np.testing.assert_allclose(reading.spectrum.frequency, FREQUENCY, rtol=1e-15)
     np.testing.assert_allclose(reading.spectrum.impedance, IMPEDANCE, rtol=tolerance)
@@ -47,35 +47,36 @@ def test_every_format_gives_the_same_circuit(name, format, tolerance):
     origin = reading.spectrum.origin
     assert origin.sha256 == hashlib.sha256((DATA / name).read_bytes()).hexdigest()
     assert origin.source == str(DATA / name)
-    np.testing.assert_array_equal(read(DATA / name, format=format).spectrum.impedance, reading.spectrum.impedance)
+    again = read_recording(DATA / name, format=format)
+    np.testing.assert_array_equal(again.spectrum.impedance, reading.spectrum.impedance)
 
 
 def test_origin_of_the_analysers():
-    origin = read(DATA / "e4990a_z_theta.csv").spectrum.origin
+    origin = read_recording(DATA / "e4990a_z_theta.csv").spectrum.origin
     assert origin.kind == "measured"
     assert origin.instrument == "Keysight Technologies,E4990A,MY00000000,A.04.00"
     assert origin.date == "Mon Jan 05 10:00:00 2026"
-    origin = read(DATA / "4294a_admittance.txt").spectrum.origin
+    origin = read_recording(DATA / "4294a_admittance.txt").spectrum.origin
     assert (origin.instrument, origin.date) == ("4294A REV1.11", "Jan 05 2026")
     assert origin.settings["osc level"] == "500 mVolt"
-    assert read(DATA / "workbench.csv").spectrum.origin.kind == "unknown"
+    assert read_recording(DATA / "workbench.csv").spectrum.origin.kind == "unknown"
 
 
 def test_touchstone_in_gigahertz_decibel_and_75_ohm(tmp_path):
     """A reflection of one half is three times 75 ohm."""
     path = tmp_path / "a.s1p"
     path.write_text("# GHz S DB R 75\n0.001 -6.020599913279624 0 ! comment\n0.002 -6.020599913279624 180\n")
-    spectrum = read(path).spectrum
+    spectrum = read_recording(path).spectrum
     np.testing.assert_allclose(spectrum.frequency, [1e6, 2e6], rtol=1e-12)
     np.testing.assert_allclose(spectrum.impedance, [225.0, 25.0], rtol=1e-12, atol=1e-12)
 
 
 def test_columns_of_a_shunt_divider_and_a_spreadsheet():
     # Nine decimals of a decibel are 1e-10 of H; Z = R (1/H - 1) with |Z| / R down to 0.06 loses a factor of 20.
-    spectrum = read(DATA / "shunt_gain.csv", columns=SHUNT_COLUMNS).spectrum
+    spectrum = read_recording(DATA / "shunt_gain.csv", columns=SHUNT_COLUMNS).spectrum
     np.testing.assert_allclose(spectrum.frequency, FREQUENCY, rtol=1e-15)
     np.testing.assert_allclose(spectrum.impedance, IMPEDANCE, rtol=2e-8)
-    spectrum = read(DATA / "semicolons.csv", columns=SEMICOLONS).spectrum
+    spectrum = read_recording(DATA / "semicolons.csv", columns=SEMICOLONS).spectrum
     np.testing.assert_allclose(spectrum.impedance, IMPEDANCE, rtol=1e-9)
 
 
@@ -98,7 +99,7 @@ def test_columns_by_number(tmp_path):
     path = tmp_path / "plain.txt"
     path.write_text("some words\n# more\n1.5\t10\t-20\n\n2.5\t11\t-19\t\n")
     columns = ColumnMap(1, 2, 3, Quantity("impedance", "rectangular", "ohm"), frequency_unit="MHz", delimiter="\t")
-    spectrum = read(path, columns=columns).spectrum
+    spectrum = read_recording(path, columns=columns).spectrum
     np.testing.assert_allclose(spectrum.frequency, [1.5e6, 2.5e6], rtol=1e-15)
     np.testing.assert_array_equal(spectrum.impedance, [10 - 20j, 11 - 19j])
 
@@ -159,7 +160,7 @@ def changed(tmp_path, name, old, new, count=1):
 ])
 def test_faults_are_named_with_their_place(tmp_path, name, old, new, field, expected):
     with pytest.raises(InputError) as caught:
-        read(changed(tmp_path, name, old, new))
+        read_recording(changed(tmp_path, name, old, new))
     assert caught.value.source == str(tmp_path / name)
     assert caught.value.field == field
     assert expected in caught.value.expected
@@ -169,13 +170,13 @@ def test_a_row_cut_short(tmp_path):
     path = tmp_path / "cut.csv"
     path.write_bytes((DATA / "workbench.csv").read_bytes()[:-25])
     with pytest.raises(InputError, match=r"line 6: .*3 columns; this row has 2"):
-        read(path)
+        read_recording(path)
     path.write_text("frequency_hz,z_real_ohm,z_imag_ohm\n990000,1,2\n")
     with pytest.raises(InputError, match="at least 2; the file may be cut short"):
-        read(path)
+        read_recording(path)
     path.write_text("# kind: measured\n")
     with pytest.raises(InputError, match="cut short"):
-        read(path, format="workbench")
+        read_recording(path, format="workbench")
 
 
 def test_trace_b_cut_short_or_on_other_frequencies(tmp_path):
@@ -183,11 +184,11 @@ def test_trace_b_cut_short_or_on_other_frequencies(tmp_path):
     path = tmp_path / "4294a.txt"
     path.write_text("\n".join(content.splitlines()[:-2]) + "\n")
     with pytest.raises(InputError, match=r"3 rows in trace B'; expected the 5 points"):
-        read(path)
+        read_recording(path)
     head, _, tail = content.rpartition("9.96")
     path.write_text(head + "9.97" + tail)
     with pytest.raises(InputError, match=r"line 35, column 1: received 997000.0; .* trace A, 996"):
-        read(path)
+        read_recording(path)
 
 
 @pytest.mark.parametrize(("rows", "expected"), [
@@ -201,25 +202,25 @@ def test_rows_that_make_no_spectrum(tmp_path, rows, expected):
     path = tmp_path / "rows.csv"
     path.write_text("frequency_hz,z_real_ohm,z_imag_ohm\n" + rows)
     with pytest.raises(InputError, match=expected):
-        read(path)
+        read_recording(path)
 
 
 def test_zero_admittance_and_open_circuit(tmp_path):
     path = tmp_path / "y.csv"
     path.write_text("f,G,B\n1,1,1\n2,0,0\n")
     with pytest.raises(InputError, match="line 3"):
-        read(path, columns=ColumnMap("f", "G", "B", Quantity("admittance", "rectangular", "S")))
+        read_recording(path, columns=ColumnMap("f", "G", "B", Quantity("admittance", "rectangular", "S")))
     path = tmp_path / "open.s1p"
     path.write_text("# MHz S RI R 50\n1 0.5 0\n2 1 0\n")
     with pytest.raises(InputError, match=r"line 3: .*neither zero nor infinite"):
-        read(path)
+        read_recording(path)
 
 
 def test_uncertainty_must_be_positive(tmp_path):
     path = tmp_path / "u.csv"
     path.write_text("frequency_hz,z_real_ohm,z_imag_ohm,uncertainty_ohm\n1,1,1,0.1\n2,1,1,0\n")
     with pytest.raises(InputError, match="line 3, column 4"):
-        read(path)
+        read_recording(path)
 
 
 @pytest.mark.parametrize(("content", "message"), [
@@ -233,7 +234,7 @@ def test_uncertainty_must_be_positive(tmp_path):
 def test_files_that_are_no_recording(tmp_path, content, message):
     path = tmp_path / "file.csv"
     path.write_bytes(content)
-    for attempt in (detect, read):
+    for attempt in (detect, read_recording):
         with pytest.raises(InputError, match=message):
             attempt(path)
 
@@ -241,20 +242,21 @@ def test_files_that_are_no_recording(tmp_path, content, message):
 def test_waveforms_are_named_even_with_columns():
     for columns in (None, ColumnMap(4, 5, 1, SHUNT)):
         with pytest.raises(InputError, match="oscilloscope waveform"):
-            read(DATA / "waveform.csv", columns=columns)
+            read_recording(DATA / "waveform.csv", columns=columns)
 
 
 def test_missing_file_and_misspelt_arguments():
     with pytest.raises(InputError, match=r"did you mean 'workbench.csv'"):
-        read(DATA / "workbnch.csv")
+        read_recording(DATA / "workbnch.csv")
     with pytest.raises(InputError, match="did you mean 'e4990a'"):
-        read(DATA / "workbench.csv", format="e4990")
+        read_recording(DATA / "workbench.csv", format="e4990")
     with pytest.raises(ValueError, match="not both"):
-        read(DATA / "shunt_gain.csv", columns=SHUNT_COLUMNS, format="workbench")
+        read_recording(DATA / "shunt_gain.csv", columns=SHUNT_COLUMNS, format="workbench")
     with pytest.raises(InputError, match="did you mean 'Gain in dB'"):
-        read(DATA / "shunt_gain.csv", columns=ColumnMap("Frequency in kHz", "Gain in dBm", "Phase in °", SHUNT))
+        read_recording(DATA / "shunt_gain.csv",
+                       columns=ColumnMap("Frequency in kHz", "Gain in dBm", "Phase in °", SHUNT))
     with pytest.raises(InputError, match="at least 9 columns"):
-        read(DATA / "shunt_gain.csv", columns=ColumnMap(1, 2, 9, SHUNT))
+        read_recording(DATA / "shunt_gain.csv", columns=ColumnMap(1, 2, 9, SHUNT))
 
 
 def test_headings_that_occur_twice_must_be_counted(tmp_path):
@@ -262,8 +264,8 @@ def test_headings_that_occur_twice_must_be_counted(tmp_path):
     path.write_text("f,V,V\n1e6,1,2\n2e6,3,4\n")
     ohm = Quantity("impedance", "rectangular", "ohm")
     with pytest.raises(InputError, match="line 1: received 'V'; expected a heading that occurs once"):
-        read(path, columns=ColumnMap("f", "V", 3, ohm))
-    assert read(path, columns=ColumnMap("f", 2, 3, ohm)).spectrum.impedance[1] == 3 + 4j
+        read_recording(path, columns=ColumnMap("f", "V", 3, ohm))
+    assert read_recording(path, columns=ColumnMap("f", 2, 3, ohm)).spectrum.impedance[1] == 3 + 4j
 
 
 def test_spreadsheet_copies_of_an_analyser_file(tmp_path):
@@ -272,21 +274,22 @@ def test_spreadsheet_copies_of_an_analyser_file(tmp_path):
     padded = "\n".join(line if line.count(",") == 2 else line + ",," for line in content.splitlines())
     path = tmp_path / "padded.csv"
     path.write_text(padded)
-    np.testing.assert_allclose(read(path).spectrum.impedance, IMPEDANCE, rtol=1e-10)
+    np.testing.assert_allclose(read_recording(path).spectrum.impedance, IMPEDANCE, rtol=1e-10)
     path.write_text(content.replace(",", ";").replace(".", ","))
     with pytest.raises(InputError, match=r"line 5: .*spreadsheet"):
-        read(path)
+        read_recording(path)
     path = tmp_path / "decimal.csv"
     path.write_text("a\tb\tc\n1,5\t2\t3\n2,5\t2\t3\n")
     with pytest.raises(InputError, match=r"line 2, column 1: .*decimal comma"):
-        read(path, columns=ColumnMap("a", "b", "c", Quantity("impedance", "rectangular", "ohm"), delimiter="\t"))
+        read_recording(path, columns=ColumnMap("a", "b", "c", Quantity("impedance", "rectangular", "ohm"),
+                                               delimiter="\t"))
 
 
 def test_quoted_headings_and_byte_order_mark(tmp_path):
     path = tmp_path / "quoted.csv"
     headings = b'\xef\xbb\xbf"frequency_hz", "z_real_ohm", "z_imag_ohm"\r\n'
     path.write_bytes(headings + b"+1.0e+006, 1, -2\r\n2e6 ,1,-2\t\r\n")
-    np.testing.assert_array_equal(read(path).spectrum.frequency, [1e6, 2e6])
+    np.testing.assert_array_equal(read_recording(path).spectrum.frequency, [1e6, 2e6])
 
 
 # ---- findings
@@ -332,16 +335,16 @@ def test_active_points_and_units():
 def test_correction_is_asked_for_and_noted(tmp_path):
     path = tmp_path / "reversed.csv"
     write_csv(Spectrum(FREQUENCY, -IMPEDANCE, origin=Origin("measured")), path)
-    as_recorded = read(path)
+    as_recorded = read_recording(path)
     assert [finding.code for finding in as_recorded.findings] == ["negated"]
     np.testing.assert_array_equal(as_recorded.spectrum.impedance, -IMPEDANCE)
     assert as_recorded.spectrum.origin.settings == {}
-    asked = read(path, correction="negate")
+    asked = read_recording(path, correction="negate")
     assert asked.findings == ()
     np.testing.assert_array_equal(asked.spectrum.impedance, IMPEDANCE)
     assert asked.spectrum.origin.settings == {"correction": "negate"}
     with pytest.raises(ValueError, match="'flip' is not one of"):
-        read(path, correction="flip")
+        read_recording(path, correction="flip")
 
 
 # ---- real recordings
@@ -349,7 +352,7 @@ def test_correction_is_asked_for_and_noted(tmp_path):
 
 def test_unibas_disc(shared):
     """Figures of the recording's own description."""
-    reading = read(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV")
+    reading = read_recording(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV")
     spectrum = reading.spectrum
     assert reading.findings == ()
     assert len(spectrum.frequency) == 1601
@@ -373,7 +376,7 @@ def test_unibas_disc(shared):
     ("sampleadmittance.txt", 801, 112.72e3, 114.20e3, True),
 ])
 def test_4294a_recordings(shared, name, points, conductance_peak, resistance_peak, negated):
-    reading = read(shared / "recordings" / "stutts-4294a" / name)
+    reading = read_recording(shared / "recordings" / "stutts-4294a" / name)
     assert [finding.code for finding in reading.findings] == (["negated"] if negated else [])
     if negated:
         reading = reading.corrected("negate")
@@ -387,7 +390,7 @@ def test_4294a_recordings(shared, name, points, conductance_peak, resistance_pea
 
 
 def test_memory_trace_is_not_data(shared):
-    spectrum = read(shared / "recordings" / "stutts-4294a" / "RB5100.txt").spectrum
+    spectrum = read_recording(shared / "recordings" / "stutts-4294a" / "RB5100.txt").spectrum
     assert spectrum.magnitude[0] == pytest.approx(9.100274e2, rel=1e-12)
 
 
@@ -397,7 +400,7 @@ def test_memory_trace_is_not_data(shared):
     ("ethz_4294A_impedance.txt", 534, None),
 ])
 def test_inductors_are_inductive_and_not_accused(shared, name, points, last):
-    reading = read(shared / "recordings" / "format-samples" / name)
+    reading = read_recording(shared / "recordings" / "format-samples" / name)
     assert reading.findings == ()
     assert len(reading.spectrum.frequency) == points
     assert reading.spectrum.phase_deg[-1] > 0.0
@@ -410,17 +413,17 @@ def test_known_resistor_on_a_shunt(shared):
     """47 ohm in series with 100 ohm, as the set's description computes it (two decimals)."""
     folder = shared / "recordings" / "format-samples"
     columns = ColumnMap("Frequency in Hz", "Gain in dB", "Phase in °", SHUNT)
-    reading = read(folder / "RohdeSchwarz_47R_100R_shunt.csv", columns=columns)
+    reading = read_recording(folder / "RohdeSchwarz_47R_100R_shunt.csv", columns=columns)
     assert reading.findings == ()
     got = dict(zip(reading.spectrum.frequency, reading.spectrum.impedance, strict=True))
     for frequency, expected in [(1e3, 47.91 - 0.06j), (1e5, 47.77 + 0.77j), (1e6, 47.44 + 9.35j), (1e7, 50.7 + 97.5j)]:
         assert abs(got[frequency] - expected) < (0.08 if frequency == 1e7 else 0.01)
     ratio = "Math (Ka B / Ka A) "
     upside_down = ColumnMap("Frequency (Hz)", ratio + "Magnitude (dBm)", ratio + "Phase (deg)", SHUNT)
-    reading = read(folder / "MokuGo_47R_100R_shunt.csv", columns=upside_down)
+    reading = read_recording(folder / "MokuGo_47R_100R_shunt.csv", columns=upside_down)
     assert [finding.code for finding in reading.findings] == ["inverse_ratio"]
     inverse = Quantity("gain", "polar", "dB", "deg", reference_resistance=100.0, inverse=True)
-    reading = read(folder / "MokuGo_47R_100R_shunt.csv", columns=ColumnMap(
+    reading = read_recording(folder / "MokuGo_47R_100R_shunt.csv", columns=ColumnMap(
         upside_down.frequency, upside_down.first, upside_down.second, inverse))
     assert reading.findings == ()
     # +3.4017 dB at 10 Hz: 100 (10^(3.4017/20) - 1) = 47.94 ohm.
@@ -433,9 +436,9 @@ def test_scope_waveforms_and_other_files_are_refused(shared):
                  recordings / "nolicence-tds1012b-rlc-two-channel" / "F0003CH1.CSV",
                  recordings / "tek-isf" / "data1.isf"):
         with pytest.raises(InputError, match="oscilloscope waveform"):
-            read(path)
+            read_recording(path)
     with pytest.raises(InputError, match="expected one of workbench"):
-        read(recordings / "unibas-disc-20x2" / "circuitoParametriConcentrati.txt")
+        read_recording(recordings / "unibas-disc-20x2" / "circuitoParametriConcentrati.txt")
 
 
 def test_reference_spectra_are_the_workbench_format():
@@ -443,7 +446,7 @@ def test_reference_spectra_are_the_workbench_format():
     assert len(names) == 6
     for path in names:
         assert detect(path) == "workbench"
-        reading = read(path)
+        reading = read_recording(path)
         assert len(reading.spectrum.frequency) == 491
         assert reading.findings == ()
 

@@ -13,7 +13,7 @@ import pytest
 from workbench.cli import main
 from workbench.files.errors import InputError
 from workbench.merit import bvd_impedance
-from workbench.readers import ColumnMap, Quantity, read, read_column_map
+from workbench.readers import ColumnMap, Quantity, read_column_map, read_recording
 from workbench.readers.headings import Heading, understand
 
 FREQUENCY = np.linspace(0.9e6, 1.1e6, 21)
@@ -147,7 +147,7 @@ READ: dict[str, tuple[str, tuple[np.ndarray, ...], str, bool]] = {
 @pytest.mark.parametrize("name", READ)
 def test_a_table_with_clear_headings_needs_no_map(name: str, tmp_path: Path) -> None:
     head, columns, delimiter, comma = READ[name]
-    reading = read(table(tmp_path / "table.csv", head, *columns, delimiter=delimiter, comma=comma))
+    reading = read_recording(table(tmp_path / "table.csv", head, *columns, delimiter=delimiter, comma=comma))
     np.testing.assert_allclose(reading.spectrum.frequency, FREQUENCY, rtol=1e-11)
     # Twelve digits are written, of a phase and of an admittance too.
     np.testing.assert_allclose(reading.spectrum.impedance, IMPEDANCE, rtol=1e-9)
@@ -171,7 +171,7 @@ def test_a_table_with_clear_headings_needs_no_map(name: str, tmp_path: Path) -> 
 ])
 def test_how_a_table_was_understood_is_said(name: str, words: list[str], tmp_path: Path) -> None:
     head, columns, delimiter, comma = READ[name]
-    reading = read(table(tmp_path / "table.csv", head, *columns, delimiter=delimiter, comma=comma))
+    reading = read_recording(table(tmp_path / "table.csv", head, *columns, delimiter=delimiter, comma=comma))
     for word in words:
         assert word in reading.read_as
     assert reading.spectrum.origin.settings == {"read as": reading.read_as}
@@ -226,7 +226,7 @@ def test_what_is_not_clear_is_refused_with_a_map_that_works(name: str, tmp_path:
     head, columns, words, corrections = REFUSED[name]
     path = table(tmp_path / "table.csv", head, *columns)
     with pytest.raises(InputError) as caught:
-        read(path)
+        read_recording(path)
     message = str(caught.value)
     for word in (str(path), "line ", "--columns MAP.toml", 'columns = "MAP.toml"', *words):
         assert word in message
@@ -241,7 +241,7 @@ def test_what_is_not_clear_is_refused_with_a_map_that_works(name: str, tmp_path:
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "MAP.toml").write_text(text, encoding="utf-8")
-    reading = read(path, columns=read_column_map(tmp_path / "MAP.toml"))
+    reading = read_recording(path, columns=read_column_map(tmp_path / "MAP.toml"))
     np.testing.assert_allclose(reading.spectrum.impedance, IMPEDANCE, rtol=1e-8)
     assert reading.read_as.startswith("by a column map, ")
 
@@ -249,7 +249,7 @@ def test_what_is_not_clear_is_refused_with_a_map_that_works(name: str, tmp_path:
 def test_a_resistance_nobody_stated_is_asked_for(tmp_path: Path) -> None:
     head, columns, _, _ = REFUSED["gain"]
     with pytest.raises(InputError) as caught:
-        read(table(tmp_path / "table.csv", head, *columns))
+        read_recording(table(tmp_path / "table.csv", head, *columns))
     (tmp_path / "MAP.toml").write_text(proposed(str(caught.value)), encoding="utf-8")
     with pytest.raises(InputError, match="must be finite and positive"):
         read_column_map(tmp_path / "MAP.toml")
@@ -265,9 +265,9 @@ def test_a_frequency_without_unit_is_in_the_only_one_an_analyser_reaches(
     path = table(tmp_path / "table.csv", "f,R (Ohm),X (Ohm)", np.array(values), np.ones(2), np.ones(2))
     if unit is None:
         with pytest.raises(InputError, match="frequency without a unit"):
-            read(path)
+            read_recording(path)
     else:
-        np.testing.assert_array_equal(read(path).spectrum.frequency, values)
+        np.testing.assert_array_equal(read_recording(path).spectrum.frequency, values)
 
 
 def test_the_phase_of_a_resistor_proves_no_unit(tmp_path: Path) -> None:
@@ -276,10 +276,10 @@ def test_the_phase_of_a_resistor_proves_no_unit(tmp_path: Path) -> None:
         path = table(tmp_path / "table.csv", "f (Hz),|Z|,phase", np.array([1e5, 2e5]), np.ones(2),
                      np.array([1.0, largest]))
         if clear:
-            assert read(path).spectrum.phase_deg[1] == pytest.approx(3.3)
+            assert read_recording(path).spectrum.phase_deg[1] == pytest.approx(3.3)
         else:
             with pytest.raises(InputError, match="in degrees or in radians"):
-                read(path)
+                read_recording(path)
 
 
 @pytest.mark.parametrize(("content", "message"), [
@@ -296,7 +296,7 @@ def test_the_phase_of_a_resistor_proves_no_unit(tmp_path: Path) -> None:
 def test_faults_of_a_table_are_named_with_their_place(content: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "table.csv").write_text(content)
     with pytest.raises(InputError, match=message):
-        read(tmp_path / "table.csv")
+        read_recording(tmp_path / "table.csv")
 
 
 def test_a_map_may_say_that_a_column_is_of_the_other_sign() -> None:
@@ -308,7 +308,7 @@ def test_blanks_are_one_delimiter_and_a_quotation_mark_in_a_cell_stays(tmp_path:
     path = tmp_path / "table.txt"
     path.write_text(' f  Z\'  Z"\n 1e5   1   -2\n2e5 1    -3\n')
     columns = ColumnMap("f", "Z'", 'Z"', Quantity("impedance", "rectangular", "ohm"), delimiter=" ")
-    np.testing.assert_array_equal(read(path, columns=columns).spectrum.impedance, [1 - 2j, 1 - 3j])
+    np.testing.assert_array_equal(read_recording(path, columns=columns).spectrum.impedance, [1 - 2j, 1 - 3j])
 
 
 def test_a_faulty_map_is_answered_with_one_that_works(tmp_path: Path) -> None:
@@ -349,21 +349,21 @@ def test_an_analysers_table_without_its_frame_is_read_by_its_headings(shared: Pa
     begin, end = lines.index("BEGIN CH1_DATA"), lines.index("END")
     path = tmp_path / "table.csv"
     path.write_text("\n".join(lines[begin + 1:end]))
-    bare = read(path)
+    bare = read_recording(path)
     assert '"|Z|(Ohm)-data" is the magnitude of Z in ohm' in bare.read_as
-    assert read(whole).read_as == ""
-    np.testing.assert_array_equal(bare.spectrum.impedance, read(whole).spectrum.impedance)
+    assert read_recording(whole).read_as == ""
+    np.testing.assert_array_equal(bare.spectrum.impedance, read_recording(whole).spectrum.impedance)
 
 
 @pytest.mark.parametrize("name", ["MokuGo_47R_100R_shunt.csv", "RohdeSchwarz_47R_100R_shunt.csv"])
 def test_the_gain_of_a_shunt_is_not_taken_for_an_impedance(name: str, shared: Path, tmp_path: Path) -> None:
     path = shared / "recordings" / "format-samples" / name
     with pytest.raises(InputError) as caught:
-        read(path)
+        read_recording(path)
     text = proposed(str(caught.value)).replace("reference_resistance = 0.0", "reference_resistance = 100.0")
     if name.startswith("Moku"):
         text = text.replace("inverse = false", "inverse = true")
     (tmp_path / "MAP.toml").write_text(text, encoding="utf-8")
-    spectrum = read(path, columns=read_column_map(tmp_path / "MAP.toml")).spectrum
+    spectrum = read_recording(path, columns=read_column_map(tmp_path / "MAP.toml")).spectrum
     # 47 ohm in series with 100 ohm; the set's description computes 47.9 at low frequencies.
     assert abs(spectrum.impedance[0]) == pytest.approx(47.9, abs=0.1)

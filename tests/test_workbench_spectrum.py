@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workbench.merit import bvd_impedance
-from workbench.readers import read
+from workbench.readers import read_recording
 from workbench.spectrum import Origin, Spectrum, corrected, write_csv
 
 FREQUENCY = np.array([1.0e6, 1.1e6, 1.2e6])
@@ -148,7 +148,7 @@ def test_csv_round_trip_is_exact(tmp_path):
     written = Spectrum(FREQUENCY / 3.0, IMPEDANCE * np.pi, np.array([0.1, 0.2, 1.0 / 3.0]), origin)
     path = tmp_path / "made" / "spectrum.csv"
     write_csv(written, path)
-    got = read(path).spectrum
+    got = read_recording(path).spectrum
     np.testing.assert_array_equal(got.frequency, written.frequency)
     np.testing.assert_array_equal(got.impedance, written.impedance)
     np.testing.assert_array_equal(got.uncertainty, written.uncertainty)
@@ -169,6 +169,6 @@ def test_csv_round_trip_of_any_numbers(tmp_path_factory, values):
     written = Spectrum(frequency, real + 1j * imaginary)
     path = tmp_path_factory.mktemp("any") / "spectrum.csv"
     write_csv(written, path)
-    got = read(path).spectrum
+    got = read_recording(path).spectrum
     np.testing.assert_array_equal(got.frequency, frequency)
     np.testing.assert_array_equal(got.impedance, written.impedance)

@@ -1,5 +1,100 @@
 """Acoustofluidic chip workbench: simulate a chip, compare it with a recording, say what differs.
 
+    import workbench as wb
+
+    chip = wb.read_chip("geometry/chips/reference_chip.toml")
+    run = wb.simulate(chip, "filled")
+    recording = wb.read_recording("chip_filled.csv")
+    print(wb.compare(recording.spectrum, run.spectrum).mape_percent)
+    found = wb.diagnose(wb.read_campaign("campaign.toml"))
+
+What is listed in :data:`PUBLIC` is the whole promise; everything else may change. Names are loaded when they are first
+used, so that importing the package costs nothing.
+
 Data flows one way: ``Chip -> Section -> SectionMesh -> Problem -> Operators -> Solution -> Spectrum | Fields -> Figures
--> Comparison``. Each stage takes a frozen value and returns one; nothing heavier than definitions happens at import.
+-> Comparison``. Each stage takes a frozen value and returns one.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geometry.chip import Chip as Chip
+    from geometry.chip import read_chip as read_chip
+    from materials.registry import Registry as Registry
+    from workbench.bench.setup import read_bench as read_bench
+    from workbench.bench.sweep import measure as measure
+    from workbench.comparison import Comparison as Comparison
+    from workbench.comparison import compare as compare
+    from workbench.diagnosis.campaign import Campaign as Campaign
+    from workbench.diagnosis.campaign import read_campaign as read_campaign
+    from workbench.diagnosis.verdict import Diagnosis as Diagnosis
+    from workbench.diagnosis.verdict import diagnose as diagnose
+    from workbench.drive import parse_drive as parse_drive
+    from workbench.files.errors import InputError as InputError
+    from workbench.fitting.recordings import MaterialFit as MaterialFit
+    from workbench.fitting.recordings import fit as fit
+    from workbench.instruments.simulated import SimulatedBench as SimulatedBench
+    from workbench.merit import Figures as Figures
+    from workbench.merit import figures as figures
+    from workbench.ranges import RangeModel as RangeModel
+    from workbench.ranges import range_model as range_model
+    from workbench.readers import Reading as Reading
+    from workbench.readers import read_recording as read_recording
+    from workbench.render.gallery import draw_state as draw_state
+    from workbench.render.plots import draw_spectra as draw_spectra
+    from workbench.simulation import Simulation as Simulation
+    from workbench.simulation import Snapshot as Snapshot
+    from workbench.simulation import simulate as simulate
+    from workbench.simulation import snapshot as snapshot
+    from workbench.spectrum import Spectrum as Spectrum
+
+#: The public names and the modules that define them.
+PUBLIC = {
+    "Campaign": "workbench.diagnosis.campaign",
+    "Chip": "geometry.chip",
+    "Comparison": "workbench.comparison",
+    "Diagnosis": "workbench.diagnosis.verdict",
+    "Figures": "workbench.merit",
+    "InputError": "workbench.files.errors",
+    "MaterialFit": "workbench.fitting.recordings",
+    "RangeModel": "workbench.ranges",
+    "Reading": "workbench.readers",
+    "Registry": "materials.registry",
+    "SimulatedBench": "workbench.instruments.simulated",
+    "Simulation": "workbench.simulation",
+    "Snapshot": "workbench.simulation",
+    "Spectrum": "workbench.spectrum",
+    "compare": "workbench.comparison",
+    "diagnose": "workbench.diagnosis.verdict",
+    "draw_spectra": "workbench.render.plots",
+    "draw_state": "workbench.render.gallery",
+    "figures": "workbench.merit",
+    "fit": "workbench.fitting.recordings",
+    "measure": "workbench.bench.sweep",
+    "parse_drive": "workbench.drive",
+    "range_model": "workbench.ranges",
+    "read_bench": "workbench.bench.setup",
+    "read_campaign": "workbench.diagnosis.campaign",
+    "read_chip": "geometry.chip",
+    "read_recording": "workbench.readers",
+    "simulate": "workbench.simulation",
+    "snapshot": "workbench.simulation",
+}
+
+__all__ = sorted(PUBLIC)
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, loaded from its module at first use."""
+    if name not in PUBLIC:
+        raise AttributeError(f"module 'workbench' has no attribute {name!r}; public are {', '.join(sorted(PUBLIC))}")
+    found = getattr(importlib.import_module(PUBLIC[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *PUBLIC})

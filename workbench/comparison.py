@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.merit import Figures, NoResonance, figures
+from workbench.notebook import Shown, Summary
 from workbench.spectrum import Spectrum
+
+if TYPE_CHECKING:
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class MetricRow:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Shown):
     """How far `simulated` is from `measured` over their common band, (n,) points of the measured grid.
 
     ``measured`` and ``simulated`` are both on that grid; ``fraction_used`` is n over the measured points.
@@ -58,6 +63,27 @@ class Comparison:
     reduced_chi_square: float | None
     rows: tuple[MetricRow, ...]
     rows_missing: str
+
+    def summary(self) -> Summary:
+        """Errors and figures side by side, for a notebook."""
+        rows = [("", "measured", "simulated", "difference"),
+                *((row.metric, f"{row.measured:.6g}", f"{row.simulated:.6g}", f"{row.difference_percent:+.3g} %")
+                  for row in self.rows),
+                ("MAPE of |Z|", "", "", f"{self.mape_percent:.3g} %"),
+                ("rms of |ln ratio|", "", "", f"{100.0 * self.rms_log_residual:.3g} %")]
+        return Summary("Comparison", tuple(rows), {"measured": self.measured, "simulated": self.simulated},
+                       ("measured",))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Both impedances (ohm, real and imaginary parts) and ln(Z_sim / Z_meas) over ``frequency`` (Hz)."""
+        both = {f"{name}_{part}": values for name, spectrum in (("measured", self.measured),
+                                                                ("simulated", self.simulated))
+                for part, values in spectrum.to_xarray().data_vars.items()}
+        found = self.measured.to_xarray().drop_vars(["resistance", "reactance", "uncertainty"], errors="ignore")
+        residual = {"log_magnitude_ratio": ("frequency", self.log_residual.real, {"units": "1"}),
+                    "phase_difference": ("frequency", self.log_residual.imag, {"units": "rad"})}
+        return found.assign(both).assign(residual).assign_attrs(mape_percent=self.mape_percent,
+                                                                rms_log_residual=self.rms_log_residual)
 
 
 def compare(measured: Spectrum, simulated: Spectrum, *, near: float | None = None) -> Comparison:

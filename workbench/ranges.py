@@ -23,7 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,12 +40,17 @@ from workbench.files.errors import InputError, choose
 from workbench.files.writing import replacing
 from workbench.fitting.parameter import LOSS, part, placed
 from workbench.fitting.predict import Prediction
+from workbench.notebook import Shown, Summary
 from workbench.operators import FullOperators, assemble
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
 from workbench.problem import Problem, build
 from workbench.reduced_operators import ReducedOperators
 from workbench.reduction import ReducedModel, covering, smallest
 from workbench.solve import System, one_thread
+from workbench.spectrum import Origin, Spectrum
+
+if TYPE_CHECKING:
+    import xarray
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -87,7 +92,7 @@ class NotCovered(RuntimeError):
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class Response(Shown):
     """A spectrum of a range model: ``values`` the numbers asked for, by name, and the ``prediction`` made for them."""
 
     values: Mapping[str, float]
@@ -107,6 +112,21 @@ class Response:
     def error(self) -> Real:
         """Estimated relative error (n,) of the impedance, against the mesh's own full solution."""
         return self.prediction.error
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """The impedance as a spectrum."""
+        return Spectrum(self.frequency, self.impedance, origin=Origin("simulated"))
+
+    def summary(self) -> Summary:
+        """The numbers asked for and the estimated error, for a notebook."""
+        rows = [(name, f"{value:.6g}") for name, value in self.values.items()]
+        rows.append(("estimated error of Z", f"{100.0 * float(self.error.max()):.1g} %"))
+        return Summary("Range model", tuple(rows), {"simulated": self.spectrum})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The spectrum with the estimated ``error`` (1), and the numbers asked for as attributes (SI)."""
+        return self.spectrum.to_xarray().assign(error=("frequency", self.error)).assign_attrs(self.values)
 
     def gradient(self, names: tuple[str, ...] | None = None) -> Complex:
         """d Z / d number (n, len(names)), ohm over the number's SI unit, by all that the model has if not named."""

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from workbench.files.errors import InputError
 from workbench.merit import Figures, NoResonance, figures
 from workbench.mesh_error import MeshError
 from workbench.mesh_error import estimate as mesh_error
+from workbench.notebook import Shown, Summary
 from workbench.operators import FullOperators, assemble
 from workbench.particles import particle_from
 from workbench.problem import Problem, build
@@ -35,6 +37,9 @@ from workbench.reduction import reduced
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
 from workbench.traps import TrapReport, find_traps
+
+if TYPE_CHECKING:
+    import xarray
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -71,7 +76,7 @@ class Snapshot:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation(Snapshot):
+class Simulation(Snapshot, Shown):
     """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
 
     ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
@@ -93,6 +98,27 @@ class Simulation(Snapshot):
     def unknowns(self) -> int:
         """Number of unknowns of the full model."""
         return self.operators.size
+
+    def summary(self) -> Summary:
+        """Figures of merit, traps and the model's accuracy, for a notebook."""
+        merit = self.figures
+        rows = [("f0, Z_min, Q", self.no_resonance if merit is None else
+                 f"{merit.f0 / 1e6:.6g} MHz, {merit.z_min:.4g} ohm, {merit.q:.4g}"),
+                ("fields", f"{self.fields.frequency / 1e6:.6g} MHz, {self.fields.drive}")]
+        if self.traps is not None:
+            rows += [("trap", f"r {1e3 * trap.radius:.3g} mm, z {1e3 * trap.height:.3g} mm, depth {trap.depth:.3g} J")
+                     for trap in self.traps.traps[:3]]
+        rows.append(("estimated error of Z", f"{100.0 * self.error:.1g} % by the reduced model" + (
+            "" if self.mesh_error is None else f", {100.0 * self.mesh_error.rms:.1g} % rms by the mesh")))
+        return Summary(f"{self.chip.name}, {self.state}", tuple(rows), {self.state: self.spectrum})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The spectrum (:meth:`Spectrum.to_xarray`) with the figures of merit as attributes (Hz, ohm, 1)."""
+        found = self.spectrum.to_xarray().assign_attrs(chip=self.chip.name, state=self.state,
+                                                       estimated_relative_error=self.error)
+        if self.figures is not None:
+            found = found.assign_attrs(f0_hz=self.figures.f0, z_min_ohm=self.figures.z_min, q=self.figures.q)
+        return found
 
 
 def frequency_grid(band: tuple[float, float], points: int) -> Real:

@@ -9,12 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from workbench.files.writing import write_atomic
+from workbench.notebook import Shown, Summary
+
+if TYPE_CHECKING:
+    import xarray
 
 ORIGIN_KINDS = ("measured", "simulated", "unknown")
 
@@ -56,7 +61,7 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(Shown):
     """Impedance against frequency, e^{+j w t}.
 
     ``frequency`` (n,) Hz, strictly increasing and positive; ``impedance`` (n,) complex ohm, nowhere zero;
@@ -127,6 +132,27 @@ class Spectrum:
     def phase_deg(self) -> NDArray[np.float64]:
         """The argument of Z, (n,) degrees in (-180, 180]."""
         return np.angle(self.impedance, deg=True)
+
+    def summary(self) -> Summary:
+        """Band, points and origin, for a notebook."""
+        rows = (("band", f"{self.frequency[0] / 1e6:.6g} to {self.frequency[-1] / 1e6:.6g} MHz"),
+                ("points", str(self.frequency.size)), ("origin", " ".join((self.origin.kind, self.origin.source))))
+        return Summary("Impedance spectrum", rows, {self.origin.kind: self},
+                       ("measured",) if self.origin.kind == "measured" else ())
+
+    def to_xarray(self) -> xarray.Dataset:
+        """``resistance``, ``reactance`` and, if known, ``uncertainty`` (ohm) over ``frequency`` (Hz).
+
+        Real numbers only, so that it can be written as NetCDF.
+        """
+        import xarray
+
+        parts = {"resistance": self.impedance.real, "reactance": self.impedance.imag}
+        if self.uncertainty is not None:
+            parts["uncertainty"] = self.uncertainty
+        attributes = {"kind": self.origin.kind, "source": self.origin.source, "time_factor": "e^{+j w t}"}
+        return xarray.Dataset({name: ("frequency", part, {"units": "ohm"}) for name, part in parts.items()},
+                              {"frequency": ("frequency", self.frequency, {"units": "Hz"})}, attributes)
 
     def restricted(self, low: float, high: float) -> Spectrum:
         """The points with `low` <= frequency <= `high` (hertz).
@@ -219,7 +245,7 @@ def write_csv(spectrum: Spectrum, path: Path) -> None:
     """Write the workbench's own file: ``# key: value`` lines of the origin, the column names, the rows.
 
     Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read
-    by :func:`workbench.readers.read`.
+    by :func:`workbench.readers.read_recording`.
     """
     origin = spectrum.origin
     lines = [f"# kind: {origin.kind}"]

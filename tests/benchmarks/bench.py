@@ -41,7 +41,7 @@ from workbench.instruments.faults import GENERATOR, KINDS, OSCILLOSCOPE, Fault  
 from workbench.instruments.instrument import InstrumentError  # noqa: E402
 from workbench.instruments.simulated import SimulatedBench  # noqa: E402
 from workbench.merit import figures  # noqa: E402
-from workbench.readers import ColumnMap, Quantity, read  # noqa: E402
+from workbench.readers import ColumnMap, Quantity, read_recording  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
 
 #: The clock error of the simulated generator: the device is asked at the frequency that is really there.
@@ -338,7 +338,7 @@ def shunt(recordings: Path) -> dict[str, tuple[complex, complex]]:
     }
     found = {}
     for name, (file, columns) in files.items():
-        spectrum = read(folder / file, columns=columns).spectrum
+        spectrum = read_recording(folder / file, columns=columns).spectrum
         fixture = fixture_from_load(Load(spectrum, 47.0), band=(100e3, 700e3))
         at = [1e6, 1.01e6]
         found[name] = (complex(spectrum.on(at).impedance[0]), complex(fixture.remove(spectrum).on(at).impedance[0]))

@@ -39,7 +39,7 @@ from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa
 from workbench.fitting.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import Problem, build  # noqa: E402
-from workbench.readers import read  # noqa: E402
+from workbench.readers import read_recording  # noqa: E402
 from workbench.report import write_json  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
@@ -93,13 +93,13 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
 
     def disc() -> Prepared:
         chip = disc_of(read_chip(ROOT / "geometry/chips/free_disc_25x2.toml"), INITIAL, DENSITY)
-        measured = read(ROOT / "tests/data/reference/free_disc_fitted_rho7500.csv").spectrum
+        measured = read_recording(ROOT / "tests/data/reference/free_disc_fitted_rho7500.csv").spectrum
         return prepare(chip, Registry(), kind="pzt", name="free disc", measured=measured,
                        accuracy=fineness)
 
     def polymer() -> Prepared:
         chip = read_chip(ROOT / "geometry/chips/disc_gel_pla.toml")
-        measured = read(ROOT / "tests/data/reference/disc_gel_PLA.csv").spectrum
+        measured = read_recording(ROOT / "tests/data/reference/disc_gel_PLA.csv").spectrum
         prepared = prepare(chip, Registry(), kind="polymer", name="PLA", measured=measured,
                            accuracy=fineness)
         # From the moduli of PMMA: those of the chip's own material are the truth.
@@ -107,7 +107,7 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
         return replace(prepared, parameters=tuple(map(started_at, prepared.parameters, start)))
 
     def real() -> Prepared:
-        measured = read(arguments.recordings / DISC).spectrum
+        measured = read_recording(arguments.recordings / DISC).spectrum
         return prepare(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), Registry(), kind="pzt", name="real disc",
                        measured=measured, accuracy=fineness)
 

@@ -94,7 +94,7 @@ def test_every_sample_file_is_read_or_refused_with_the_reason(shared):
                 continue
             counted += 1
             reasons = []
-            for reader in (read_waveform, readers.read):
+            for reader in (read_waveform, readers.read_recording):
                 try:
                     reader(Path(folder) / name)
                 except InputError as error:

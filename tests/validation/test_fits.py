@@ -16,7 +16,7 @@ from materials.registry import Registry
 from workbench.fitting.joint import FitResult, fit
 from workbench.fitting.parameter import part, started_at
 from workbench.fitting.prepare import material_starts, prepare
-from workbench.readers import read
+from workbench.readers import read_recording
 
 # pzt4/acevedo_2026_fitted is a hair outside passivity, and says so when it is loaded.
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::materials.passivity.PassivityWarning")]
@@ -47,7 +47,7 @@ def named(result: FitResult) -> dict[str, float]:
 def test_ten_constants_of_a_disc_from_the_nominal_data_sheet() -> None:
     chip = disc_of(read_chip(CHIPS / "free_disc_25x2.toml"), "pzt4/acevedo_2026_initial", 7500.0)
     prepared = prepare(chip, Registry(), kind="pzt", name="disc",
-                       measured=read(REFERENCE / "free_disc_fitted_rho7500.csv").spectrum)
+                       measured=read_recording(REFERENCE / "free_disc_fitted_rho7500.csv").spectrum)
     result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=0)
     match = result.recordings[0]
     assert result.converged
@@ -64,7 +64,7 @@ def test_ten_constants_of_a_disc_from_the_nominal_data_sheet() -> None:
 def test_moduli_of_a_sample_from_another_polymer() -> None:
     chip = read_chip(CHIPS / "disc_gel_pla.toml")
     prepared = prepare(chip, Registry(), kind="polymer", name="PLA",
-                       measured=read(REFERENCE / "disc_gel_PLA.csv").spectrum)
+                       measured=read_recording(REFERENCE / "disc_gel_PLA.csv").spectrum)
     start = material_starts(prepared, Registry(), ["pmma/acevedo_2026"])["pmma/acevedo_2026"]
     moved = [started_at(p, x) for p, x in zip(prepared.parameters, start, strict=True)]
     result = fit(prepared.recordings, moved, coarse=prepared.coarse, bands=0)
@@ -83,7 +83,7 @@ def test_moduli_of_a_sample_from_another_polymer() -> None:
 
 
 def test_a_real_disc(shared: Path) -> None:
-    measured = read(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV").spectrum
+    measured = read_recording(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV").spectrum
     prepared = prepare(
         read_chip(CHIPS / "disc_20x2.toml"), Registry(), kind="pzt", name="disc", measured=measured,
         free=("c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33",

@@ -64,7 +64,7 @@ def read_compensation(standards: Standards) -> Compensation:
 
 def _standard(path: Path, columns: readers.ColumnMap | None) -> Spectrum:
     if path.suffix not in (".h5", ".hdf5"):
-        return readers.read(path, columns=columns).spectrum
+        return readers.read_recording(path, columns=columns).spectrum
     run = read_run(path)
     levels = {point.level for point in run.points}
     if len(levels) != 1 or len({point.frequency for point in run.points}) < 2:

@@ -85,12 +85,12 @@ def asked_reading(options: argparse.Namespace, recording: Path, console: Console
     Raises:
         InputError: a recording that cannot be read, or --columns and --format together.
     """
-    from workbench.readers import read, read_column_map
+    from workbench.readers import read_column_map, read_recording
 
     if options.columns is not None and options.format is not None:
         raise InputError("command line", "--format", options.format, "--columns or --format, not both")
     columns = None if options.columns is None else read_column_map(options.columns)
-    reading = read(recording, columns=columns, format=options.format, correction=options.correction)
+    reading = read_recording(recording, columns=columns, format=options.format, correction=options.correction)
     say_read_as(reading.read_as, recording.name, console)
     return reading
 

@@ -37,7 +37,7 @@ from workbench.fitting.record import (
     source,
 )
 from workbench.problem import chip_materials
-from workbench.readers import read, read_column_map
+from workbench.readers import read_column_map, read_recording
 from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.spectrum import write_csv
 
@@ -135,7 +135,7 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
         if member.columns is not None and member.format is not None:
             raise InputError(member.name, "format", member.format, "columns or format, not both")
         columns = None if member.columns is None else read_column_map(member.columns)
-        reading = read(member.recording, columns=columns, format=member.format, correction=member.correction)
+        reading = read_recording(member.recording, columns=columns, format=member.format, correction=member.correction)
         chip = read_chip(member.chip)
         band = tuple(own if asked is None else asked for asked, own in zip(member.band, chip.band, strict=True))
         if not 0.0 < band[0] < band[1]:

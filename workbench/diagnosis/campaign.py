@@ -43,7 +43,7 @@ from workbench.files.tables import read_toml, refuse_unknown_keys
 from workbench.fitting.parameter import BENCH, BENCH_ELEMENTS, LENGTHS, LOSS, UNITS
 from workbench.fitting.prepare import check_device, in_band
 from workbench.problem import chip_materials
-from workbench.readers import read, read_column_map
+from workbench.readers import read_column_map, read_recording
 from workbench.spectrum import Spectrum
 
 STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns")
@@ -195,7 +195,7 @@ def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceSt
     recording = path.parent / text("recording")
     band = _band(entry.get("band"), source, f"{field}.band")
     columns = read_column_map(path.parent / text("columns")) if "columns" in entry else None
-    whole = read(recording, columns=columns).spectrum
+    whole = read_recording(recording, columns=columns).spectrum
     measured = in_band(whole, chip, band, name=str(recording))
     noise, stated = _noise(measured, quantity("noise", "dimensionless"), source, field)
     drive = quantity("drive", "peak-to-peak voltage")

@@ -1,12 +1,12 @@
 """Recordings of impedance: find out the format, read it, and say what looks wrong.
 
-    reading = read(Path("disc.csv"))
+    reading = read_recording(Path("disc.csv"))
     reading.spectrum, reading.findings
 
-A table whose headings say what its columns are needs no more; of one whose headings do not, :func:`read` asks for a
-column map, and proposes one. A file that cannot be trusted (cut short, out of order, not a number) is an
-`InputError` with the line. A file that can be read but contradicts physics gives findings, and is
-corrected only on request.
+A table whose headings say what its columns are needs no more; of one whose headings do not, :func:`read_recording` asks
+for a column map, and proposes one. A file that cannot be trusted (cut short, out of order, not a number) is an
+`InputError` with the line. A file that can be read but contradicts physics gives findings, and is corrected only on
+request.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from workbench.files.errors import InputError, choose
+from workbench.notebook import Shown, Summary
 from workbench.readers import columns as _columns
 from workbench.readers import e4990a, headed, hp4294a, touchstone, workbench_csv
 from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
@@ -24,7 +26,11 @@ from workbench.readers.quantities import Quantity
 from workbench.readers.text import RecordingText, load, refuse_waveform
 from workbench.spectrum import Spectrum, corrected
 
-__all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read", "read_column_map"]
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read_column_map",
+           "read_recording"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class Reading(Shown):
     """A spectrum as recorded and what was noticed in it."""
 
     spectrum: Spectrum
@@ -57,6 +63,17 @@ class Reading:
     def read_as(self) -> str:
         """What every column was taken for, where headings or a column map say so; otherwise nothing."""
         return self.spectrum.origin.settings.get(READ_AS, "")
+
+    def summary(self) -> Summary:
+        """The spectrum and what was noticed in it, for a notebook."""
+        own = self.spectrum.summary()
+        found = [("read as", self.read_as)] if self.read_as else []
+        rows = (*own.rows, *found, *(("finding", str(finding.message)) for finding in self.findings))
+        return Summary("Recording", rows, {"measured": self.spectrum}, ("measured",))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """See :meth:`Spectrum.to_xarray`."""
+        return self.spectrum.to_xarray()
 
     def corrected(self, correction: str) -> Reading:
         """The reading with its spectrum put right by "negate" or "conjugate", noted in the origin, and re-examined."""
@@ -73,8 +90,8 @@ def detect(path: Path) -> str:
     return _detect(load(Path(path)))
 
 
-def read(
-    path: Path, *, columns: ColumnMap | None = None, format: str | None = None, correction: str | None = None
+def read_recording(
+    path: Path | str, *, columns: ColumnMap | None = None, format: str | None = None, correction: str | None = None
 ) -> Reading:
     """Read a recording of impedance.
 

@@ -1,0 +1,185 @@
+"""A fit from Python: one recording of a device, the chip that describes it, and the material that comes of it.
+
+    found = fit(read_recording("disc.csv"), read_chip("disc.toml"), "pzt")
+    found.values, found.findings
+    found.save("pzt_mine/disc_7")
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geometry.chip import Chip
+from materials.kinds import Material
+from materials.registry import Registry, user_folder, user_registry
+from materials.saving import save
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.fitting import joint
+from workbench.fitting.joint import FitResult
+from workbench.fitting.prepare import DEFAULT, Prepared, material_starts, prepare
+from workbench.fitting.record import Source, file_digest, refusals, registry_entry
+from workbench.notebook import Shown, Summary
+from workbench.readers import Reading
+from workbench.spectrum import Spectrum
+
+if TYPE_CHECKING:
+    import xarray
+
+#: Called with what is being done and the share of it that is done.
+Progress = Callable[[str, float], None]
+
+
+class NotAccepted(RuntimeError):
+    """A fit that is not to be believed is not saved unless that is forced; ``reasons`` say why."""
+
+    def __init__(self, reasons: tuple[str, ...]) -> None:
+        super().__init__("; ".join(reasons) + "; force=True saves it all the same")
+        self.reasons = reasons
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialFit(Shown):
+    """A material fitted to a recording.
+
+    ``result`` holds estimates, covariance, descents, bands left out and findings; ``prepared`` what was asked;
+    ``source`` the files it was fitted from.
+    """
+
+    result: FitResult
+    prepared: Prepared
+    source: Source
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The fitted numbers (SI) by parameter name."""
+        return {each.parameter.name: each.value for each in self.result.estimates}
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What is to be known of the fit, in plain statements."""
+        return self.result.findings
+
+    @property
+    def reasons_against(self) -> tuple[str, ...]:
+        """Why the fit is not to be believed; empty if nothing speaks against it."""
+        return refusals(self.result)
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """The fitted spectrum, at the frequencies of the recording."""
+        return self.result.recordings[0].fitted
+
+    @property
+    def material(self) -> Material:
+        """The freed material with the fitted numbers, their intervals and where they come from."""
+        temperature = self.prepared.chip.state(self.prepared.state).temperature
+        return registry_entry(self.result, self.prepared, [self.source], date=datetime.now(UTC),
+                              forced=bool(self.reasons_against), temperature=temperature)
+
+    def save(self, name: str, *, folder: Path | None = None, force: bool = False) -> str:
+        """Keep the material as the next version of `name` in a folder of materials, the user's own by default.
+
+        Returns:
+            the name it is kept under, such as ``"pzt_mine/disc_7@1"``.
+
+        Raises:
+            NotAccepted: the fit is not to be believed, and `force` is not set.
+            InputError: a name that no material can have.
+        """
+        if self.reasons_against and not force:
+            raise NotAccepted(self.reasons_against)
+        return save(self.material, name, folder=user_folder() if folder is None else folder)
+
+    def summary(self) -> Summary:
+        """Values with their intervals and what speaks against the fit, for a notebook."""
+        match = self.result.recordings[0]
+        rows = [("parameter", "value", "95 % interval", "unit")]
+        rows += [(e.parameter.name, f"{e.value:.5g}", f"{e.low:.5g} to {e.high:.5g}" if math.isfinite(e.low) else "",
+                  e.parameter.unit) for e in self.result.estimates]
+        rows.append(("MAPE of |Z|", f"{match.after.mape_percent:.3g} %",
+                     f"before {match.before.mape_percent:.3g} %", ""))
+        rows += [("not accepted", reason, "", "") for reason in self.reasons_against]
+        return Summary(f"{self.prepared.material.name}, fitted to {match.name}", tuple(rows),
+                       {"measured": match.measured, "fitted": match.fitted}, ("measured",))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Values, 95 % intervals and standard errors (SI) over ``parameter``; ``correlation`` over two of them."""
+        import xarray
+
+        estimates = self.result.estimates
+        names = [each.parameter.name for each in estimates]
+        columns = {key: ("parameter", np.array([getattr(each, key) for each in estimates]))
+                   for key in ("value", "low", "high", "standard_error")}
+        columns["start"] = ("parameter", np.array([each.parameter.start for each in estimates]))
+        units = ("parameter", [each.parameter.unit for each in estimates])
+        correlation = (("parameter", "other_parameter"), self.result.correlation)
+        return xarray.Dataset({**columns, "correlation": correlation},
+                              {"parameter": names, "other_parameter": names, "unit": units},
+                              {"mape_percent": self.result.recordings[0].after.mape_percent})
+
+
+def fit(
+    recording: Reading | Spectrum,
+    chip: Chip,
+    kind: str = "pzt",
+    *,
+    state: str | None = None,
+    material: str | None = None,
+    region: str | None = None,
+    free: Sequence[str] = (DEFAULT,),
+    band: tuple[float, float] | None = None,
+    starts: Sequence[str] = (),
+    registry: Registry | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+    tries: int = 32,
+    cache: Path | None = None,
+    progress: Progress | None = None,
+) -> MaterialFit:
+    """Fit a material to the recording of a device.
+
+    Args:
+        kind: "pzt" frees the constants of the transducer, "polymer" the moduli of the sample.
+        state: of the chip; its last one by default.
+        material: what the fit starts from, in place of the chip's own material of that region.
+        region: whose material is free, in place of the kind's own.
+        free: names of parameters, such as ``c33``, ``c33.loss``, ``transducer.thickness``,
+            ``bench.series_resistance``; "default" stands for those of the kind.
+        band: in Hz; the chip's own by default.
+        starts: further materials of the registry to start from.
+        registry: where materials are looked up; the package's and the user's own by default.
+        accuracy: relative error of Z that the mesh is made for.
+        tries: most further descents where the recording stays unexplained.
+        cache: folder for meshes.
+
+    Raises:
+        InputError: a name that does not exist, too few points, or a recording that cannot be of this device.
+        FitError: no start can be predicted.
+        MeshError: the mesh cannot be made.
+    """
+    registry = user_registry() if registry is None else registry
+    measured = recording if isinstance(recording, Spectrum) else recording.spectrum
+    findings = () if isinstance(recording, Spectrum) else tuple(each.message for each in recording.findings)
+    name = Path(measured.origin.source).stem or "recording"
+    prepared = prepare(chip, registry, kind=kind, name=name, measured=measured, state=state, material=material,
+                       region=region, free=free, band=band, accuracy=accuracy, cache=cache)
+    result = joint.fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse,
+                       starts=material_starts(prepared, registry, starts), tries=tries, progress=progress)
+    return MaterialFit(result, prepared, _source(measured, chip, findings))
+
+
+def _source(measured: Spectrum, chip: Chip, findings: tuple[str, ...]) -> Source:
+    """The files behind a recording and a chip; of what has no file, the digest of what it says."""
+    content = np.concatenate([measured.frequency, measured.impedance.real, measured.impedance.imag]).tobytes()
+    file = Path(chip.file)
+    described = file_digest(file) if file.is_file() else hashlib.sha256(repr(chip).encode()).hexdigest()
+    return Source(measured.origin.source or "a spectrum of no file",
+                  measured.origin.sha256 or hashlib.sha256(content).hexdigest(), chip.file or chip.name, described,
+                  findings)
