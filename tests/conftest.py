@@ -141,7 +141,8 @@ def _reference_spectrum(name: str) -> Spectrum:
 
 def _uniform_mesh(chip: Chip, edge: float, skins: Mapping[str, float] | None = None) -> SectionMesh:
     """The chip in elements of equal size, no longer than `edge` (metres), for orders of convergence."""
-    from geometry.mesh import MeshSize, mesh_section
+    from geometry.mesh import mesh_section
+    from geometry.mesh_size import MeshSize
     from geometry.section import cut_section
 
     section = cut_section(chip)

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.chip import SAME_LENGTH, Chip, Dimension, ElectrodeDisc, read_chip
-from geometry.mesh import MeshError, MeshSize, SectionMesh, mesh_section
+from geometry.chip import Chip, Dimension, read_chip
+from geometry.mesh import MeshError, SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
+from geometry.parts import SAME_LENGTH, ElectrodeDisc
 from geometry.section import cut_section
 from geometry.stretch import between, movable, split, stretch, tied, velocity
 from workbench.files.errors import InputError

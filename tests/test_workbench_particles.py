@@ -11,33 +11,31 @@ import numpy as np
 import pytest
 from scipy.special import j0, j1
 
+from workbench.field_forces import ParticleForces, axial_focus_time, force_at, particle_forces
 from workbench.nodal import NodalMesh, gradient, mesh_of, sample
 from workbench.particles import (
     FluidState,
     Particle,
-    ParticleForces,
-    acoustic_energy_density,
-    axial_focus_time,
     boundary_layer_thickness,
     bulk_compressibility,
     compressibility,
-    crossover_radius,
     dipole,
-    find_traps,
-    focus_time,
-    force_at,
-    gorkov_potential,
     inviscid_scattering,
     monopole,
     net_weight,
-    particle_forces,
     particle_from,
+    viscous_scattering,
+)
+from workbench.radiation import (
+    acoustic_energy_density,
+    crossover_radius,
+    gorkov_potential,
     radiation_force,
     rayleigh_streaming_speed,
     standing_wave_focus_time,
     standing_wave_force,
-    viscous_scattering,
 )
+from workbench.traps import find_traps, focus_time
 
 #: Water and polystyrene at 25 C, and the two frequencies for which reference figures are printed.
 WATER = FluidState(density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)

@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
+from workbench.field_forces import particle_forces
 from workbench.nodal import NodalMesh, mesh_of, sample
-from workbench.particles import FluidState, Particle, TrapReport, find_traps, particle_forces
+from workbench.particles import FluidState, Particle
 from workbench.render import canvas, plots, sections, solids, vtu
+from workbench.traps import TrapReport, find_traps
 
 needs_graphics = pytest.mark.skipif(
     sys.platform == "linux" and not os.environ.get("DISPLAY") and ctypes.util.find_library("EGL") is None,

@@ -35,15 +35,17 @@ from materials.registry import Registry
 from workbench.coefficients import Coefficients
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
+from workbench.energy_norm import energy_matrix
 from workbench.files.errors import InputError, choose
 from workbench.files.writing import replacing
 from workbench.fitting.parameter import LOSS, part, placed
 from workbench.fitting.predict import Prediction
 from workbench.notebook import Shown, Summary
-from workbench.operators import FullOperators, ReducedOperators, assemble
+from workbench.operators import FullOperators, assemble
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
 from workbench.problem import Problem, build
-from workbench.reduction import ReducedModel, covering, energy_matrix, smallest
+from workbench.reduced_operators import ReducedOperators
+from workbench.reduction import ReducedModel, covering, smallest
 from workbench.solve import System, one_thread
 from workbench.spectrum import Origin, Spectrum
 

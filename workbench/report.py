@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from workbench import particles
 from workbench.comparison import Comparison
 from workbench.files.writing import write_atomic
 from workbench.merit import Estimate, Figures, NoResonance, ResonanceFit, figures, fit_resonance
 from workbench.simulation import Simulation
 from workbench.spectrum import Spectrum
+from workbench.traps import focus_time
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c1c1c; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
@@ -153,7 +153,7 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "particle": run.traps.forces.particle.name, "radius_m": run.traps.forces.particle.radius,
             "contrast_factor": run.traps.forces.scattering.contrast_factor,
             "pressure_amplitude_pa": excitation.pressure_amplitude, "energy_density_j_m3": excitation.energy_density,
-            "drive": excitation.description, "focus_time_s": particles.focus_time(run.traps),
+            "drive": excitation.description, "focus_time_s": focus_time(run.traps),
             "traps": [{"r_m": t.radius, "z_m": t.height, "depth_j": t.depth, "radial_stiffness_n_m": t.radial_stiffness,
                        "axial_stiffness_n_m": t.axial_stiffness, "on_wall": t.on_wall} for t in run.traps.traps],
         }

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.mesh import MeshSize, SectionMesh, mesh_section
+from geometry.mesh import SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
 from geometry.stretch import stretch
 from materials.kinds import Fluid, Material

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.nodal import FloatArray, sample
-from workbench.particles import Trap, TrapReport
 from workbench.render.canvas import new_figure, prefixed, role_colour, save, typeset
+from workbench.traps import Trap, TrapReport
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
