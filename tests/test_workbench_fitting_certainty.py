@@ -28,10 +28,11 @@ from workbench.fitting.certainty import (
     profile,
     residual_findings,
 )
-from workbench.fitting.joint import FINE, Search, refine
+from workbench.fitting.joint import FINE, refine
 from workbench.fitting.objective import Objective, Recording, Residual, log_ratio
 from workbench.fitting.parameter import Parameter, parameters
 from workbench.fitting.predict import Predictor
+from workbench.fitting.search import Search
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
 

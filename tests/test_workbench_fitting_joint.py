@@ -16,10 +16,11 @@ from workbench.dimensions import flexible
 from workbench.files.errors import InputError
 from workbench.fitting import joint
 from workbench.fitting.constrained import minimise
-from workbench.fitting.joint import FINE, SEARCHED_POINTS, FitError, FitResult, Search, fit
+from workbench.fitting.joint import FINE, FitError, FitResult, fit
 from workbench.fitting.objective import Objective, Recording, through_bench
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters, started_at
 from workbench.fitting.predict import Predictor
+from workbench.fitting.search import SEARCHED_POINTS, Search
 from workbench.problem import Problem
 from workbench.reduction import NotEnriched
 from workbench.spectrum import Spectrum
@@ -379,7 +380,7 @@ def test_a_search_that_was_cut_off_says_so(disc: Problem, chip: Chip, monkeypatc
     def short(*arguments: Any, **named: Any) -> Any:
         return minimise(*arguments, **{**named, "limit": 1})
 
-    monkeypatch.setattr(joint, "minimise", short)
+    monkeypatch.setattr("workbench.fitting.search.minimise", short)
     found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False)
     assert not found.converged
     assert "The search did not converge: the limit of 1 steps was reached." in found.findings

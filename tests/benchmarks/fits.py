@@ -32,9 +32,10 @@ from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.fitting import certainty  # noqa: E402
 from workbench.fitting.gel import gel_study  # noqa: E402
-from workbench.fitting.joint import COARSE, FINE, FitResult, Search, fit, refine  # noqa: E402
+from workbench.fitting.joint import COARSE, FINE, FitResult, fit, refine  # noqa: E402
 from workbench.fitting.objective import Objective  # noqa: E402
 from workbench.fitting.prepare import prepare  # noqa: E402
+from workbench.fitting.search import Search  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.readers import read  # noqa: E402
 from workbench.solve import sweep  # noqa: E402

@@ -5,24 +5,16 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
 from workbench.comparison import Comparison
-from workbench.files.errors import InputError
-from workbench.fitting.objective import log_ratio, through_bench
+from workbench.fitting.objective import Objective, log_ratio, through_bench
 from workbench.fitting.parameter import Parameter
-from workbench.reduction import NotEnriched
-from workbench.solve import NotConverged
+from workbench.fitting.search import REFUSED, Optimum, Search, Weighted
 from workbench.spectrum import Spectrum
-
-if TYPE_CHECKING:
-    from workbench.fitting.constrained import Minimum
-    from workbench.fitting.joint import Search, Weighted
-    from workbench.fitting.objective import Objective
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -40,9 +32,6 @@ MISJUDGED = 0.3
 
 #: A parameter closer to its bound than this share of the admitted range is at it.
 AT_BOUND = 1e-3
-
-#: Where nothing can be predicted.
-REFUSED: tuple[type[Exception], ...] = (NotEnriched, NotConverged, MeshError, InputError)
 
 #: A matrix inequality whose margin is smaller than this, relative, is active.
 ACTIVE = 1e-6
@@ -156,7 +145,7 @@ def correlation_length(residual: Complex) -> float:
 
 def judge(
     search: Search,
-    minimum: Minimum,
+    minimum: Optimum,
     noise: Sequence[Noise],
     *,
     profiles: bool,
@@ -299,7 +288,7 @@ def _misjudged(
 
 
 def profile(
-    search: Search, minimum: Minimum, index: int, error: float, deviation: Sequence[Real]
+    search: Search, minimum: Optimum, index: int, error: float, deviation: Sequence[Real]
 ) -> tuple[float, float]:
     """The 95 % interval of one parameter with all others refitted at every value (profile likelihood).
 
@@ -397,7 +386,7 @@ def _quantity(parameter: Parameter) -> str:
     return last
 
 
-def leave_bands_out(search: Search, minimum: Minimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
+def leave_bands_out(search: Search, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
     """Fit without each of `parts` equal parts of every recording's band in turn, and predict the part left out."""
     result = []
     base = deviations(search, noise)
@@ -412,7 +401,7 @@ def leave_bands_out(search: Search, minimum: Minimum, noise: Sequence[Noise], pa
             # A point of infinite deviation has no say.
             without = [np.where(inside, np.inf, d) if i == index else d for i, d in enumerate(base)]
             found = search.minimise(minimum.x, without, limit=10, tolerance=1e-4, radius=0.3)
-            predicted = found.residual.data.log_ratio[index]  # type: ignore[attr-defined]
+            predicted = found.residual.data.log_ratio[index]
             result.append(BandLeftOut(recording.name, float(low), float(high), _rms(logs[index][inside]),
                                       _rms(predicted[inside])))
     return tuple(result)

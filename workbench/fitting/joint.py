@@ -14,42 +14,28 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
-import math
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.comparison import Comparison, compare
 from workbench.fitting import certainty
-from workbench.fitting.admissible import inequalities
-from workbench.fitting.certainty import REFUSED, BandLeftOut, Direction, Fitted, Noise
-from workbench.fitting.constrained import Inequality, Minimum, interior, minimise
-from workbench.fitting.objective import Objective, Recording, Residual
+from workbench.fitting.certainty import BandLeftOut, Direction, Fitted, Noise
+from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import Parameter
-from workbench.reduction import NotEnriched
+from workbench.fitting.search import EXPLORATION, NO_END, SEARCHED_POINTS, Descent, Optimum, Search
 from workbench.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-#: Half widths of the smoothing, relative to the middle of the band, from far to none.
-WIDTHS = (0.03, 0.01, 0.003, 0.0)
-
-#: Relative deviation that a point is given during exploration. It stands for all that the model leaves out, and lets
-#: the prior hold what the smoothed spectra cannot see.
-EXPLORATION = 0.05
-
 #: Relative error of the reduced model while exploring, and at the end.
 COARSE, FINE = 5e-2, 3e-4
-
-#: A recording is searched on at most about so many of its points.
-SEARCHED_POINTS = 241
 
 #: An end of the search is left for its neighbours if more than the first rms of |ln ratio| remains and it is not white,
 #: or more than the second: on a sparse grid sharp overtones that miss each other look white.
@@ -68,15 +54,10 @@ DRAWN = 8
 #: A neighbour is better if it costs less than this share of the best.
 BETTER = 0.9
 
-#: A way down is given up where it costs more than this many times what the best cost at the same smoothing.
-WORSE = 2.0
-
-#: Steps at one smoothing. A way down that has not ended by then is in a valley that says little, or in none.
-STEPS = 20
-
 #: Two ends are the same optimum if every parameter agrees within this many standard errors of either, or within this
 #: share of its prior, whichever is larger: a flat direction of the data may be anywhere along it.
 SAME_ERRORS, SAME_SHARE = 2.0, 0.02
+
 
 class FitError(RuntimeError):
     """A fit that cannot be made: what is wrong with recording, geometry or parameters, in words."""
@@ -84,9 +65,6 @@ class FitError(RuntimeError):
 
 #: How a start may have ended.
 SAME, GIVEN_UP = "same optimum", "given up: worse than the best while still smoothed"
-
-#: What may end one start of several: nothing can be predicted, or nothing there is admissible.
-NO_END: tuple[type[Exception], ...] = (*REFUSED, ValueError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,149 +125,6 @@ class FitResult:
         """(p, p)."""
         deviation = np.sqrt(np.diag(self.covariance))
         return np.asarray(self.covariance / np.outer(deviation, deviation))
-
-
-@dataclass(frozen=True, eq=False)
-class Weighted:
-    """A residual with the prior's rows below: what `minimise` sees."""
-
-    vector: Real
-    jacobian: Real
-    data: Residual
-
-
-@dataclass(frozen=True, eq=False)
-class Descent(Minimum):
-    """The end of a way down through the smoothed problems.
-
-    ``costs`` by the number of the width, as far as it was followed; ``ended`` is whether that was to no smoothing.
-    """
-
-    costs: Mapping[int, float]
-    ended: bool
-
-
-class Search:
-    """The least-squares problem of one objective: bounds, prior and inequalities around it.
-
-    Only the parameters of the indices `free` move, all by default; the priors of those in `lifted` are left out.
-    """
-
-    def __init__(
-        self, objective: Objective, *, poisson: tuple[float, float] | None = None, free: Sequence[int] | None = None,
-        lifted: Collection[int] = (),
-    ) -> None:
-        self.objective, self.parameters = objective, objective.parameters
-        self.free = np.arange(len(self.parameters)) if free is None else np.array(sorted(free), dtype=int)
-        self.low = np.array([p.low for p in self.parameters])
-        self.high = np.array([p.high for p in self.parameters])
-        self.scale = np.array([p.scale for p in self.parameters])
-        self.centre = np.array([p.start for p in self.parameters])
-        self.precision = np.array([0.0 if p.prior is None or i in lifted else 1.0 / p.prior
-                                   for i, p in enumerate(self.parameters)])
-        problems = [r.problem for r in objective.recordings]
-        moving = [self.parameters[i] for i in self.free]
-        found = (inequalities(problems, moving) if poisson is None
-                 else inequalities(problems, moving, poisson=poisson))
-        self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
-
-    def on(self, objective: Objective) -> Search:
-        """The same problem with its objective predicted in another way."""
-        other = copy.copy(self)
-        other.objective = objective
-        return other
-
-    def thinned(self) -> Search:
-        """The same problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
-        return self.on(self.objective.thinned(SEARCHED_POINTS))
-
-    def _among_all(self, inequality: Inequality) -> Inequality:
-        """An inequality of the free parameters as one of all."""
-        slopes = np.zeros((len(self.parameters), *inequality.constant.shape))
-        slopes[self.free] = inequality.slopes
-        return replace(inequality, slopes=slopes)
-
-    def evaluate(
-        self, x: Real, deviation: Sequence[Real | float], smoothing: float = 0.0, free: Collection[int] | None = None
-    ) -> Weighted:
-        """Data and prior, about the parameters' own starts, at x (p,); `free` as in `Objective.predict`."""
-        data = self.objective(x, deviation=deviation, smoothing=smoothing, free=free)
-        vector = np.concatenate([data.vector, (x - self.centre) * self.precision])
-        return Weighted(vector, np.vstack([data.jacobian, np.diag(self.precision)]), data)
-
-    def minimise(
-        self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,
-        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (), trusted: float = np.inf,
-    ) -> Minimum:
-        """The least cost near x; the parameters of the indices `fixed` stay where they are.
-
-        Steps that lead to where predictions have an estimated relative error above `trusted` are shortened.
-
-        Raises:
-            NotEnriched: that of x itself is above `trusted`.
-        """
-        free = np.setdiff1d(self.free, fixed)
-        moved = frozenset(map(int, free))
-
-        def whole(y: Real) -> Real:
-            result = x.copy()
-            result[free] = y
-            return result
-
-        def reduced(y: Real) -> Weighted:
-            full = self.evaluate(whole(y), deviation, smoothing, moved)
-            if math.isfinite(trusted) and not full.data.error <= trusted:
-                raise NotEnriched(full.data.error, trusted, self.objective.solves)
-            return Weighted(full.vector, full.jacobian[:, free], full.data)
-
-        found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
-                         inequalities=self._conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
-                         refused=REFUSED)
-        self.objective.refusals.extend(found.refusals)
-        return replace(found, x=whole(found.x))
-
-    def inside(self, x: Real) -> Real:
-        """Where :meth:`minimise` begins from x (p,): at x, or near it and strictly inside of what parameters may be."""
-        result, free = x.copy(), self.free
-        result[free] = interior(x[free], self.low[free], self.high[free], self._conditions(x, free))
-        return result
-
-    def _conditions(self, x: Real, free: NDArray[np.int64]) -> list[Inequality]:
-        """The inequalities of the parameters of the indices `free`, with the others where x (p,) has them."""
-        held = x.copy()
-        held[free] = 0.0
-        return [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
-
-    def descend(
-        self, x: Real, progress: Callable[[], None], *, first: int = 0, rival: Descent | None = None
-    ) -> Descent:
-        """From a start through the smoothed problems, from number `first` on, to the recordings themselves.
-
-        What the smoothed spectra cannot see is held by the prior. The way is not followed to its end once it is
-        clearly worse than `rival` was at the same width.
-        """
-        steps, costs, ended = 0, {}, True
-        widths = self.widths()
-        for number in range(min(first, len(widths) - 1), len(widths)):
-            width = widths[number]
-            # A smoothed spectrum has as many independent points as widths fit into the band.
-            deviation = [EXPLORATION * np.sqrt(max(1.0, width / float(np.median(np.diff(r.measured.frequency)))))
-                         for r in self.objective.recordings]
-            found = self.minimise(x, deviation, smoothing=width, limit=STEPS, tolerance=1e-4)
-            x, steps = found.x, steps + found.iterations
-            costs[number] = found.cost
-            progress()
-            ended = width == 0.0
-            if not ended and rival is not None and found.cost > WORSE * rival.costs.get(number, np.inf):
-                break
-        return Descent(x, found.residual, found.cost, found.converged, steps, found.reason, found.refusals, costs,
-                       ended)
-
-    def widths(self) -> list[float]:
-        """Half widths (Hz) of the smoothed problems: those that a recording's points can show, then none."""
-        frequency = self.objective.recordings[0].measured.frequency
-        middle, spacing = float(np.mean(frequency[[0, -1]])), float(np.median(np.diff(frequency)))
-        return [w * middle for w in WIDTHS if w == 0.0 or w * middle > spacing]
 
 
 def fit(
@@ -439,9 +274,9 @@ def _drawn(search: Search, count: int, seed: int) -> list[tuple[str, Real]]:
     return result
 
 
-def _unexplained(end: Minimum) -> bool:
+def _unexplained(end: Optimum) -> bool:
     """Whether what an end leaves is more than noise: large and systematic, or too large for any noise."""
-    data: Residual = end.residual.data  # type: ignore[attr-defined]
+    data = end.residual.data
     for log in data.log_ratio:
         rms = np.sqrt(np.mean(np.abs(log) ** 2))
         if rms > NO_NOISE or (rms > UNEXPLAINED and certainty.correlation_length(log) > 1.0):
@@ -455,7 +290,7 @@ def _start_spectra(scout: Search, recordings: Sequence[Recording]) -> list[NDArr
             for index, recording in enumerate(recordings)]
 
 
-def refine(search: Search, x: Real) -> tuple[Minimum, tuple[Noise, ...]]:
+def refine(search: Search, x: Real) -> tuple[Optimum, tuple[Noise, ...]]:
     """The minimum near x with every recording weighted by the noise its own residual shows.
 
     The spectra's own uncertainties are scaled as a whole, or a constant relative deviation is found.
@@ -466,7 +301,7 @@ def refine(search: Search, x: Real) -> tuple[Minimum, tuple[Noise, ...]]:
         deviation = [level * shape for level, shape in zip(levels, shapes, strict=True)]
         minimum = search.minimise(x, deviation, radius=0.3, tolerance=1e-7)
         x = minimum.x
-        data = minimum.residual.data  # type: ignore[attr-defined]
+        data = minimum.residual.data
         free = len(search.parameters) / max(1, len(levels))
         now = [float(np.sqrt(np.sum(np.abs(log / shape) ** 2) / max(1.0, 2.0 * log.size - free)))
                for log, shape in zip(data.log_ratio, shapes, strict=True)]
@@ -491,7 +326,7 @@ def _check(recordings: Sequence[Recording], parameters: Sequence[Parameter]) -> 
 
 
 def _judged_starts(
-    found: Sequence[_Trial], best: Minimum, search: Search, noise: Sequence[Noise]
+    found: Sequence[_Trial], best: Optimum, search: Search, noise: Sequence[Noise]
 ) -> tuple[Start, ...]:
     """Every start with where it ended, seen from the best end."""
     jacobian = best.residual.jacobian
@@ -505,7 +340,7 @@ def _judged_starts(
         if end is None:
             result.append(Start(trial.label, trial.begin, trial.begin, np.inf, f"failed: {trial.reason}", 0))
             continue
-        data: Residual = end.residual.data  # type: ignore[attr-defined]
+        data = end.residual.data
         rms = float(np.sqrt(np.mean(np.abs(np.concatenate(data.log_ratio)) ** 2)))
         off = np.abs(end.x - best.x) / allowed
         worst = int(np.argmax(off))
@@ -520,9 +355,9 @@ def _judged_starts(
 
 
 def _matches(
-    recordings: Sequence[Recording], before: Sequence[NDArray[np.complex128]], minimum: Minimum, noise: Sequence[Noise]
+    recordings: Sequence[Recording], before: Sequence[NDArray[np.complex128]], minimum: Optimum, noise: Sequence[Noise]
 ) -> tuple[Match, ...]:
-    data: Residual = minimum.residual.data  # type: ignore[attr-defined]
+    data = minimum.residual.data
     result = []
     for recording, first, last, level in zip(recordings, before, data.impedance, noise, strict=True):
         frequency = recording.measured.frequency
@@ -533,7 +368,7 @@ def _matches(
 
 
 def _findings(
-    minimum: Minimum, improved: bool, starts: Sequence[Start], matches: Sequence[Match],
+    minimum: Optimum, improved: bool, starts: Sequence[Start], matches: Sequence[Match],
     bands: Sequence[BandLeftOut], check: tuple[float, float],
 ) -> list[str]:
     result = []
