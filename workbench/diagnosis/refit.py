@@ -18,10 +18,10 @@ from workbench.diagnosis.catalogue import Effect
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.locate import Place, located
 from workbench.diagnosis.score import Score, Tangents, columns, confusion, cost_of_freedom, scores_at
-from workbench.fitting.certainty import DEVIATIONS, correlation_length
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.search import EXPLORATION, NO_END, Optimum, Search, Weighted
+from workbench.fitting.uncertainty import DEVIATIONS, correlation_length
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from materials import conversions
-from workbench.fitting.certainty import DEVIATIONS
 from workbench.fitting.parameter import POLYMER_FOUR
+from workbench.fitting.uncertainty import DEVIATIONS
 
 Real = NDArray[np.float64]
 

@@ -23,12 +23,13 @@ from materials.kinds import IsotropicSolid, Material
 from materials.saving import fitted
 from materials.value import Value
 from workbench.comparison import compare
-from workbench.fitting.certainty import CONFIDENCE, Fitted, Noise
 from workbench.fitting.derived import Derived, derived, moduli_of
-from workbench.fitting.joint import FitResult, Match, Start
+from workbench.fitting.joint import FitResult, Match
+from workbench.fitting.multistart import Start
 from workbench.fitting.paper import PaperFit
 from workbench.fitting.parameter import LOSS, placed
 from workbench.fitting.prepare import Prepared
+from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.merit import NoResonance, figures
 from workbench.operators import assemble
 from workbench.reduction import reduce
@@ -87,7 +88,7 @@ def paper_result(found: PaperFit, prepared: Prepared) -> FitResult:
     before, after = compare(measured, start), compare(measured, fitted_spectrum)
     free = [next(p for p in prepared.parameters if p.name == name) for name in found.values]
     estimates = tuple(
-        Fitted(p, found.values[p.name], math.nan, math.nan, math.nan, math.nan, "none", "", True, math.nan)
+        ParameterEstimate(p, found.values[p.name], math.nan, math.nan, math.nan, math.nan, "none", "", True, math.nan)
         for p in free)
     vectors = [np.array([numbers[p.name] for p in free]) for numbers in (found.start, found.values)]
     findings = [f"{'Ended' if found.converged else 'Not converged'}: {found.reason}.",
@@ -186,7 +187,7 @@ def fit_record(
     }
 
 
-def parameter_record(estimate: Fitted) -> dict[str, Any]:
+def parameter_record(estimate: ParameterEstimate) -> dict[str, Any]:
     """One row of the parameter table."""
     p = estimate.parameter
     return {
@@ -283,11 +284,11 @@ def registry_entry(
         notes=(*refusals(result), *result.findings), forced=forced))
 
 
-def _note(part: str, estimate: Fitted | None) -> str:
+def _note(part: str, estimate: ParameterEstimate | None) -> str:
     return "" if estimate is None or not estimate.at_bound else f"{part}held by {estimate.at_bound}"
 
 
-def _status(estimate: Fitted | None) -> str:
+def _status(estimate: ParameterEstimate | None) -> str:
     if estimate is None:
         return "fixed"
     if not estimate.determined:

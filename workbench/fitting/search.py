@@ -30,10 +30,10 @@ EXPLORATION = 0.05
 #: A recording is searched on at most about so many of its points.
 SEARCHED_POINTS = 241
 
-#: A way down is given up where it costs more than this many times what the best cost at the same smoothing.
+#: A descent is given up where it costs more than this many times what the best cost at the same smoothing.
 WORSE = 2.0
 
-#: Steps at one smoothing. A way down that has not ended by then is in a valley that says little, or in none.
+#: Steps at one smoothing. A descent that has not ended by then is in a valley that says little, or in none.
 STEPS = 20
 
 #: Where nothing can be predicted.
@@ -58,9 +58,9 @@ Optimum = Minimum[Weighted]
 
 @dataclass(frozen=True, eq=False)
 class Descent(Optimum):
-    """The end of a way down through the smoothed problems.
+    """The end of a descent through the smoothed problems.
 
-    ``costs`` by the number of the width, as far as it was followed; ``ended`` is whether that was to no smoothing.
+    ``costs`` by the number of the width, as far as the descent went; ``ended`` is whether that was to no smoothing.
     """
 
     costs: Mapping[int, float]
@@ -163,7 +163,7 @@ class Search:
     ) -> Descent:
         """From a start through the smoothed problems, from number `first` on, to the recordings themselves.
 
-        What the smoothed spectra cannot see is held by the prior. The way is not followed to its end once it is
+        What the smoothed spectra cannot see is held by the prior. The descent is given up once it is
         clearly worse than `rival` was at the same width.
         """
         steps, costs, ended = 0, {}, True

@@ -1,4 +1,4 @@
-"""What the data say of each parameter at the minimum, and what they cannot say."""
+"""Uncertainty of a fit: what the data say of each parameter at the minimum, and what they cannot say."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CHI_SQUARE = DEVIATIONS**2
 NARROWED = 2.0
 
 #: Where the cost at the end of an interval differs by more than this share from the quadratic's, it is profiled.
-MISJUDGED = 0.3
+NOT_QUADRATIC = 0.3
 
 #: A parameter closer to its bound than this share of the admitted range is at it.
 AT_BOUND = 1e-3
@@ -53,7 +53,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class ParameterEstimate:
     """One fitted parameter, SI.
 
     ``standard_error`` holds the noise and the ``numerical`` error, what the mesh may have moved the value by; ``low``
@@ -99,10 +99,10 @@ class BandLeftOut:
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
-    """All that the minimum says."""
+class FitUncertainty:
+    """Estimates with intervals, their covariance (p, p) in SI, undetermined directions and findings in words."""
 
-    estimates: tuple[Fitted, ...]
+    estimates: tuple[ParameterEstimate, ...]
     covariance: Real
     undetermined: tuple[Direction, ...]
     findings: tuple[str, ...]
@@ -143,14 +143,14 @@ def correlation_length(residual: Complex) -> float:
     return max(1.0, length)
 
 
-def judge(
+def estimate_uncertainty(
     search: Search,
     minimum: Optimum,
     noise: Sequence[Noise],
     *,
     profiles: bool,
     coarser: Objective | None = None,
-) -> Verdict:
+) -> FitUncertainty:
     """Intervals, correlations and undetermined directions at a minimum.
 
     The information of the data, J^T J / correlation, and of the prior add up; the covariance is the inverse of the sum.
@@ -177,7 +177,7 @@ def judge(
     for i, parameter in enumerate(search.parameters):
         low, high, method = minimum.x[i] - DEVIATIONS * errors[i], minimum.x[i] + DEVIATIONS * errors[i], "quadratic"
         held = "bound" in bounds[i]
-        if profiles and (held or _misjudged(near, minimum.x, settled, covariance, i, deviation)):
+        if profiles and (held or _not_quadratic(near, minimum.x, settled, covariance, i, deviation)):
             ends = profile(near, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
             low, high = (minimum.x[i] + sign * np.hypot(end - minimum.x[i], DEVIATIONS * shift[i])
                          for sign, end in zip((-1.0, 1.0), ends, strict=True))
@@ -185,7 +185,7 @@ def judge(
         if bounds[i] and not held:
             low, high = (min(low, alone[i] - DEVIATIONS * errors[i]), max(high, alone[i] + DEVIATIONS * errors[i]))
         narrowing = errors[i] / search.scale[i]
-        estimates.append(Fitted(
+        estimates.append(ParameterEstimate(
             parameter, float(minimum.x[i]), float(errors[i]), float(abs(shift[i])), float(max(low, parameter.low)),
             float(min(high, parameter.high)), method, bounds[i], bool(narrowing * NARROWED <= 1.0), float(narrowing)))
     undetermined = _undetermined(search, minimum.x, information)
@@ -197,7 +197,7 @@ def judge(
             if p.name in conditioned) + ".")
     if coarser is None:
         statements.append("The intervals do not hold the error of the mesh: no coarser mesh was given to tell it by.")
-    return Verdict(tuple(estimates), whole, undetermined, tuple(statements))
+    return FitUncertainty(tuple(estimates), whole, undetermined, tuple(statements))
 
 
 def _inverse(information: Real, search: Search) -> Real:
@@ -264,10 +264,10 @@ def _bound(search: Search, x: Real, index: int) -> str:
     return ""
 
 
-def _misjudged(
+def _not_quadratic(
     search: Search, x: Real, here: Weighted, covariance: Real, index: int, deviation: Sequence[Real]
 ) -> bool:
-    """Whether the cost at the ends of the quadratic's interval, the others following, is not what it promises.
+    """Whether the cost at the ends of the quadratic's interval, the others following, is not the quadratic's.
 
     `here` is what `search` says at the minimum x (p,).
     """
@@ -282,7 +282,7 @@ def _misjudged(
             return True
         # Where an inequality holds the minimum, the cost has a slope there, which the quadratic knows too.
         rise = float(there.vector @ there.vector) - cost - float(slope @ step)
-        if abs(rise / CHI_SQUARE - 1.0) > MISJUDGED:
+        if abs(rise / CHI_SQUARE - 1.0) > NOT_QUADRATIC:
             return True
     return False
 
@@ -450,7 +450,7 @@ def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
     return result
 
 
-def _statements(search: Search, estimates: Sequence[Fitted], undetermined: Sequence[Direction]) -> list[str]:
+def _statements(search: Search, estimates: Sequence[ParameterEstimate], undetermined: Sequence[Direction]) -> list[str]:
     result = []
     for found in estimates:
         if found.at_bound:
