@@ -156,7 +156,7 @@ def _as_published(prepared: Prepared, starts: Mapping[str, Any], progress: Progr
         raise InputError("fit", "start", ", ".join(starts), "one start: the paper's algorithms take no more")
     begin = None
     for vector in starts.values():
-        begin = {p.name.removeprefix(f"{prepared.material.name}."): float(x)
+        begin = {p.parsed.within(prepared.material.name): float(x)
                  for p, x in zip(prepared.parameters, vector, strict=True)}
 
     def show(text: str, _cost: float) -> None:
@@ -192,7 +192,7 @@ def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[st
 def short_name(estimate: ParameterEstimate, prepared: Prepared) -> str:
     """The name of a parameter: without the freed material's, with the recording if it is its own."""
     p = estimate.parameter
-    text = p.name.removeprefix(f"{prepared.material.name}.")
+    text = p.parsed.within(prepared.material.name)
     return f"{text} ({', '.join(p.recordings)})" if p.recordings else text
 
 

@@ -100,7 +100,7 @@ def multistart(
 
 def overtone_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
     """Starts one and two overtones from x (p,) by label, nearest first."""
-    groups = [[i for i, p in enumerate(search.parameters) if not p.is_loss and p.coefficient.split(".")[-1] in names]
+    groups = [[i for i, p in enumerate(search.parameters) if not p.is_loss and p.parsed.coefficient in names]
               for names in OVERTONE_GROUPS]
     groups = [group for group in groups if group]
     result = []
@@ -110,7 +110,7 @@ def overtone_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
         for group, overtones in zip(groups, offset, strict=True):
             begin[group] *= OVERTONE_FACTORS[overtones]
             if overtones:
-                first = search.parameters[group[0]].coefficient.split(".")[-1]
+                first = search.parameters[group[0]].parsed.coefficient
                 words.append(f"{first} x {OVERTONE_FACTORS[overtones]:g}")
         result.append((f"{OFFSET_LABEL} " + ", ".join(words), begin))
     return result
