@@ -12,8 +12,9 @@ import pytest
 from geometry.chip import read_chip
 from materials.registry import Registry
 from workbench.bench.setup import read_bench
-from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN, part
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
 from workbench.options import COMMANDS, parser
+from workbench.parameter_names import part
 
 _SPEC = importlib.util.spec_from_file_location(
     "whole_way", Path(__file__).resolve().parents[1] / "examples" / "03_whole_way.py")
