@@ -166,7 +166,7 @@ def _pencil(operators: FullOperators, values: Mapping[str, complex]) -> dict[int
     from workbench.physics.term import Monomial
 
     monomials = [integral.coefficient for integral in operators.integrals]
-    powers = [c.omega_power for c in monomials if isinstance(c, Monomial)]
+    powers = [int(c.omega_power) for c in monomials if isinstance(c, Monomial)]
     constants = [c.constant(values) for c in monomials if isinstance(c, Monomial)]
     assert len(powers) == len(monomials), "a coefficient that is no power of w"
     pattern = operators.pattern

@@ -11,9 +11,14 @@ from measurements import compared, measurements
 
 def test_figures_are_written_also_after_an_interruption(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "figures.json"
-    with pytest.raises(KeyboardInterrupt), measurements(path) as kept:
-        kept.add("wall time", 2, "s")
-        raise KeyboardInterrupt
+
+    def interrupted() -> None:
+        with measurements(path) as kept:
+            kept.add("wall time", 2, "s")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     found = json.loads(path.read_text(encoding="utf-8"))
     assert found["figures"] == {"wall time": {"value": 2.0, "unit": "s"}}
     assert {"command", "commit", "processors"} <= set(found)

@@ -25,8 +25,8 @@ from workbench.diagnosis.refit import MODELLED, UNNEEDED, base_fit, checked, ref
 from workbench.diagnosis.score import scores_at
 from workbench.diagnosis.verdict import Diagnosis, diagnose
 from workbench.files.errors import InputError
-from workbench.fitting.joint import Search
 from workbench.fitting.objective import through_bench
+from workbench.fitting.search import Search
 from workbench.operators import assemble
 from workbench.physics import bubbles
 from workbench.problem import build, with_boundary_layers

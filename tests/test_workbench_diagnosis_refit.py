@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from workbench.diagnosis import refit
-from workbench.fitting.joint import NO_END
+from workbench.fitting.search import NO_END
 
 
 def test_bases_are_made_where_the_search_begins(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -112,6 +112,13 @@ def test_imports_have_no_cycle() -> None:
     TopologicalSorter(graph).prepare()
 
 
+@pytest.mark.parametrize(
+    "module", [name for name in FILES if name.startswith(("workbench.fitting", "workbench.diagnosis"))])
+def test_what_a_fit_is_made_of_is_imported_in_the_open(module: str) -> None:
+    # What only type checkers see is not counted above, and may be a cycle.
+    assert "TYPE_CHECKING" not in {node.id for node in ast.walk(TREES[module]) if isinstance(node, ast.Name)}
+
+
 @pytest.mark.parametrize("module", [name for name in FILES if name.startswith("workbench.physics.")])
 def test_one_effect_does_not_see_another(module: str) -> None:
     ours = {name for name in imported(module, inside_functions=True) if name in FILES}

@@ -37,7 +37,9 @@ WATER = FluidState(density=997.0, sound_speed=1497.0, shear_viscosity=0.89e-3)
 
 
 def chip_mesh() -> NodalMesh:
-    low, high, region = [], [], []
+    low: list[Any] = []
+    high: list[Any] = []
+    region: list[int] = []
     for index, (_, left, right, bottom, top) in enumerate(LAYOUT):
         lines = (1e-3 * np.linspace(left, right, round(right - left) + 1),
                  1e-3 * np.linspace(bottom, top, max(1, round((top - bottom) / 0.35)) + 1))

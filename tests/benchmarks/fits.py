@@ -31,11 +31,12 @@ from paper_algorithms import Case, cases, disc_of  # noqa: E402
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
-from workbench.fitting import certainty  # noqa: E402
 from workbench.fitting.gel import gel_study  # noqa: E402
-from workbench.fitting.joint import COARSE, FINE, FitResult, Search, fit, refine  # noqa: E402
+from workbench.fitting.joint import COARSE, FINE, FitResult, fit, reweighted_descent  # noqa: E402
 from workbench.fitting.objective import Objective  # noqa: E402
 from workbench.fitting.prepare import prepare  # noqa: E402
+from workbench.fitting.search import Search  # noqa: E402
+from workbench.fitting.uncertainty import estimate_uncertainty  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
@@ -88,7 +89,7 @@ def estimates(result: FitResult, case: Case) -> None:
     for match in result.recordings:
         print(f"{match.name}: MAPE {match.before.mape_percent:.2f} % -> {match.after.mape_percent:.4f} %, rms of "
               f"|ln ratio| {100 * match.after.rms_log_residual:.4f} %")
-    print(f"{result.seconds:.1f} s, {result.full_solves} full solves, {len(result.starts)} ways down; reduced model "
+    print(f"{result.seconds:.1f} s, {result.full_solves} full solves, {len(result.starts)} descents; reduced model "
           f"{result.check[0]:.1e} off full solves")
     for finding in result.findings:
         print(" -", finding)
@@ -139,9 +140,9 @@ def coverage(arguments: argparse.Namespace) -> None:
                              + 1j * random.standard_normal(exact.frequency.size))
             measured = Spectrum(exact.frequency, exact.impedance * np.exp(noise))
             search = Search(objective.measured_as([measured]))
-            minimum, found_noise = refine(search, optimum)
-            verdict = certainty.judge(search, minimum, found_noise, profiles=True, coarser=coarser)
-            for found in verdict.estimates:
+            minimum, found_noise = reweighted_descent(search, optimum)
+            estimated = estimate_uncertainty(search, minimum, found_noise, profiles=True, coarser=coarser)
+            for found in estimated.estimates:
                 name = found.parameter.name
                 truth = case.truth[short(name)]
                 inside[name] += found.low <= truth <= found.high
@@ -158,7 +159,7 @@ def starts(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["disc"]
     prepared = case.prepare()
     random = np.random.default_rng(arguments.seed)
-    rows = [["start", "MAPE at the start", "MAPE", "largest |off| of a real constant", "ways down", "last", "solves",
+    rows = [["start", "MAPE at the start", "MAPE", "largest |off| of a real constant", "descents", "last", "solves",
              "s"]]
     reached = 0
     for number in range(arguments.count):
@@ -181,7 +182,7 @@ def recording(arguments: argparse.Namespace) -> None:
     if arguments.recordings is None:
         sys.exit("--recordings: the folder that holds the real disc is needed")
     measured = read_recording(arguments.recordings / "unibas-disc-20x2/MODULOFASEMODOTHICKNES.CSV").spectrum
-    rows = [["data sheet", "MAPE at the start", "MAPE", "rms", "ways down", "s", *SIXTEEN]]
+    rows = [["data sheet", "MAPE at the start", "MAPE", "rms", "descents", "s", *SIXTEEN]]
     for sheet in arguments.sheets:
         chip = disc_of(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), sheet)
         prepared = prepare(chip, Registry(), kind="pzt", name="disc", measured=measured, free=SIXTEEN,

@@ -62,7 +62,7 @@ def _commit() -> str:
 
 def compared(before: dict[str, Any], after: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of a table: name, unit, both figures and their ratio; a figure that one of them lacks is left blank."""
-    rows = [("", "unit", before["commit"], after["commit"], "ratio")]
+    rows: list[tuple[str, ...]] = [("", "unit", before["commit"], after["commit"], "ratio")]
     for name in dict.fromkeys([*before["figures"], *after["figures"]]):
         one, other = (each["figures"].get(name) for each in (before, after))
         ratio = f"{other['value'] / one['value']:.3g}" if one and other and one["value"] else ""

@@ -28,7 +28,7 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.stretch import movable  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.fitting.parameter import placed  # noqa: E402
+from workbench.parameter_names import placed  # noqa: E402
 from workbench.problem import Problem, build  # noqa: E402
 from workbench.ranges import NotCovered, range_model  # noqa: E402
 from workbench.solve import System, one_thread  # noqa: E402

@@ -54,7 +54,7 @@ def one(factor: float, what: str) -> dict[str, float]:
     problem, operators = made(factor)
     System(operators, problem.values)  # integrals are evaluated where they are first asked for
     between = time.perf_counter()
-    frequencies = np.linspace(*problem.band, 481)
+    frequencies = np.linspace(problem.band[0], problem.band[1], 481)
     if what == "full":
         solve_full(operators, frequencies[240:241], problem.values)
     else:
@@ -109,7 +109,7 @@ def main() -> None:
         measure(arguments, kept)
 
 
-def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
+def measure(arguments: argparse.Namespace, figures: Measurements) -> None:
     chip = read_chip(arguments.chip)
     frequencies = np.linspace(*chip.band, 481)
 
@@ -160,7 +160,7 @@ def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
           f"largest memory {reduced_memory:.0f} MiB reduced, {memory():.0f} MiB in all\n")
     print("| | wall time (s) | ratio | largest relative error of Z |\n| --- | ---: | ---: | ---: |")
     for name, seconds, accuracy in rows:
-        kept.add(name, seconds, "s")
+        figures.add(name, seconds, "s")
         print(f"| {name} | {seconds:.3g} | {full_order / seconds:.3g} | {accuracy} |")
 
 

@@ -40,8 +40,9 @@ from materials.registry import Registry, user_registry
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml, refuse_unknown_keys
-from workbench.fitting.parameter import BENCH, BENCH_ELEMENTS, LENGTHS, LOSS, UNITS
+from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
 from workbench.fitting.prepare import check_device, in_band
+from workbench.parameter_names import BENCH, Kind, ParameterName
 from workbench.problem import chip_materials
 from workbench.readers import read_column_map, read_recording
 from workbench.spectrum import Spectrum
@@ -265,7 +266,7 @@ def _pairs(states: Sequence[DeviceState]) -> Iterator[tuple[str, DeviceState, De
     for state in states:
         for name in state.chip.dimensions():
             # The gel below a sample and that below a chip are two layers, whatever they are called.
-            if name.startswith(f"{TRANSDUCER}.") or _same_stack(first.get(name, state), state):
+            if ParameterName.parse(name).owner == TRANSDUCER or _same_stack(first.get(name, state), state):
                 if name in first:
                     yield name, first[name], state
                 first.setdefault(name, state)
@@ -277,28 +278,28 @@ def _same_stack(one: DeviceState, other: DeviceState) -> bool:
 
 def unit_of(name: str, states: Sequence[DeviceState]) -> str:
     """SI unit of a parameter; empty if there is no such parameter."""
-    if name.startswith(BENCH):
-        element = BENCH_ELEMENTS.get(name.removeprefix(BENCH))
+    parsed = ParameterName.parse(name)
+    if parsed.kind is Kind.BENCH:
+        element = BENCH_ELEMENTS.get(parsed.coefficient)
         return "" if element is None else element.unit
-    if name.rpartition(".")[2] in LENGTHS:
+    if parsed.kind is Kind.DIMENSION:
         return "m" if any(name in s.chip.dimensions() for s in states) else ""
-    material, _, coefficient = name.removesuffix(LOSS).rpartition(".")
-    if any(m.name == material and coefficient in m.parameters() for s in states for m in s.materials.values()):
-        return UNITS.get(coefficient, "1")
+    materials = [m for s in states for m in s.materials.values()]
+    if any(m.name == parsed.owner and parsed.coefficient in m.parameters() for m in materials):
+        return UNITS.get(parsed.coefficient, "1")
     return ""
 
 
 def value_of(name: str, states: Sequence[DeviceState]) -> float:
     """The value that the chip files and materials give a parameter, SI; zero for a bench element."""
+    parsed = ParameterName.parse(name)
     for state in states:
         known = state.chip.dimensions()
         if name in known:
             return known[name].value
-        material, _, coefficient = name.removesuffix(LOSS).rpartition(".")
         for found in state.materials.values():
-            if found.name == material:
-                value = found.parameters()[coefficient]
-                return value.imag if name.endswith(LOSS) else value.real
+            if found.name == parsed.owner:
+                return parsed.part_of(found.parameters()[parsed.coefficient])
     return 0.0
 
 
@@ -310,7 +311,7 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
         field = f"known.{written}"
         own = _full_name(written, states)
         name = first.get(own, own)
-        unit = unit_of(name, states)
+        unit, kind = unit_of(name, states), ParameterName.parse(name).kind
         if not unit:
             raise InputError(source, field, written, "the name of a material's coefficient, a dimension of a chip or a "
                              "bench element that a state has", nearest_names(written, names(states)))
@@ -320,7 +321,7 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
         if isinstance(entry, str) and entry.strip().endswith("%"):
             share = parse_quantity(entry, "dimensionless", source=source, field=field)
             size = abs(value_of(name, states))
-            if size == 0.0 and name.startswith(BENCH):
+            if size == 0.0 and kind is Kind.BENCH:
                 size = 1.0 if unit in ("1", "rad") else 0.0
             if size == 0.0:
                 raise InputError(source, field, entry, f"an uncertainty in {unit}: {name} is zero, so a percentage of "
@@ -334,7 +335,7 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
         stated[name] = written
         if not result[name] > 0.0:
             raise InputError(source, field, entry, "a standard uncertainty above zero; what is exact is left out")
-        if name.rpartition(".")[2] in LENGTHS:
+        if kind is Kind.DIMENSION:
             for state in states:
                 for each, length in state.chip.dimensions().items():
                     if first.get(each, each) == name and length.tolerance == 0.0:
@@ -345,9 +346,9 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
 
 def _full_name(written: str, states: Sequence[DeviceState]) -> str:
     """The name with the material's full name, ``water.sound_speed`` for ``water/iapws_2011.sound_speed``."""
-    material, dot, rest = written.partition(".")
-    full = {m.name for s in states for m in s.materials.values() if m.name.split("/")[0] == material}
-    return f"{full.pop()}{dot}{rest}" if len(full) == 1 and "/" not in material else written
+    parsed = ParameterName.parse(written)
+    full = {m.name for s in states for m in s.materials.values() if m.name.split("/")[0] == parsed.owner}
+    return f"{full.pop()}.{parsed.local}" if len(full) == 1 and "/" not in parsed.owner else written
 
 
 def names(states: Sequence[DeviceState]) -> tuple[str, ...]:
@@ -368,11 +369,11 @@ def _fixed(
     if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
         raise InputError(source, "fixed.names", listed, "a list of names")
     for written in listed:
-        region, _, rest = written.partition(".")
-        material = next((s.materials[region].name for s in states if region in s.materials), None)
+        parsed = ParameterName.parse(written)
+        material = next((s.materials[parsed.owner].name for s in states if parsed.owner in s.materials), None)
         name = _full_name(written, states)
         name = tied(*(state.chip for state in states)).get(name, name)
-        if rest == "density" and material is not None:
+        if parsed.local == "density" and material is not None:
             name = f"{material}.density"
         if not unit_of(name, states):
             raise InputError(source, "fixed.names", written, "the name of a parameter that a state has",

@@ -29,7 +29,8 @@ from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.diagnosis.campaign import DeviceState, value_of
 from workbench.files.errors import InputError
-from workbench.fitting.parameter import BENCH, BENCH_ELEMENTS, LOSS, UNITS, Parameter, bench_parameter
+from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS, Parameter, bench_parameter
+from workbench.parameter_names import BENCH, LOSS, ParameterName
 from workbench.physics import (
     absorption,
     anisotropy,
@@ -440,7 +441,7 @@ def solids(device: Device) -> Iterator[Effect]:
 def _printed(device: Device, material: IsotropicSolid, regions: Sequence[str]) -> Iterator[Effect]:
     """A printed polymer whose layers make it another solid across than along."""
     names = (f"{material.name}.axial_excess", f"{material.name}.shear_excess")
-    limits = {name: anisotropy.ADMISSIBLE[name.rpartition(".")[2]] for name in names}
+    limits = {name: anisotropy.ADMISSIBLE[ParameterName.parse(name).coefficient] for name in names}
 
     def across(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
         held = [r for r in regions if r in state.materials and state.materials[r].name == material.name]
@@ -474,7 +475,8 @@ def lengths(device: Device) -> Iterator[Effect]:
     """Dimensions that are not as stated."""
     known = {name: dimension for state in device.states for name, dimension in state.chip.dimensions().items()}
     for name, dimension in known.items():
-        region, _, what = name.rpartition(".")
+        parsed = ParameterName.parse(name)
+        region, what = parsed.owner, parsed.coefficient
         if region.startswith(("ports", "electrode")) or (what != "thickness" and name not in device.known):
             continue
         text = "a wrong thickness" if what == "thickness" else "a wrong radius"
@@ -484,8 +486,8 @@ def lengths(device: Device) -> Iterator[Effect]:
 
 def mistaken_length(name: str, value: float) -> Admissible:
     """What the dimension ``<region>.<what>`` may be, where a chip's file states `value` (m)."""
-    region, _, what = name.rpartition(".")
-    low, high = SPREAD.get(role_of(region), MISTAKEN_THICKNESS) if what == "thickness" else MISTAKEN_RADIUS
+    parsed = ParameterName.parse(name)
+    low, high = SPREAD.get(role_of(parsed.owner), MISTAKEN_THICKNESS) if parsed.is_thickness else MISTAKEN_RADIUS
     return Admissible(low * value, high * value, "m", f"{low:g} to {high:g} times what is stated: a mistake that goes "
                       "unnoticed")
 
@@ -570,7 +572,7 @@ def transducer(device: Device) -> Iterator[Effect]:
     drives = {s.drive for s in states if s.drive is not None}
     if len(drives) > 1 and all(s.drive is not None for s in states):
         names_ = (f"{name}.softening", f"{name}.drive_loss")
-        limits = {n: softening.ADMISSIBLE[n.rpartition(".")[2]] for n in names_}
+        limits = {n: softening.ADMISSIBLE[ParameterName.parse(n).coefficient] for n in names_}
 
         def driven(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
             assert state.drive is not None

@@ -18,11 +18,10 @@ from workbench.diagnosis.catalogue import Effect
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.locate import Place, located
 from workbench.diagnosis.score import Score, Tangents, columns, confusion, cost_of_freedom, scores_at
-from workbench.fitting.certainty import DEVIATIONS, correlation_length
-from workbench.fitting.constrained import Minimum
-from workbench.fitting.joint import EXPLORATION, NO_END, Search, Weighted
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.fitting.search import EXPLORATION, NO_END, Optimum, Search, Weighted
+from workbench.fitting.uncertainty import DEVIATIONS, correlation_length
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -209,7 +208,7 @@ class Refit:
 def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
     """The states as stated, the known parameters alone fitted from there, and the end (p,) of the way down to that.
 
-    The way leads through smoothed spectra (`joint.Search.descend`).
+    The way leads through smoothed spectra (`Search.descend`).
     """
     free, lifted = model.free(())
     search = Search(model.fitted, free=free, lifted=lifted)
@@ -226,9 +225,9 @@ def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[
     """Location and the best single hypotheses where the data weigh little, about x (p,), the end of the way down.
 
     A strong effect strains the known parameters while it is missing: where the data weigh in full, hypotheses are asked
-    what is left of it there, and the way back is long. With little weight (`joint.EXPLORATION`) those stay near what is
-    known, and the best hypotheses are followed from there. Even there the known parameters imitate what is missing as
-    well as they can: hypotheses are also asked at `alone` (p,), what states that lack parts of the device say of it.
+    what is left of it there, and the way back is long. With little weight (`search.EXPLORATION`) those stay near what
+    is known, and the best hypotheses are followed from there. Even there the known parameters imitate what is missing
+    as well as they can: hypotheses are also asked at `alone` (p,), what states that lack parts of the device say of it.
 
     Returns:
         the location where they weigh more, and refits with full weight, those that leave little on bases of their own.
@@ -288,7 +287,7 @@ def _located(model: Model, search: Search, x: Real) -> tuple[Place, ...]:
     return located(model, x, deviation, Tangents.at(search, here), scores_at(model, search, x, here))
 
 
-def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:
+def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Optimum]]:
     """Where the hypotheses that promise most lead from x (p,) with the data weighing little."""
     ends = []
     for scored in promising(scores, FOLLOWED):
@@ -300,9 +299,9 @@ def _glances(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effec
     return ends
 
 
-def _at_strengths(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Minimum]]:
+def _at_strengths(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[Effect, Search, Optimum]]:
     """Where the hypotheses of `scores` lead from x (p,), each held at several strengths first, as :func:`_glances`."""
-    ends: list[tuple[Effect, Search, Minimum]] = []
+    ends: list[tuple[Effect, Search, Optimum]] = []
     for scored in scores:
         search, own = _searched(model, (scored.effect,), x, [scored])
         asked = np.where(np.abs(scored.amplitude) < scored.error, scored.error, scored.amplitude)
@@ -320,9 +319,8 @@ def _at_strengths(model: Model, x: Real, scores: Sequence[Score]) -> list[tuple[
     return ends
 
 
-def _bare(end: Minimum) -> Minimum:
+def _bare(end: Optimum) -> Optimum:
     """An end without the predictions there (:func:`_unpredicted`)."""
-    assert isinstance(end.residual, Weighted)
     return replace(end, residual=_unpredicted(end.residual))
 
 
@@ -332,7 +330,7 @@ def _unpredicted(here: Weighted) -> Weighted:
 
 
 def _twins(
-    ends: Sequence[tuple[Effect, Search, Minimum]], held: Sequence[Score], scores: Sequence[Score]
+    ends: Sequence[tuple[Effect, Search, Optimum]], held: Sequence[Score], scores: Sequence[Score]
 ) -> list[Score]:
     """Of the `scores` those that are hardly told from that of the best of `ends`, and were not among the `held`."""
     best = min(ends, key=lambda each: each[2].cost)[0] if ends else None
@@ -346,7 +344,7 @@ def promising(scores: Sequence[Score], count: int, least: float = 0.0) -> list[S
     return [scored for scored in scores if scored.gain > enough][:count]
 
 
-def _led(model: Model, effect: Effect, search: Search, end: Minimum) -> tuple[Refit, Minimum] | None:
+def _led(model: Model, effect: Effect, search: Search, end: Optimum) -> tuple[Refit, Optimum] | None:
     """The refit of a hypothesis that the end of its way leads to where the data weigh in full; and that end, followed.
 
     None where nothing can be predicted.
@@ -359,7 +357,7 @@ def _led(model: Model, effect: Effect, search: Search, end: Minimum) -> tuple[Re
     return _judged(model, (effect,), search, full.x), end
 
 
-def _drawn(model: Model, effect: Effect, search: Search, end: Minimum, about: Real) -> Minimum:
+def _drawn(model: Model, effect: Effect, search: Search, end: Optimum, about: Real) -> Optimum:
     """The best end of ways from starts drawn about a place (p,) with the data weighing little; `end` if none is better.
 
     They begin with as much of the effect as there is in the `end`: also with the right one there are several basins,
@@ -380,7 +378,7 @@ def _drawn(model: Model, effect: Effect, search: Search, end: Minimum, about: Re
     return min(ends, key=lambda each: each.cost)
 
 
-def _followed(model: Model, effect: Effect, search: Search, end: Minimum) -> Minimum:
+def _followed(model: Model, effect: Effect, search: Search, end: Optimum) -> Optimum:
     """The end of the way of a hypothesis where the data weigh little, on bases made anew as long as it leads on."""
     for _ in range(ROUNDS):
         model.fitted.cover(end.x, _moves(model, (effect,), end.x), UNNEEDED)
@@ -409,7 +407,7 @@ def _weak(objective: Objective, deviation: float = EXPLORATION) -> list[float]:
     return [deviation] * len(objective.recordings)
 
 
-def _glance(search: Search, x: Real, fixed: tuple[int, ...] = (), deviation: float = EXPLORATION) -> Minimum:
+def _glance(search: Search, x: Real, fixed: tuple[int, ...] = (), deviation: float = EXPLORATION) -> Optimum:
     """Few steps from x (p,), with the data weighing little."""
     return search.minimise(x, _weak(search.objective, deviation), limit=GLANCE, tolerance=0.01, fixed=fixed)
 
@@ -432,7 +430,7 @@ def _levers(search: Search, known: int, x: Real) -> list[int]:
 def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[Refit, Real]:
     """`fit` and x (p,), the end of the way down; or a better fit from another basin about x, and the end of that way.
 
-    A wrong basin strains the known parameters. Where the data weigh little against these (`joint.EXPLORATION`), it
+    A wrong basin strains the known parameters. Where the data weigh little against these (`search.EXPLORATION`), it
     costs more than the right one, and few steps lead from one to the other. With `far` the basins are looked for in all
     that the parameters may be, one parameter after the other, else within what is known of them.
     """
@@ -490,13 +488,13 @@ def _replaced(x: Real, where: int | slice | NDArray[np.int64], values: float | R
     return there
 
 
-def _compared(search: Search, ends: Sequence[Minimum], levers: Sequence[int]) -> tuple[Minimum, Real]:
+def _compared(search: Search, ends: Sequence[Optimum], levers: Sequence[int]) -> tuple[Optimum, Real]:
     """The best of several ends where the data weigh little, and where it leads (p,) as they weigh more.
 
     Basins that cost about the same are told apart by that: with little weight, what is known says more than the data.
     """
     least = min(end.cost for end in ends)
-    likely: list[Minimum] = []
+    likely: list[Optimum] = []
     for end in sorted(ends, key=lambda end: end.cost):
         apart = all(np.abs((end.x - other.x) / search.scale)[levers].max() > APART for other in likely)
         if end.cost < LIKELY * least and apart and len(likely) < COMPARED:

@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 
 from workbench.diagnosis.catalogue import Effect
 from workbench.diagnosis.device import Model
-from workbench.fitting.joint import Search, Weighted
+from workbench.fitting.search import Search, Weighted
 
 Real = NDArray[np.float64]
 

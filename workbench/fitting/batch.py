@@ -51,6 +51,7 @@ from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml, refuse_unknown_keys
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
+from workbench.parameter_names import Kind, ParameterName
 
 Real = NDArray[np.float64]
 
@@ -355,7 +356,7 @@ def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
 
     for device, record in records.items():
         shown = [p["name"] for p in record["parameters"] if not p["recordings"]]
-        short = {name: name.split(".", 1)[1] if "/" in name else name for name in shown}
+        short = {name: _short(name) for name in shown}
         # A free disc and a sample fitted together: both have a density.
         short = {name: text if list(short.values()).count(text) == 1 else name for name, text in short.items()}
         for parameter in record["parameters"]:
@@ -371,6 +372,12 @@ def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
         for quantity in record.get("derived", []):
             add(quantity["name"], quantity["unit"], device, quantity)
     return tuple(_column(name, units[name], rows) for name, rows in found.items() if len(rows) > 1)
+
+
+def _short(name: str) -> str:
+    """The name of a parameter without its material: c33 of one disc beside c33 of another."""
+    parsed = ParameterName.parse(name)
+    return parsed.local if parsed.kind is Kind.MATERIAL else name
 
 
 def _column(name: str, unit: str, rows: Mapping[str, tuple[float, ...]]) -> Column:
