@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry import checks
-from geometry.chip_tables import read_band, read_layers, read_ports, read_states
+from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.parts import (
     Dimension,
@@ -199,7 +199,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
     layers, electrodes = read_layers(root)
     cavity = root.table("cavity").only(("ports",))
     return Chip(
-        name=head.text("name"),
+        name=read_text(head, "name"),
         layers=layers,
         band=read_band(head),
         states=read_states(root.table("states")),

@@ -26,8 +26,25 @@ def read_dimension(table: Table, key: str) -> Dimension:
         return Dimension(table.quantity(key, "length"))
     inner = table.table(key).only(("value", "tolerance", "assumed", "note"))
     assumed = inner.flag("assumed")
-    return Dimension(inner.quantity("value", "length"), inner.optional_quantity("tolerance", "length"), assumed,
+    return Dimension(_quantity(inner, "value", "length"), inner.optional_quantity("tolerance", "length"), assumed,
                      inner.text("note", ""))
+
+
+def read_text(table: Table, key: str) -> str:
+    """A text that is not blank."""
+    text = table.text(key)
+    if not text.strip():
+        raise table.error(key, "a text")
+    return text
+
+
+def _optional_text(table: Table, key: str) -> str | None:
+    return read_text(table, key) if key in table else None
+
+
+def _quantity(table: Table, key: str, dimension: str) -> float:
+    table.required(key, f"a {dimension} with its unit")
+    return table.quantity(key, dimension)
 
 
 def _optional_dimension(table: Table, key: str) -> Dimension | None:
@@ -56,7 +73,7 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
         layer = Layer(
             region=region,
             role=role,
-            material=table.text("material"),
+            material=read_text(table, "material"),
             thickness=read_dimension(table, "thickness"),
             radius=read_dimension(table, "radius"),
             z_bottom=bottom if bottom is not None else layers[-1].z_top if layers else 0.0,
@@ -104,10 +121,10 @@ def _state(name: str, table: Table) -> State:
     materials = table.table("materials")
     return State(
         name=name,
-        cavity=table.optional_text("cavity"),
+        cavity=_optional_text(table, "cavity"),
         temperature=table.optional_quantity("temperature", "temperature"),
-        materials={region: materials.text(region) for region in materials},
-        particle=table.optional_text("particle"),
+        materials={region: read_text(materials, region) for region in materials},
+        particle=_optional_text(table, "particle"),
         particle_radius=table.optional_quantity("particle_radius", "length"),
         reported=tuple(_reported(row) for row in table.tables(
             "reported", expected="a list of tables with label, f0, z_min and q")),
@@ -116,8 +133,8 @@ def _state(name: str, table: Table) -> State:
 
 def _reported(table: Table) -> ReportedFigures:
     table.only(("label", "f0", "z_min", "q"))
-    figures = ReportedFigures(table.text("label"), table.quantity("f0", "frequency"),
-                              table.quantity("z_min", "resistance"), table.quantity("q", "dimensionless"))
+    figures = ReportedFigures(read_text(table, "label"), _quantity(table, "f0", "frequency"),
+                              _quantity(table, "z_min", "resistance"), _quantity(table, "q", "dimensionless"))
     for key in ("f0", "z_min", "q"):
         if not getattr(figures, key) > 0.0:
             raise table.error(key, "a value above zero")

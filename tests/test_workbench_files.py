@@ -62,7 +62,7 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
 
 TEXT = """
 name = "disc 1"
-blank = " "
+empty = ""
 count = 3
 share = 0.25
 yes = true
@@ -87,7 +87,7 @@ def table(tmp_path: Path) -> Table:
 
 def test_a_table_gives_values_in_si(table: Table) -> None:
     assert table.text("name") == table.optional_text("name") == "disc 1"
-    assert table.text("blank", "") == " "
+    assert table.text("empty", "a") == ""
     assert table.texts("free") == ("c33", "")
     assert table.quantity("thickness", "length") == table.optional_quantity("thickness", "length") == 2.02e-3
     assert table.quantities("band", "frequency", expected="two") == (0.9e6, 1.1e6)
@@ -114,9 +114,9 @@ def test_a_default_stands_in_for_what_a_table_lacks(table: Table) -> None:
 
 @pytest.mark.parametrize(("take", "field", "value", "expected"), [
     (lambda t: t.text("count"), "count", 3, "a text"),
-    (lambda t: t.text("blank"), "blank", " ", "a text"),
+    (lambda t: t.text("empty"), "empty", "", "a text"),
     (lambda t: t.text("x"), "x", None, "a text"),
-    (lambda t: t.optional_text("blank"), "blank", " ", "a text"),
+    (lambda t: t.optional_text("empty"), "empty", "", "a text"),
     (lambda t: t.texts("x"), "x", None, "a list of texts"),
     (lambda t: t.texts("count", ()), "count", 3, "a list of texts"),
     (lambda t: t.quantity("x", "length"), "x", None, "a length with its unit"),

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.special import j0
+from support import FluidState
 
 from workbench.field_forces import particle_forces
 from workbench.nodal import NodalMesh, mesh_of, sample
-from workbench.particles import FluidState, Particle
+from workbench.particles import Particle
 from workbench.render import canvas, plots, sections, solids, vtu
 from workbench.traps import TrapReport, find_traps
 

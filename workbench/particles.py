@@ -38,15 +38,6 @@ class ParticleMaterial(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FluidState:
-    """A fluid given by its numbers alone: density kg/m^3, sound speed m/s, shear viscosity Pa s."""
-
-    density: float
-    sound_speed: float
-    shear_viscosity: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
 class Particle:
     """A sphere: name, radius m, density kg/m^3, compressibility 1/Pa (one over the *bulk* modulus).
 
@@ -95,15 +86,6 @@ def particle_from(material: ParticleMaterial, radius: float) -> Particle:
     )
 
 
-def bulk_compressibility(*, density: float, longitudinal_speed: float, poisson_ratio: float) -> float:
-    """Compressibility (1/Pa) under pressure of a solid known by its wave speed: 3 (1 - nu) / ((1 + nu) rho c_L^2).
-
-    Not 1 / (rho c_L^2), which is that of a liquid: a solid's longitudinal wave also shears it, and for polystyrene the
-    shortcut makes the contrast factor a third too large.
-    """
-    return 3.0 * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * density * longitudinal_speed**2)
-
-
 def compressibility(fluid: FluidProperties) -> float:
     """Compressibility (1/Pa) of the fluid: 1 / (rho c^2)."""
     return 1.0 / (fluid.density * fluid.sound_speed**2)
@@ -130,23 +112,12 @@ def monopole(particle: Particle, fluid: FluidProperties) -> float:
     return 1.0 - particle.compressibility / compressibility(fluid)
 
 
-def dipole(particle: Particle, fluid: FluidProperties) -> float:
-    """f2 = 2 (r - 1) / (2 r + 1), r = rho_p / rho_f, without viscosity (Gor'kov 1962)."""
-    ratio = particle.density / fluid.density
-    return 2.0 * (ratio - 1.0) / (2.0 * ratio + 1.0)
-
-
 def viscous_dipole(particle: Particle, fluid: FluidProperties, frequency: float) -> complex:
     """f2 = 2 (1 - g)(r - 1) / (2 r + 1 - 3 g), g = -(3/2) [1 + i (1 + d)] d, d = delta / a (Settnes & Bruus 2012)."""
     ratio = particle.density / fluid.density
     layer = boundary_layer_thickness(fluid, frequency) / particle.radius
     drag = -1.5 * (1.0 + 1j * (1.0 + layer)) * layer
     return 2.0 * (1.0 - drag) * (ratio - 1.0) / (2.0 * ratio + 1.0 - 3.0 * drag)
-
-
-def inviscid_scattering(particle: Particle, fluid: FluidProperties) -> Scattering:
-    """Coefficients of a sphere much larger than the viscous boundary layer."""
-    return Scattering(monopole(particle, fluid), complex(dipole(particle, fluid)))
 
 
 def viscous_scattering(particle: Particle, fluid: FluidProperties, frequency: float) -> Scattering:

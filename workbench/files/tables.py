@@ -98,19 +98,19 @@ class Table:
         return self.content[key]
 
     def text(self, key: str, default: str | None = None, *, expected: str = "a text") -> str:
-        """A text; a blank one only where there is a default."""
+        """A text; an empty one only where there is a default."""
         value = self.content.get(key, default)
-        if not isinstance(value, str) or (default is None and not value.strip()):
+        if not isinstance(value, str) or (default is None and not value):
             raise self.error(key, expected)
         return value
 
     def optional_text(self, key: str) -> str | None:
-        """A text that is not blank, or None where there is no such key."""
+        """A text that is not empty, or None where there is no such key."""
         return self.text(key) if key in self else None
 
     def texts(self, key: str, default: tuple[str, ...] | None = None, *, expected: str = "a list of texts"
               ) -> tuple[str, ...]:
-        """A list of texts, blank ones included."""
+        """A list of texts, empty ones included."""
         if key not in self and default is not None:
             return default
         value = self.content.get(key)
