@@ -111,6 +111,16 @@ def test_what_a_fit_is_made_of_is_imported_in_the_open(module: str) -> None:
     assert "TYPE_CHECKING" not in {node.id for node in ast.walk(TREES[module]) if isinstance(node, ast.Name)}
 
 
+def test_a_fit_needs_no_simulation_of_fields_and_particles() -> None:
+    needed: set[str] = set()
+    waiting = [name for name in FILES if name.startswith("workbench.fitting")]
+    while waiting:
+        new = imported(waiting.pop(), inside_functions=True) & set(FILES) - needed
+        needed |= new
+        waiting += new
+    assert not needed & {"workbench.simulation", "workbench.particles", "workbench.report.simulations"}
+
+
 @pytest.mark.parametrize("module", [name for name in FILES if name.startswith("workbench.physics.")])
 def test_one_effect_does_not_see_another(module: str) -> None:
     ours = {name for name in imported(module, inside_functions=True) if name in FILES}

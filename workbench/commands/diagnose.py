@@ -23,7 +23,8 @@ from workbench.fitting.objective import log_ratio
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.merit import Figures
 from workbench.readers import READ_AS
-from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report
+from workbench.report.figures import measured_figures
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.spectrum import Origin, Spectrum
 
 if TYPE_CHECKING:

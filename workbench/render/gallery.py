@@ -10,7 +10,7 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.names import CAVITY
 from workbench.files.errors import InputError
-from workbench.report import Picture
+from workbench.report.page import Picture
 from workbench.simulation import Snapshot
 
 #: Fields that can be asked for by name.
