@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.catalogue import Effect
 from workbench.diagnosis.device import Model
+from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.locate import Place, located
 from workbench.diagnosis.score import Score, Tangents, columns, confusion, cost_of_freedom, scores_at
 from workbench.fitting.objective import Objective

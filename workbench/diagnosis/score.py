@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from workbench.diagnosis.catalogue import Effect
 from workbench.diagnosis.device import Model
+from workbench.diagnosis.hypothesis import Effect
 from workbench.fitting.search import Search, Weighted
 
 Real = NDArray[np.float64]

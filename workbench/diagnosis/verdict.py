@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 from workbench.diagnosis.belong import check_assignment, cleared, each_alone
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.catalogue import Effect
 from workbench.diagnosis.device import Model
+from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.locate import MODE, Place, located
 from workbench.diagnosis.refit import (
     GOOD_STATE,
