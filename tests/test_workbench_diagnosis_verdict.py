@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.diagnosis import refit, verdict
+from workbench.diagnosis import basins, refit, verdict
 from workbench.diagnosis.locate import MODE, Place
-from workbench.diagnosis.score import Score
+from workbench.diagnosis.score import Score, promising
 
 
 def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: float = 1.0) -> Any:
@@ -134,7 +134,7 @@ def test_what_promises_much_is_refitted_in_the_order_of_evidence(
     gains: tuple[float, ...], count: int, least: float, kept: tuple[float, ...]
 ) -> None:
     scores: Any = [SimpleNamespace(gain=gain) for gain in gains]
-    assert tuple(scored.gain for scored in refit.promising(scores, count, least)) == kept
+    assert tuple(scored.gain for scored in promising(scores, count, least)) == kept
 
 
 def test_what_leaves_little_and_hints_at_something_is_not_quiet() -> None:
@@ -157,24 +157,24 @@ def test_basins_that_cost_about_the_same_are_compared_where_the_data_weigh_more(
     # The third is the first one's basin, the last costs too much.
     ends: Any = [SimpleNamespace(x=np.array([place]), cost=cost)
                  for place, cost in ((0.0, 1.0), (2.0, 1.2), (0.4, 1.1), (4.0, 2.0))]
-    end, there = refit._compared(search, ends, [0])
+    end, there = basins._compared(search, ends, [0])
     assert end is ends[1]
     assert there == pytest.approx([2.01])
     assert asked == [0.0, 2.0]
-    assert refit._compared(search, ends[:1], [0]) == (ends[0], ends[0].x)
+    assert basins._compared(search, ends[:1], [0]) == (ends[0], ends[0].x)
     assert asked == [0.0, 2.0]  # nothing to compare
 
 
 def test_basins_far_off_are_looked_for_in_all_that_a_layer_may_be() -> None:
     search: Any = SimpleNamespace(low=np.array([2e-6]), high=np.array([1e-4]), centre=np.array([2e-5]),
                                   scale=np.array([3e-6]))
-    near, far = (np.array(refit._places(search, 0, far)) for far in (False, True))
+    near, far = (np.array(basins._places(search, 0, far)) for far in (False, True))
     assert np.abs(near - 2e-5).max() == pytest.approx(6e-6)
     # A basin is about as wide as its layer is thick.
     steps = np.diff(np.log([2e-6, *far, 1e-4]))
     assert 0.0 < steps.min() <= steps.max() <= np.log(2.0)
     negative: Any = SimpleNamespace(low=-search.high, high=-search.low)
-    assert refit._places(negative, 0, True) == pytest.approx(-far[::-1])
+    assert basins._places(negative, 0, True) == pytest.approx(-far[::-1])
 
 
 def test_parameters_that_end_at_a_bound_are_told() -> None:

@@ -21,6 +21,9 @@ from workbench.fitting.search import Search, Weighted
 
 Real = NDArray[np.float64]
 
+#: A hypothesis promises much where it promises more than this share of what any does.
+WORTH = 0.3
+
 
 @dataclass(frozen=True, eq=False)
 class Score:
@@ -120,6 +123,12 @@ def scores_at(model: Model, search: Search, x: Real, here: Weighted, effects: Se
     tangents = Tangents.at(search, here)
     found = [score(model, x, here, tangents, effect) for effect in (model.effects if effects is None else effects)]
     return sorted(found, key=lambda s: -s.evidence)
+
+
+def promising(scores: Sequence[Score], count: int, least: float = 0.0) -> list[Score]:
+    """The first `count` of those that promise a fall of chi-square above `least`, and much of what any does."""
+    enough = max(least, WORTH * max((scored.gain for scored in scores), default=0.0))
+    return [scored for scored in scores if scored.gain > enough][:count]
 
 
 def confusion(first: Score, second: Score) -> float:

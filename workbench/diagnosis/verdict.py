@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from workbench.diagnosis.basins import elsewhere, gathered_elsewhere
 from workbench.diagnosis.belong import check_assignment, cleared, each_alone
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.device import Model
@@ -21,19 +22,16 @@ from workbench.diagnosis.refit import (
     UNNEEDED,
     Refit,
     StateFit,
-    afar,
     base_fit,
     checked,
-    elsewhere,
     gather,
-    gathered_elsewhere,
     leaves_less,
     predicted,
-    promising,
     refit,
     without,
 )
-from workbench.diagnosis.score import Score, confusion, scores_at
+from workbench.diagnosis.score import Score, confusion, promising, scores_at
+from workbench.diagnosis.tempering import afar
 from workbench.fitting.joint import refused_steps
 from workbench.solve import one_thread
 from workbench.spectrum import Spectrum
