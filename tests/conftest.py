@@ -56,7 +56,7 @@ def tables_fit(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     from support import check_table
 
     from workbench.commands import terminal
-    from workbench.report import Table
+    from workbench.report.page import Table
 
     found: list[str] = []
     drawn = terminal.table_lines

@@ -26,10 +26,10 @@ from concealed.trial import make_trial  # noqa: E402
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
-from workbench.diagnosis.device import model  # noqa: E402
+from workbench.diagnosis.criteria import gain  # noqa: E402
+from workbench.diagnosis.procedure import diagnose  # noqa: E402
 from workbench.diagnosis.refit import refit  # noqa: E402
 from workbench.diagnosis.score import score  # noqa: E402
-from workbench.diagnosis.verdict import diagnose, gain  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
@@ -54,7 +54,7 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         campaign = read_campaign(folder / "campaign.toml")
         campaign = replace(campaign, states=tuple(s for s in campaign.states if s.name in ("empty", "filled")))
         started = time.perf_counter()
-        found = diagnose(model(campaign))
+        found = diagnose(campaign)
         whole = time.perf_counter() - started
         print(f"found: {found.verdict}, {' and '.join(e.name for e in found.effects) or 'no effect'}; "
               f"{len(found.model.effects)} hypotheses, {len(found.singles)} refitted alone, {len(found.pairs)} pairs")

@@ -41,7 +41,7 @@ from workbench.operators import assemble  # noqa: E402
 from workbench.parameter_names import LOSS, part  # noqa: E402
 from workbench.problem import Problem, build  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.report import write_json  # noqa: E402
+from workbench.report.page import write_json  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
 

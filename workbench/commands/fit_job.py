@@ -38,7 +38,7 @@ from workbench.fitting.record import (
 from workbench.fitting.uncertainty import ParameterEstimate
 from workbench.problem import chip_materials
 from workbench.readers import read_column_map, read_recording
-from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.spectrum import write_csv
 
 #: Called with what is being done and the share of it that is done.

@@ -26,7 +26,7 @@ from workbench.fitting.sensitivity import (
 )
 from workbench.parameter_names import ParameterName
 from workbench.problem import Problem, build
-from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.simulation import state_name
 
 if TYPE_CHECKING:

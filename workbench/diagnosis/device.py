@@ -14,7 +14,8 @@ from geometry.mesh import SectionMesh
 from geometry.section import Section
 from materials.kinds import Fluid
 from workbench.diagnosis.campaign import Campaign, unit_of, value_of
-from workbench.diagnosis.catalogue import Device, Effect, effects, mistaken_length
+from workbench.diagnosis.catalogue import effects, mistaken_length
+from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fitting.objective import Objective, Recording

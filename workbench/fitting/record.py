@@ -33,7 +33,7 @@ from workbench.merit import NoResonance, figures
 from workbench.operators import assemble
 from workbench.parameter_names import LOSS, ParameterName, placed
 from workbench.reduction import reduce
-from workbench.report import figures_record, measured_figures
+from workbench.report.figures import figures_record, measured_figures
 from workbench.spectrum import Origin, Spectrum
 
 #: A fit that leaves this rms of |ln(Z_fit / Z_measured)| or more has not explained the recording. (The published fits
