@@ -39,7 +39,7 @@ from materials.kinds import Fluid, Material
 from materials.registry import Registry, user_registry
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import read_toml, refuse_unknown_keys
+from workbench.files.tables import Table
 from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
 from workbench.fitting.prepare import check_device, in_band
 from workbench.parameter_names import BENCH, Kind, ParameterName
@@ -125,83 +125,59 @@ def read_campaign(path: Path, *, materials: Sequence[Path] = ()) -> Campaign:
         InputError: a mistake in one of the files, a recording that cannot be of this device, a name that no state has,
             or two statements about one thing that contradict each other.
     """
-    source = str(path)
-    table = read_toml(path)
-    refuse_unknown_keys(table, ("campaign", "states", "known", "fixed"), source=source, field="")
-    head = _table(table, "campaign", source, needed=False)
-    refuse_unknown_keys(head, ("name", "materials"), source=source, field="campaign")
+    table = Table.read(path).only(("campaign", "states", "known", "fixed"))
+    source = table.source
+    head = table.table("campaign", expected="a table [campaign]").only(("name", "materials"))
     folders = list(materials)
     if "materials" in head:
-        folder = path.parent / str(head["materials"])
+        said = str(head.content["materials"])
+        folder = path.parent / said
         if not folder.is_dir():
-            raise InputError(source, "campaign.materials", str(head["materials"]), "a folder of materials beside the "
-                             "campaign's file")
+            raise InputError(source, head.at("materials"), said, "a folder of materials beside the campaign's file")
         folders.append(folder)
     registry = user_registry(folders)
-    states = tuple(_state(name, entry, path, registry) for name, entry in _table(table, "states", source).items())
+    listed = table.table("states", expected="a table [states]")
+    if not listed.content:
+        raise table.error("states", "a table [states]")
+    states = tuple(_state(name, listed.table(name, expected=f"a table [states.{name}]"), path.parent, registry)
+                   for name in listed)
     if not any(not state.held_out for state in states):
         raise InputError(source, "states", ", ".join(s.name for s in states) or "none",
                          "at least one state with a recording that is not held out")
     _check_one_device(states, source)
-    known = _known(_table(table, "known", source, needed=False), states, source)
-    fixed = tuple(_fixed(_table(table, "fixed", source, needed=False), known, states, source))
-    return Campaign(str(head.get("name", path.stem)), source, states, known, fixed, registry)
+    known = _known(table.table("known", expected="a table [known]").content, states, source)
+    fixed = tuple(_fixed(table.table("fixed", expected="a table [fixed]"), known, states))
+    return Campaign(str(head.content.get("name", path.stem)), source, states, known, fixed, registry)
 
 
-def _table(table: Mapping[str, Any], key: str, source: str, *, needed: bool = True) -> Mapping[str, Any]:
-    if key not in table and not needed:
-        return {}
-    found = table.get(key)
-    if not isinstance(found, Mapping) or (needed and not found):
-        raise InputError(source, key, found, f"a table [{key}]")
-    return found
-
-
-def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceState:
-    source, field = str(path), f"states.{name}"
-    if not isinstance(entry, Mapping):
-        raise InputError(source, field, entry, f"a table [{field}]")
-    refuse_unknown_keys(entry, STATE_KEYS, source=source, field=field)
-
-    def text(key: str) -> str:
-        value = entry.get(key)
-        if not isinstance(value, str) or not value:
-            raise InputError(source, f"{field}.{key}", value, f"a {key}, as text")
-        return value
-
-    def quantity(key: str, dimension: str) -> float | None:
-        return None if key not in entry else parse_quantity(
-            entry[key], dimension, source=source, field=f"{field}.{key}")
-
-    chip = read_chip(path.parent / text("chip"))
-    if "state" in entry:
-        state = chip.state(text("state"))
+def _state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceState:
+    table.only(STATE_KEYS)
+    chip = read_chip(_path(table, "chip", folder))
+    if "state" in table:
+        state = chip.state(table.text("state", expected="a state, as text"))
     elif len(chip.states) == 1:
         state = chip.states[0]
     else:
-        raise InputError(source, f"{field}.state", "nothing", "one of the chip's states: "
+        raise InputError(table.source, table.at("state"), "nothing", "one of the chip's states: "
                          + ", ".join(s.name for s in chip.states))
-    held_out = entry.get("held_out", False)
-    if not isinstance(held_out, bool):
-        raise InputError(source, f"{field}.held_out", held_out, "true or false")
-    temperature = quantity("temperature", "temperature")
+    held_out = table.flag("held_out")
+    temperature = table.optional_quantity("temperature", "temperature")
     if temperature is not None and state.cavity is not None:
         if state.temperature is not None and abs(state.temperature - temperature) > 0.5:
-            raise InputError(source, f"{field}.temperature", entry["temperature"],
-                             f"the {state.temperature - 273.15:.1f} degC that {chip.file} gives its state "
-                             f"{state.name!r}, or none there")
+            raise table.error("temperature", f"the {state.temperature - 273.15:.1f} degC that {chip.file} gives its "
+                              f"state {state.name!r}, or none there")
         state = replace(state, temperature=temperature)
         chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
     filling = chip_materials(chip, state.name, registry)
-    recording = path.parent / text("recording")
-    band = _band(entry.get("band"), source, f"{field}.band")
-    columns = read_column_map(path.parent / text("columns")) if "columns" in entry else None
+    recording = _path(table, "recording", folder)
+    band = _band(table) if "band" in table else None
+    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
     whole = read_recording(recording, columns=columns).spectrum
     measured = in_band(whole, chip, band, name=str(recording))
-    noise, stated = _noise(measured, quantity("noise", "dimensionless"), source, field)
-    drive = quantity("drive", "peak-to-peak voltage")
+    noise, stated = _noise(measured, table)
+    drive = table.optional_quantity("drive", "peak-to-peak voltage")
     if drive is not None and not drive > 0.0:
-        raise InputError(source, f"{field}.drive", entry["drive"], "a voltage above zero")
+        raise table.error("drive", "a voltage above zero")
     found = DeviceState(name, chip, state.name, measured, filling, noise, stated,
                         None if drive is None else 0.5 * drive, temperature, held_out)
     if set(filling) == {TRANSDUCER}:
@@ -210,26 +186,26 @@ def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceSt
     return found
 
 
-def _band(entry: object, source: str, field: str) -> tuple[float, float] | None:
-    if entry is None:
-        return None
-    if not isinstance(entry, list) or len(entry) != 2:
-        raise InputError(source, field, entry, "two frequencies")
-    low, high = (parse_quantity(each, "frequency", source=source, field=field) for each in entry)
+def _path(table: Table, key: str, folder: Path) -> Path:
+    return folder / table.text(key, expected=f"a {key}, as text")
+
+
+def _band(table: Table) -> tuple[float, float]:
+    low, high = table.quantities("band", "frequency", expected="two frequencies")
     if not low < high:
-        raise InputError(source, field, entry, "a lower and a higher frequency")
+        raise table.error("band", "a lower and a higher frequency")
     return low, high
 
 
-def _noise(
-    measured: Spectrum, stated: float | None, source: str, field: str
-) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
+def _noise(measured: Spectrum, table: Table) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
     """Relative standard deviation of every point, and whether anybody stated it."""
+    stated = table.optional_quantity("noise", "dimensionless")
     if stated is not None and not stated > 0.0:
-        raise InputError(source, f"{field}.noise", stated, "a relative deviation above zero")
+        raise InputError(table.source, table.at("noise"), stated, "a relative deviation above zero")
     if measured.uncertainty is not None:
         if stated is not None:
-            raise InputError(source, f"{field}.noise", stated, "nothing: the recording brings its own uncertainties")
+            raise InputError(table.source, table.at("noise"), stated,
+                             "nothing: the recording brings its own uncertainties")
         return np.asarray(measured.uncertainty / measured.magnitude), True
     if stated is not None:
         return np.full(measured.frequency.size, stated), True
@@ -361,14 +337,9 @@ def names(states: Sequence[DeviceState]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _fixed(
-    table: Mapping[str, Any], known: Mapping[str, float], states: Sequence[DeviceState], source: str
-) -> Iterator[str]:
-    refuse_unknown_keys(table, ("names",), source=source, field="fixed")
-    listed = table.get("names", [])
-    if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
-        raise InputError(source, "fixed.names", listed, "a list of names")
-    for written in listed:
+def _fixed(table: Table, known: Mapping[str, float], states: Sequence[DeviceState]) -> Iterator[str]:
+    source = table.source
+    for written in table.only(("names",)).texts("names", (), expected="a list of names"):
         parsed = ParameterName.parse(written)
         material = next((s.materials[parsed.owner].name for s in states if parsed.owner in s.materials), None)
         name = _full_name(written, states)

@@ -175,8 +175,3 @@ class Table:
         if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
             raise self.error(key, expected)
         return tuple(Table(self.source, f"{self.at(key)}[{index}]", row) for index, row in enumerate(rows))
-
-
-def refuse_unknown_keys(table: Mapping[str, object], allowed: Iterable[str], *, source: str, field: str) -> None:
-    """Raise an :class:`InputError` at the first key of `table` that is not in `allowed`."""
-    Table(source, field, table).only(allowed)
