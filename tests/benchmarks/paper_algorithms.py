@@ -39,7 +39,7 @@ from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa
 from workbench.fitting.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.parameter_names import LOSS, part  # noqa: E402
-from workbench.problem import Problem, build  # noqa: E402
+from workbench.problem import Problem, build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.report.page import write_json  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
@@ -86,7 +86,7 @@ def parts(material: str, names: tuple[str, ...]) -> dict[str, float]:
 
 def free_disc(density: float, arguments: argparse.Namespace) -> Problem:
     chip = disc_of(read_chip(ROOT / "geometry/chips/free_disc_25x2.toml"), INITIAL, density)
-    return build(chip, chip.states[0].name, Registry(), accuracy=arguments.accuracy)
+    return build(fill(chip, chip.states[0].name, Registry()), accuracy=arguments.accuracy)
 
 
 def cases(arguments: argparse.Namespace) -> dict[str, Case]:
