@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.discretisation import Discretisation
+from workbench.fitting.parameter import Parameter
 from workbench.physics.term import Condition, Term
 
 #: A transducer the size of a pea, as a chip file.
@@ -171,3 +172,8 @@ def check_table(lines: list[str], title: str, columns: tuple[str, ...], rows: tu
     found, sought = ("".join("".join(texts).split()) for texts in (printed, written))
     for character in set(sought):
         assert found.count(character) >= sought.count(character), (character, shown)
+
+
+def started_at(parameter: Parameter, start: float) -> Parameter:
+    """The same parameter with another start, moved into its bounds."""
+    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))
