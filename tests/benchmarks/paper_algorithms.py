@@ -34,7 +34,7 @@ from workbench.commands.terminal import Show, progress_bars  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.fitting.joint import fit  # noqa: E402
 from workbench.fitting.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
-from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN, started_at  # noqa: E402
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN  # noqa: E402
 from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa: E402
 from workbench.fitting.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
@@ -105,7 +105,9 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
                            accuracy=fineness)
         # From the moduli of PMMA: those of the chip's own material are the truth.
         start = material_starts(prepared, Registry(), [PMMA])[PMMA]
-        return replace(prepared, parameters=tuple(map(started_at, prepared.parameters, start)))
+        moved = tuple(replace(p, start=float(np.clip(x, p.low, p.high)))
+                      for p, x in zip(prepared.parameters, start, strict=True))
+        return replace(prepared, parameters=moved)
 
     def real() -> Prepared:
         measured = read_recording(arguments.recordings / DISC).spectrum
