@@ -11,7 +11,7 @@ from pathlib import Path
 
 import workbench as wb
 
-CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
+CHIPS = Path(wb.__file__).resolve().parent.parent / "geometry" / "chips"
 
 chip = wb.read_chip(CHIPS / "acevedo_2026_chip.toml")
 # A coarse mesh and few frequencies: a first look. Leave both out for the accuracy of 0.05 %.

@@ -13,7 +13,7 @@ import numpy as np
 
 import workbench as wb
 
-CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
+CHIPS = Path(wb.__file__).resolve().parent.parent / "geometry" / "chips"
 
 chip = wb.read_chip(CHIPS / "reference_chip.toml")
 heights = np.linspace(0.70e-3, 0.74e-3, 3)

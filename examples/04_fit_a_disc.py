@@ -15,7 +15,7 @@ import numpy as np
 
 import workbench as wb
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(wb.__file__).resolve().parent.parent
 
 recorded = wb.read_recording(ROOT / "tests" / "data" / "reference" / "free_disc_fitted_rho7500.csv").spectrum
 real, imaginary = np.random.default_rng(1).standard_normal((2, recorded.frequency.size))

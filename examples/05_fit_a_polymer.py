@@ -13,7 +13,7 @@ from pathlib import Path
 
 import workbench as wb
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(wb.__file__).resolve().parent.parent
 
 recorded = wb.read_recording(ROOT / "tests" / "data" / "reference" / "disc_gel_PLA.csv")
 stack = wb.read_chip(ROOT / "geometry" / "chips" / "disc_gel_pla.toml")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import workbench as wb
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(wb.__file__).resolve().parent.parent
 DATA = ROOT / "tests" / "data"
 
 # What each column of a table was taken for is always said.

@@ -5,7 +5,8 @@ A campaign is one device in several states, each with its recording, and what is
 recordings are simulated, and one thing is not as the campaign says: the water is at 28 degC instead of 25 degC. The
 diagnosis is told nothing of that.
 
-Reference number: the temperature is off by +3 K; the interval that is found must hold it.
+Reference number: the temperature is off by +3 K; the interval that is found must hold it. The verdict is "ambiguous":
+a liquid that carries sound faster is the same thing, and the diagnosis says so.
 """
 
 import tempfile

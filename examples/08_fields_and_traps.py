@@ -11,7 +11,7 @@ from pathlib import Path
 
 import workbench as wb
 
-CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
+CHIPS = Path(wb.__file__).resolve().parent.parent / "geometry" / "chips"
 
 chip = wb.read_chip(CHIPS / "acevedo_2026_chip.toml")
 # A generator of 10 Vpp behind 50 ohm leaves less at the electrodes than "10 Vpp" does.

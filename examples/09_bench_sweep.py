@@ -15,7 +15,7 @@ import numpy as np
 
 import workbench as wb
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(wb.__file__).resolve().parent.parent
 
 BENCH = """
 generator = {{ port = "{generator}", pause = "0 s" }}

@@ -1,4 +1,7 @@
-"""Search the dimensions the paper does not print for the best agreement with the model columns of its Table 5.
+"""Find the chip of the paper
+==========================
+
+Search the dimensions the paper does not print for the best agreement with the model columns of its Table 5.
 
 Known: the transducer (25 x 2.02 mm), the gel (20 um), a pressure node at z = 3.25 mm, six numbers of Table 5. Unknown:
 heights of substrate, sidewall, bond and glass, radius of the cavity and of the section. The node ties the substrate's

@@ -1,4 +1,7 @@
-"""The whole way, from the command line alone: the bench, a transducer, a polymer, a chip, and what it does not explain.
+"""The whole way
+=============
+
+The whole way, from the command line alone: the bench, a transducer, a polymer, a chip, and what it does not explain.
 
     python examples/11_whole_way.py [-o out/whole_way]
 

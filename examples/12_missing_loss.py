@@ -1,4 +1,7 @@
-"""Is the loss missing from the paper's model of its water-filled chip thermoviscous, as the paper says?
+"""Is the missing loss thermoviscous?
+==================================
+
+Is the loss missing from the paper's model of its water-filled chip thermoviscous, as the paper says?
 
 Table 5 of Acevedo-Espinosa et al. (RP-UEIS) leaves two gaps between measurement and model. With water in the cavity 1/Q
 is 2.0e-3 higher than modelled (3e-5 when empty), and filling moves f0 by -1.0 kHz where the model says +2.0 kHz. The

@@ -1,4 +1,7 @@
-"""What does the model of a real free disc leave unexplained?
+"""A real disc
+===========
+
+What does the model of a real free disc leave unexplained?
 
     python examples/13_real_disc.py RECORDING [-o out/real_disc]
 
