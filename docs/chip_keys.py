@@ -113,7 +113,7 @@ def tables() -> dict[str, dict[str, str]]:
                     keys[str(arguments[0])] = READ_BY[node.func.attr]
                 elif node.func.attr in ("quantity", "optional_quantity") and len(arguments) > 1:
                     units = ", ".join(dict.fromkeys(UNITS.get(str(arguments[1]), ())))
-                    keys[str(arguments[0])] = f"text with a unit: {units}" if units else f"{arguments[1]}, with its unit"
+                    keys[str(arguments[0])] = f"text with a unit: {units}"
         found[TABLES[function.name]] = {key: takes or TAKES[key] for key, takes in keys.items()}
     return found
 

@@ -29,7 +29,7 @@ author = copyright = "the authors of the workbench"
 version = release = _PROJECT["version"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["_generated", "gallery/**/*.zip"]
+exclude_patterns = ["_generated", "**/sg_execution_times.rst"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 # A file's name such as setup.py is no link.
@@ -58,10 +58,10 @@ QUICK = r"0[34689]_\w+\.py"
 
 sphinx_gallery_conf = {
     "examples_dirs": str(ROOT / "examples"), "gallery_dirs": "gallery", "filename_pattern": QUICK,
-    "ignore_pattern": r"paper_chip\.py", "image_scrapers": ("gallery_pictures.written",), "reset_modules": (),
+    "ignore_pattern": r"(^|/)paper_chip\.py$", "image_scrapers": ("gallery_pictures.written",), "reset_modules": (),
     "within_subsection_order": "FileNameSortKey", "capture_repr": (), "show_signature": False,
     "download_all_examples": False, "min_reported_time": 1e9, "backreferences_dir": None,
-    "remove_config_comments": True, "nested_sections": False,
+    "remove_config_comments": True, "nested_sections": False, "write_computation_times": False,
 }
 
 
@@ -73,5 +73,14 @@ def _generate(_app: object) -> None:
     architecture.draw(made / "architecture.png")
 
 
+def _plain_bars(_app: object, _what: str, _name: str, _found: object, _options: object, lines: list[str]) -> None:
+    """|Z| is a magnitude and no substitution."""
+    for number, line in enumerate(lines):
+        parts = line.split("``")
+        parts[::2] = [part.replace("|", "\\|") for part in parts[::2]]
+        lines[number] = "``".join(parts)
+
+
 def setup(app: Any) -> None:
+    app.connect("autodoc-process-docstring", _plain_bars)
     app.connect("builder-inited", _generate, priority=100)

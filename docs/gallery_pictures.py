@@ -11,7 +11,7 @@ STARTED = time.time()
 
 
 def written(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
-    """Move what was drawn since the start into the gallery; sphinx-gallery runs an example in the folder of examples."""
+    """Move what was drawn since the start into the gallery; an example is run in the folder of examples."""
     from sphinx_gallery.scrapers import figure_rst
 
     made = Path(block_vars["src_file"]).parent / "out"

@@ -25,7 +25,8 @@ comparison = wb.compare(recording.spectrum, run.spectrum)
 
 print(f"rms of ln(Z/Z_ref) {100 * comparison.rms_log_residual:.3f} %, MAPE {comparison.mape_percent:.3f} %")
 for row in comparison.rows:
-    print(f"{row.metric:12} recorded {row.measured:12.6g}   simulated {row.simulated:12.6g}  {row.difference_percent:+.3f} %")
+    print(f"{row.metric:12} recorded {row.measured:12.6g}   simulated {row.simulated:12.6g}"
+          f"   {row.difference_percent:+.3f} %")
 
 out = Path("out")
 out.mkdir(exist_ok=True)
