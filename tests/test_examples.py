@@ -32,7 +32,7 @@ DRAWN = {
 SAID = {
     "01_first_spectrum": "f0=10304", "02_cavity_height": "height 0.74 mm: f0 1.0225 MHz",
     "03_your_own_chip": "layers[1].thickness: received '20'",
-    "04_fit_a_disc": "pzt4/comsol_nominal.c33         1.2167e+11",
+    "04_fit_a_disc": "pzt4/comsol_nominal.c33       1.2167e+11",
     "05_fit_a_polymer": "kept as pla_mine/print_1@1", "06_compare_with_a_recording": "rms of ln(Z/Z_ref) 0.",
     "07_diagnose_a_campaign": "ambiguous fluid temperature", "08_fields_and_traps": "trap at r 0.00 mm, z 3.26",
     "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
