@@ -528,7 +528,7 @@ def report(
     """Draw the pictures and write ``report.html``."""
     from workbench.render.canvas import new_figure, save
     from workbench.render.plots import draw_loss_budget
-    from workbench.report import Note, Picture, Table, write_report
+    from workbench.report.page import Note, Picture, Table, write_report
 
     figure = new_figure(7.5, 4.0)
     axes = figure.subplots()

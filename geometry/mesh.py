@@ -18,10 +18,9 @@ import math
 import os
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import RLock
 from types import ModuleType
@@ -30,18 +29,15 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from geometry.names import AXIS, CAVITY, TRANSDUCER, role_of, whole
+from geometry.mesh_size import MeshSize
+from geometry.names import AXIS, TRANSDUCER, whole
+from geometry.panels import Panel, divided
 from geometry.section import VOID, Section, boundary_name
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.writing import replacing
 
 #: Part of the key of a cached mesh: raise it whenever the same section and size would give another mesh.
 CACHE_VERSION = 2
-
-COUPLANT = "couplant"
-
-#: Regions with these roles hold a fluid, or nothing.
-FLUID_ROLES = (CAVITY, COUPLANT)
 
 #: Agreement demanded between a region of the mesh and the section's own arithmetic, relative. Rounding accumulates to
 #: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
@@ -50,71 +46,6 @@ VOLUME_TOLERANCE = 1e-9
 
 class MeshError(RuntimeError):
     """The mesh is not the one the section asked for, or gmsh could not be used."""
-
-
-@dataclass(frozen=True)
-class MeshSize:
-    """How fine a mesh has to be.
-
-    ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` where nothing propagates (a
-    vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
-    ``minimum_through_thickness``: elements across the thinnest layer. ``minimum_through_quarter_wave``: elements across
-    a layer that is thicker than a quarter of the slowest wavelength in it. ``corner_refinement``: largest size of the
-    elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube
-    at the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
-    ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
-    takes.
-    """
-
-    slowest_wave: Mapping[str, float]
-    frequency_max: float
-    elements_per_wavelength: float
-    order: int
-    minimum_through_thickness: int = 1
-    minimum_through_quarter_wave: int = 1
-    corner_refinement: float = 1.0
-    growth: float = 4.0
-    skins: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        def refuse(name: str, value: object, expected: str) -> None:
-            raise InputError("mesh size", name, value, expected)
-
-        for region, speed in self.slowest_wave.items():
-            if not speed > 0.0:
-                refuse(f"slowest_wave.{region}", speed, "a speed above zero in m/s")
-        if not 0.0 < self.frequency_max < math.inf:
-            refuse("frequency_max", self.frequency_max, "a frequency above zero in Hz")
-        if not 0.0 < self.elements_per_wavelength < math.inf:
-            refuse("elements_per_wavelength", self.elements_per_wavelength, "a number above zero")
-        if self.order < 1:
-            refuse("order", self.order, "a polynomial order of 1 or more")
-        for name in ("minimum_through_thickness", "minimum_through_quarter_wave"):
-            if getattr(self, name) < 1:
-                refuse(name, getattr(self, name), "1 or more")
-        if not 0.0 < self.corner_refinement <= 1.0:
-            refuse("corner_refinement", self.corner_refinement, "a ratio above 0 and up to 1")
-        if not self.growth > 1.0:
-            refuse("growth", self.growth, "a ratio above 1")
-        for region, share in self.skins.items():
-            if not 0.0 < share < 0.5:
-                refuse(f"skins.{region}", share, "a share of the thickness above 0 and below a half")
-
-    def largest_element(self, region: str) -> float:
-        """Largest edge of an element in the region, metres.
-
-        Raises:
-            InputError: no speed is given for the region.
-        """
-        if region not in self.slowest_wave:
-            raise InputError(
-                "mesh size",
-                f"slowest_wave.{region}",
-                None,
-                "the slowest wave speed of every region, inf where nothing propagates",
-                nearest_names(region, self.slowest_wave),
-            )
-        return self.slowest_wave[region] / (self.frequency_max * self.elements_per_wavelength)
 
 
 @dataclass(frozen=True)
@@ -137,16 +68,6 @@ class SectionMesh:
 
     def __post_init__(self) -> None:
         _check_mesh(self.mesh, self.section)
-
-
-def refined(size: MeshSize, factor: float) -> MeshSize:
-    """`size` with elements smaller by `factor` in both directions, thin layers included."""
-    return replace(
-        size,
-        elements_per_wavelength=size.elements_per_wavelength * factor,
-        minimum_through_thickness=math.ceil(size.minimum_through_thickness * factor),
-        minimum_through_quarter_wave=math.ceil(size.minimum_through_quarter_wave * factor),
-    )
 
 
 def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float], frequency: float) -> dict[str, float]:
@@ -225,142 +146,6 @@ def gmsh_session() -> Iterator[ModuleType]:
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Dividing the section
-
-
-@dataclass(frozen=True)
-class _Panel:
-    """Part of an interval between two breaks: `count` elements, each `ratio` times as long as the one before."""
-
-    interval: int
-    start: float
-    end: float
-    count: int
-    ratio: float
-
-    def nodes(self) -> NDArray[np.float64]:
-        """(count + 1,) coordinates from start to end, both exact."""
-        lengths = self.ratio ** np.arange(self.count)
-        steps = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
-        nodes: NDArray[np.float64] = self.start + (self.end - self.start) * steps
-        nodes[-1] = self.end
-        return nodes
-
-
-def _panels(
-    breaks: tuple[float, ...], largest: NDArray[np.float64], graded: Mapping[float, float], *, size: MeshSize,
-    minimum: NDArray[np.int64], cuts: Sequence[float] = (),
-) -> list[_Panel]:
-    """Panels of the intervals between `breaks`: elements no longer than `largest`, `minimum` of them at least (one
-    value an interval each).
-
-    They are graded towards the breaks in `graded`, to elements of that share of the largest. There is a line of nodes
-    at each of the `cuts` too.
-    """
-    panels: list[_Panel] = []
-    for i, (start, end, limit, least) in enumerate(zip(breaks, breaks[1:], largest, minimum, strict=False)):
-        inner = [cut for cut in sorted(cuts) if start < cut < end]
-        for low, high in pairwise([start, *inner, end]):
-            ends = (graded.get(low, 1.0), graded.get(high, 1.0))
-            lengths, counts, ratios = _divide(high - low, limit, ends, size.growth, 1 if inner else int(least))
-            knots = low + np.concatenate([[0.0], np.cumsum(lengths)])
-            knots[-1] = high
-            for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False):
-                panel = _Panel(i, float(a), float(b), n, q)
-                # gmsh places the nodes of a steeply graded line by numerical integration, too roughly for the smallest.
-                nodes = [panel.start, panel.end] if q == 1.0 else panel.nodes().tolist()
-                panels += [_Panel(i, low, high, n if q == 1.0 else 1, 1.0) for low, high in pairwise(nodes)]
-    return panels
-
-
-def _divide(
-    length: float, largest: float, ends: tuple[float, float], growth: float, minimum: int
-) -> tuple[list[float], list[int], list[float]]:
-    """Lengths, counts and ratios of the panels of one interval.
-
-    The interval is divided into equal parts no longer than `largest`, `minimum` at least. A part next to a graded end,
-    half of it where it is next to both, is divided again: from an element no longer than so much of `largest` as `ends`
-    say on they grow by `growth`. An end of 1 is not graded.
-    """
-    parts = max(minimum, _ceiling(length / largest))
-    share = 0.5 if parts == 1 and max(ends) < 1.0 else 1.0
-    piece = share * length / parts
-    first, last = (_graded(piece, end * largest, growth) if end < 1.0 else 1 for end in ends)
-    if first == last == 1:  # too thin to be graded, or not to be
-        return [length], [parts], [1.0]
-    # A half that is too thin stays one element.
-    graded = (first > 1 or share < 1.0, last > 1 or share < 1.0)
-    rest = round(parts - share * sum(graded))
-    pieces = [(piece, first, growth)] * graded[0]
-    pieces += [(length - sum(graded) * piece, rest, 1.0)] * (rest > 0)
-    pieces += [(piece, last, 1.0 / growth)] * graded[1]
-    lengths, counts, ratios = zip(*pieces, strict=True)
-    return list(lengths), list(counts), list(ratios)
-
-
-def _graded(length: float, smallest: float, growth: float) -> int:
-    """How many elements, each `growth` times as long as the one before, divide a length so that the first is no longer
-    than `smallest`."""
-    count, total = 1, 1.0
-    while length / total > smallest * (1.0 + 1e-12):
-        total += growth**count
-        count += 1
-    return count
-
-
-def _ceiling(quotient: float) -> int:
-    """Smallest number of elements; a quotient above a whole number by rounding only does not cost one more."""
-    return max(1, math.ceil(quotient * (1.0 - 1e-12)))
-
-
-def _corners(section: Section, refinement: float) -> tuple[dict[float, float], dict[float, float]]:
-    """Radii and heights that the mesh is graded towards, and the size of the elements there, relative to the others.
-
-    Fields are singular in re-entrant corners of the solids, and more so at the ends of electrodes: elements there are
-    smaller by the cube of `refinement`: by itself 0.65 % in Z of a disc were left, by its square 0.08 %. The
-    rim of a couplant, which gives way there, is too thin to have anything of its own across: its radius counts, not
-    its heights.
-    """
-    fluid = [role_of(region) in FLUID_ROLES for region in section.regions]
-    cells = section.grid()
-    solid = (cells != VOID) & ~np.append(fluid, True)[cells]  # VOID is -1: the last entry
-    quarters = np.stack([solid[1:, 1:], solid[1:, :-1], solid[:-1, 1:], solid[:-1, :-1]])
-    # Two solids in opposite quarters meet in an edge; side by side they have a plane face.
-    opposite = (quarters.sum(axis=0) == 2) & (quarters[0] == quarters[3])
-    corners = np.argwhere((quarters.sum(axis=0) == 3) | opposite) + 1
-    radii = {section.r_breaks[i]: refinement for _, i in corners}
-    heights = {section.z_breaks[j]: refinement for j, _ in corners}
-    radii |= {p.r_outer: refinement for p in section.rectangles if role_of(p.region) == COUPLANT}
-    disc = max(p.r_outer for p in section.rectangles if p.region == TRANSDUCER)
-    for electrode in section.electrodes:
-        ends = {electrode.r_inner, electrode.r_outer} - {0.0, disc}
-        radii |= dict.fromkeys(ends, refinement**3)
-        heights |= {electrode.z: refinement**3} if ends else {}
-    return radii, heights
-
-
-def _divided(section: Section, size: MeshSize) -> tuple[list[_Panel], list[_Panel]]:
-    """Panels along r and along z."""
-    grid = section.grid()
-    # VOID is -1: it takes the last entry, no limit.
-    limits = np.array([size.largest_element(region) for region in section.regions] + [math.inf])[grid]
-    columns, rows = limits.min(axis=0), limits.min(axis=1)
-    if math.isinf(max(columns.max(), rows.max())):
-        raise InputError("mesh size", "slowest_wave", math.inf, "a finite speed in some region of every row and column")
-    radii, heights = _corners(section, size.corner_refinement)
-    cuts = []
-    for rectangle in section.rectangles:
-        skin = size.skins.get(rectangle.region, 0.0) * (rectangle.z_top - rectangle.z_bottom)
-        cuts += [rectangle.z_bottom + skin, rectangle.z_top - skin] if skin else []
-    thick = np.diff(section.z_breaks) > 0.25 * size.elements_per_wavelength * rows
-    least = np.maximum(size.minimum_through_thickness, np.where(thick, size.minimum_through_quarter_wave, 1))
-    return (
-        _panels(section.r_breaks, columns, radii, size=size, minimum=np.ones(len(columns), dtype=int)),
-        _panels(section.z_breaks, rows, heights, size=size, minimum=least, cuts=cuts),
-    )
-
-
-# --------------------------------------------------------------------------------------------------------------------
 # gmsh
 
 
@@ -374,7 +159,7 @@ class _Cells:
 
 
 def _generate(section: Section, size: MeshSize) -> _Cells:
-    along_r, along_z = _divided(section, size)
+    along_r, along_z = divided(section, size)
     grid = section.grid()[np.ix_([p.interval for p in along_z], [p.interval for p in along_r])]
     occupied = [(int(j), int(i)) for j, i in np.argwhere(grid != VOID)]
     with gmsh_session() as gmsh:
@@ -392,7 +177,7 @@ def _generate(section: Section, size: MeshSize) -> _Cells:
 
 
 def _transfinite_surfaces(
-    geo: ModuleType, along_r: list[_Panel], along_z: list[_Panel], occupied: list[tuple[int, int]]
+    geo: ModuleType, along_r: list[Panel], along_z: list[Panel], occupied: list[tuple[int, int]]
 ) -> list[int]:
     """One surface of gmsh for every occupied rectangle (row, column) of panels; their tags in that order."""
     r = [along_r[0].start, *(panel.end for panel in along_r)]
@@ -405,7 +190,7 @@ def _transfinite_surfaces(
             points[j, i] = geo.addPoint(r[i], z[j], 0.0)
         return points[j, i]
 
-    def line(start: tuple[int, int], end: tuple[int, int], panel: _Panel) -> int:
+    def line(start: tuple[int, int], end: tuple[int, int], panel: Panel) -> int:
         if (start, end) not in lines:
             tag = geo.addLine(point(*start), point(*end))
             geo.mesh.setTransfiniteCurve(tag, panel.count + 1, "Progression", panel.ratio)
@@ -438,7 +223,7 @@ def _quadrilaterals(mesh: ModuleType, surface: int) -> NDArray[np.int64]:
     return np.asarray(nodes[0], dtype=np.int64).reshape(-1, 4)
 
 
-def _on_lines(values: NDArray[np.float64], panels: list[_Panel]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _on_lines(values: NDArray[np.float64], panels: list[Panel]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The coordinates of the grid lines, and the line each of `values` is on.
 
     gmsh places the nodes of a graded curve by numerical integration; the lines are its nodes without that error.

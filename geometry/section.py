@@ -13,8 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.chip import SAME_LENGTH, Chip, ElectrodeDisc
+from geometry.chip import Chip
 from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, interface, outside
+from geometry.parts import SAME_LENGTH, ElectrodeDisc
 from workbench.files.errors import choose
 
 #: Marks a cell of :meth:`Section.grid` where there is nothing.

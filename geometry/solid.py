@@ -10,8 +10,9 @@ import math
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from geometry.chip import Chip, Layer, port_axis
+from geometry.chip import Chip
 from geometry.names import CAVITY
+from geometry.parts import Layer
 
 if TYPE_CHECKING:
     from cadquery import Shape, Solid
@@ -48,7 +49,7 @@ def parts(chip: Chip) -> dict[str, tuple[Layer, ...]]:
 def part_volumes(chip: Chip) -> dict[str, float]:
     """Volume of every part in cubic metres from the chip's arithmetic, less the ports; the cavity without them."""
     volumes = chip.volumes()
-    drilled = port_axis(chip)[0].region if chip.ports is not None else None
+    drilled = chip.port_axis()[0].region if chip.ports is not None else None
     by_part = {
         name: sum(volumes[layer.region] for layer in layers)
         - (ports_volume(chip) if drilled in {layer.region for layer in layers} else 0.0)
@@ -67,7 +68,7 @@ def ports_volume(chip: Chip) -> float:
     Raises:
         InputError: the chip has no ports.
     """
-    wall, _ = port_axis(chip)
+    wall, _ = chip.port_axis()
     if chip.ports is None:
         return 0.0
     a = 0.5 * chip.ports.diameter.value
@@ -94,7 +95,7 @@ def solids(chip: Chip) -> dict[str, Solid]:
     cadquery = _cadquery()
     expected = part_volumes(chip)
     channels = _channels(cadquery, chip)
-    drilled = port_axis(chip)[0].region if channels else None
+    drilled = chip.port_axis()[0].region if channels else None
     made: dict[str, Solid] = {}
     for name, layers in parts(chip).items():
         shape = _fused([_ring(cadquery, layer) for layer in layers])
@@ -140,7 +141,7 @@ def _channels(cadquery: ModuleType, chip: Chip) -> list[Shape]:
     """The ports as cylinders from the axis to beyond the outer surface."""
     if chip.ports is None:
         return []
-    wall, height = port_axis(chip)
+    wall, height = chip.port_axis()
     start = cadquery.Vector(0.0, 0.0, MILLIMETRES * height)
     angles = [2.0 * math.pi * k / chip.ports.count for k in range(chip.ports.count)]
     return [

@@ -55,26 +55,6 @@ def attenuations(
     return omega / speeds[0] * tangents[0] / 2, omega / speeds[1] * tangents[1] / 2
 
 
-def bulk_and_shear_from_waves(
-    longitudinal_speed: float,
-    shear_speed: float,
-    *,
-    density: float,
-    longitudinal_attenuation: float,
-    shear_attenuation: float,
-    frequency: float,
-) -> tuple[complex, complex]:
-    """Bulk and shear moduli (Pa) from wave speeds (m/s) and absorptions (Np/m) measured at `frequency` (Hz).
-
-    The exact inverse of :func:`wave_speeds` and :func:`attenuations`: M = rho c^2 (1 - i tan delta) with
-    tan delta = 2 alpha c / w.
-    """
-    omega = 2 * math.pi * frequency
-    longitudinal = density * longitudinal_speed**2 * (1 - 2j * longitudinal_attenuation * longitudinal_speed / omega)
-    shear = density * shear_speed**2 * (1 - 2j * shear_attenuation * shear_speed / omega)
-    return longitudinal - 4 * shear / 3, shear
-
-
 def decibels_per_metre(nepers_per_metre: float) -> float:
     """An absorption in dB/m from the same in Np/m."""
     return nepers_per_metre / _NEPERS_PER_DECIBEL

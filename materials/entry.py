@@ -18,10 +18,9 @@ from materials.fit import parse_fit
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.lines import located
 from materials.temperature import parse_law
-from materials.value import RECORDING, Value, check_source, parse_value, text, unit_factor
-from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
-from workbench.files.tables import read_toml, refuse_unknown_keys
+from materials.value import RECORDING, Value, parse_value, source_of, unit_factor
+from workbench.files.errors import InputError
+from workbench.files.tables import Table, read_toml
 
 _Numbers = Mapping[str, complex]
 
@@ -160,7 +159,7 @@ class _Reader:
         if not isinstance(entry, Mapping) or "law" not in entry or "value" in entry:
             raise InputError(self.file, field, "a fixed value",
                              "a law alone, because other numbers of this file depend on temperature")
-        _, factor = unit_factor(entry, dimension, source=self.file, field=field)
+        _, factor = unit_factor(Table(self.file, field, entry), dimension)
         law = parse_law(entry["law"], factor, source=self.file, field=f"{field}.law")
         at = law.at(self.temperature, source=self.file, field=field)
         rest = {key: item for key, item in entry.items() if key != "law"}
@@ -174,18 +173,17 @@ class _Reader:
         )
 
 
-def _temperature(
-    table: Mapping[str, Any], entries: Mapping[str, object], asked: float | None, *, source: str
-) -> float | None:
+def _temperature(table: Table, entries: Mapping[str, object], asked: float | None) -> float | None:
     """The temperature (K) of a file with laws: the one asked for, or else the reference temperature it states."""
     if not any(isinstance(entry, Mapping) and "law" in entry for entry in entries.values()):
         if "temperature" in table:
-            raise InputError(source, "temperature", table["temperature"],
-                             "no temperature, because no number of this file depends on it (use conditions)")
+            raise table.error("temperature",
+                              "no temperature, because no number of this file depends on it (use conditions)")
         if asked is not None:
-            raise InputError(source, "temperature", f"{asked:g} K", "no temperature: this entry has no laws for it")
+            raise InputError(table.source, "temperature", f"{asked:g} K",
+                             "no temperature: this entry has no laws for it")
         return None
-    reference = parse_quantity(table.get("temperature"), "temperature", source=source, field="temperature")
+    reference = table.quantity("temperature", "temperature")
     return reference if asked is None else asked
 
 
@@ -211,20 +209,19 @@ def read_entry(
 
 
 def parse_entry(
-    table: Mapping[str, Any], name: str, *, file: str, references: Collection[str], temperature: float | None = None
+    content: Mapping[str, Any], name: str, *, file: str, references: Collection[str], temperature: float | None = None
 ) -> Material:
     """The material in the content of an entry file; see :func:`read_entry`."""
-    kind_name = choose(table.get("kind"), KINDS, source=file, field="kind")
+    table = Table(file, "", content)
+    kind_name = table.choice("kind", KINDS)
     kind = KINDS[kind_name]
-    head = {key: item for key, item in table.items() if key in _HEAD}
-    entries = {key: item for key, item in table.items() if key not in _HEAD}
+    entries = {key: item for key, item in content.items() if key not in _HEAD}
     in_forms = {key: dimension for form in kind.forms for key, dimension in form.dimensions.items()}
     dimensions = {**kind.required, **kind.optional, **in_forms}
-    refuse_unknown_keys(table, [*_HEAD, *dimensions], source=file, field="")
-    text(table, "title", source=file, field="")
-    text(table, "note", source=file, field="", default="")
-    if not isinstance(table.get("default", False), bool):
-        raise InputError(file, "default", table["default"], "true or false")
+    table.only([*_HEAD, *dimensions])
+    table.text("title")
+    table.text("note", "")
+    table.flag("default")
     for required in kind.required:
         if required not in entries:
             raise InputError(file, required, "nothing", f"this number of the {kind_name}")
@@ -234,10 +231,10 @@ def parse_entry(
 
     reader = _Reader(
         file=file,
-        conditions=text(head, "conditions", source=file, field=""),
-        source=check_source(text(head, "source", source=file, field=""), references, source=file, field=""),
+        conditions=table.text("conditions"),
+        source=source_of(table, references),
         references=references,
-        temperature=_temperature(table, entries, temperature, source=file),
+        temperature=_temperature(table, entries, temperature),
     )
     values = {
         key: reader.value(entry, dimensions[key], field=key, lossy=key in in_forms and key not in _LOSSLESS)
@@ -249,7 +246,7 @@ def parse_entry(
     if form is not None:
         fields.update(form.convert(numbers))
         tolerances = _loss_tolerances(form, numbers, values)
-    fit = parse_fit(table["fit"], density=fields["density"], source=file) if "fit" in table else None
+    fit = parse_fit(content["fit"], density=fields["density"], source=file) if "fit" in table else None
     material = kind.build(name=name, source=reader.source, temperature=reader.temperature, values=values, fit=fit,
                           **fields)
     passivity.check(material, loss_tolerances=tolerances, source=file)

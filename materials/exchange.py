@@ -17,7 +17,6 @@ from pathlib import Path
 from materials.entry import parse_entry
 from materials.history import load_quietly
 from materials.registry import PACKAGE_DATA, Registry, bibliography_keys
-from materials.value import text
 from materials.versions import (
     Withdrawal,
     check_name,
@@ -29,6 +28,7 @@ from materials.versions import (
     withdrawal_text,
 )
 from workbench.files.errors import InputError
+from workbench.files.tables import Table
 from workbench.files.writing import write_atomic
 
 #: First in the file, so that it is known for what it is.
@@ -148,19 +148,15 @@ def _read(path: Path) -> list[_Entry]:
 
 
 def _read_entry(entry: object, field: str, *, source: str) -> _Entry:
-    if not isinstance(entry, Mapping):
-        raise InputError(source, field, entry, "a name, a content and its sha256")
-    name, content, digest = (text(entry, key, source=source, field=field) for key in ("name", "content", "sha256"))
+    table = Table.of(entry, source=source, field=field, expected="a name, a content and its sha256")
+    name, content, digest = (table.text(key) for key in ("name", "content", "sha256"))
     split = split_version(name)
     # A name is a path below the folder: nothing but letters, digits, _ and - on both sides of one slash.
     check_name(name if split is None else split[0], source=source)
     if _digest(content) != digest:
         raise InputError(source, f"{field}.sha256", digest, f"{_digest(content)}, of the content as it is: {name} was "
                          "changed")
-    withdrawal = entry.get("withdrawal")
-    if withdrawal is None:
+    if table.content.get("withdrawal") is None:
         return _Entry(name, content, None)
-    if not isinstance(withdrawal, Mapping):
-        raise InputError(source, f"{field}.withdrawal", withdrawal, "a date and a reason")
-    date, reason = (text(withdrawal, key, source=source, field=f"{field}.withdrawal") for key in ("date", "reason"))
-    return _Entry(name, content, Withdrawal(date, reason))
+    withdrawal = table.table("withdrawal", expected="a date and a reason")
+    return _Entry(name, content, Withdrawal(withdrawal.text("date"), withdrawal.text("reason")))

@@ -34,10 +34,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from materials.value import date_text, number, text
+from materials.value import date_text
 from workbench.files.errors import InputError
-from workbench.files.quantities import parse_quantity
-from workbench.files.tables import refuse_unknown_keys
+from workbench.files.tables import Table
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _KEYS = ("recordings", "algorithm", "software", "start", "band", "temperature", "mape_percent", "rms_log_residual",
@@ -104,101 +103,81 @@ def parse_fit(table: object, *, density: float, source: str) -> Fit:
     Raises:
         InputError: an unknown key, something missing, or of the wrong kind.
     """
-    if not isinstance(table, Mapping):
-        raise InputError(source, "fit", table, "a table [fit]")
-    refuse_unknown_keys(table, _KEYS, source=source, field="fit")
-    confidence = _figure(table, "confidence", source=source)
+    entry = Table.of(table, source=source, field="fit", expected="a table [fit]").only(_KEYS)
+    confidence = _figure(entry, "confidence")
     if not 0.0 < confidence < 1.0:
-        raise InputError(source, "fit.confidence", confidence, "a level between 0 and 1, such as 0.95")
-    forced = table.get("forced", False)
-    if not isinstance(forced, bool):
-        raise InputError(source, "fit.forced", forced, "true or false")
-    temperature = None
-    if "temperature" in table:
-        temperature = parse_quantity(table["temperature"], "temperature", source=source, field="fit.temperature")
+        raise InputError(entry.source, entry.at("confidence"), confidence, "a level between 0 and 1, such as 0.95")
+    forced = entry.flag("forced")
+    temperature = entry.optional_quantity("temperature", "temperature")
+    sample = entry.table("sample", expected="a table of texts")
     return Fit(
-        recordings=_recordings(table.get("recordings"), source=source),
-        algorithm=text(table, "algorithm", source=source, field="fit"),
-        software=text(table, "software", source=source, field="fit"),
-        date=date_text(table, "date", source=source, field="fit"),
-        band=_band(table.get("band"), source=source),
-        mape_percent=_figure(table, "mape_percent", source=source),
-        rms_log_residual=_figure(table, "rms_log_residual", source=source),
+        recordings=_recordings(entry),
+        algorithm=entry.text("algorithm"),
+        software=entry.text("software"),
+        date=date_text(entry, "date"),
+        band=_band(entry),
+        mape_percent=_figure(entry, "mape_percent"),
+        rms_log_residual=_figure(entry, "rms_log_residual"),
         confidence=confidence,
-        free=_texts(table.get("free"), "fit.free", source=source),
-        fixed=_texts(table.get("fixed", []), "fit.fixed", source=source),
-        start=text(table, "start", source=source, field="fit", default=""),
+        free=entry.texts("free"),
+        fixed=entry.texts("fixed", ()),
+        start=entry.text("start", ""),
         temperature=temperature,
-        sample=_sample(table.get("sample", {}), source=source),
-        correlation=_correlation(table["correlation"], source=source) if "correlation" in table else None,
-        notes=_texts(table.get("notes", []), "fit.notes", source=source),
+        sample={key: sample.text(key, "") for key in sample},
+        correlation=_correlation(entry) if "correlation" in entry else None,
+        notes=entry.texts("notes", ()),
         forced=forced,
         density=density,
     )
 
 
-def _figure(table: Mapping[str, object], key: str, *, source: str) -> float:
-    found = number(table, key, source=source, field="fit")
+def _figure(entry: Table, key: str) -> float:
+    found = entry.optional_number(key)
     if found is None or found < 0.0:
-        raise InputError(source, f"fit.{key}", found, "a number not below zero")
+        raise InputError(entry.source, entry.at(key), found, "a number not below zero")
     return found
 
 
-def _texts(found: object, name: str, *, source: str) -> tuple[str, ...]:
-    if not isinstance(found, list) or not all(isinstance(item, str) for item in found):
-        raise InputError(source, name, found, "a list of texts")
-    return tuple(found)
+def _band(entry: Table) -> tuple[float, float]:
+    expected = 'two rising frequencies, for example ["910 kHz", "1155 kHz"]'
+    low, high = entry.quantities("band", "frequency", expected=expected)
+    if not 0.0 < low < high:
+        raise entry.error("band", expected)
+    return low, high
 
 
-def _band(found: object, *, source: str) -> tuple[float, float]:
-    if isinstance(found, list) and len(found) == 2:
-        low, high = (parse_quantity(end, "frequency", source=source, field="fit.band") for end in found)
-        if 0.0 < low < high:
-            return low, high
-    raise InputError(source, "fit.band", found, 'two rising frequencies, for example ["910 kHz", "1155 kHz"]')
-
-
-def _sample(found: object, *, source: str) -> dict[str, str]:
-    if not isinstance(found, Mapping):
-        raise InputError(source, "fit.sample", found, "a table of texts")
-    return {str(key): text(found, key, source=source, field="fit.sample", default="") for key in found}
-
-
-def _recordings(found: object, *, source: str) -> tuple[Recording, ...]:
+def _recordings(entry: Table) -> tuple[Recording, ...]:
+    found = entry.content.get("recordings")
     if not isinstance(found, list) or not found:
-        raise InputError(source, "fit.recordings", found, "a list of recordings, at least one")
-    return tuple(_recording(item, f"fit.recordings[{k}]", source=source) for k, item in enumerate(found))
+        raise entry.error("recordings", "a list of recordings, at least one")
+    return tuple(_recording(Table.of(item, source=entry.source, field=f"{entry.at('recordings')}[{k}]",
+                                     expected="a table of path, sha256, chip, chip_sha256"))
+                 for k, item in enumerate(found))
 
 
-def _recording(found: object, name: str, *, source: str) -> Recording:
-    if not isinstance(found, Mapping):
-        raise InputError(source, name, found, "a table of path, sha256, chip, chip_sha256")
-    refuse_unknown_keys(found, ("path", "sha256", "chip", "chip_sha256"), source=source, field=name)
-    digests = {key: text(found, key, source=source, field=name, default=None if key == "sha256" else "")
-               for key in ("sha256", "chip_sha256")}
+def _recording(table: Table) -> Recording:
+    table.only(("path", "sha256", "chip", "chip_sha256"))
+    digests = {"sha256": table.text("sha256"), "chip_sha256": table.text("chip_sha256", "")}
     for key, digest in digests.items():
         if _SHA256.fullmatch(digest) is None and (digest or key == "sha256"):
-            raise InputError(source, f"{name}.{key}", digest, "a SHA-256: 64 hexadecimal digits")
-    return Recording(text(found, "path", source=source, field=name), digests["sha256"],
-                     text(found, "chip", source=source, field=name), digests["chip_sha256"])
+            raise table.error(key, "a SHA-256: 64 hexadecimal digits")
+    return Recording(table.text("path"), digests["sha256"], table.text("chip"), digests["chip_sha256"])
 
 
-def _correlation(found: object, *, source: str) -> Correlation:
-    name = "fit.correlation"
-    if not isinstance(found, Mapping):
-        raise InputError(source, name, found, "a table of names and rows")
-    refuse_unknown_keys(found, ("names", "rows"), source=source, field=name)
-    names, rows = _texts(found.get("names"), f"{name}.names", source=source), found.get("rows")
+def _correlation(entry: Table) -> Correlation:
+    table = entry.table("correlation", expected="a table of names and rows").only(("names", "rows"))
+    names, rows = table.texts("names"), table.content.get("rows")
     size = len(names)
     if not isinstance(rows, list) or len(rows) != size or any(not isinstance(r, list) or len(r) != size for r in rows):
-        raise InputError(source, f"{name}.rows", rows, f"{size} rows of {size} numbers, as there are names")
-    for entry in (entry for row in rows for entry in row):
-        if isinstance(entry, bool) or not isinstance(entry, int | float) or not math.isfinite(entry):
-            raise InputError(source, f"{name}.rows", entry, "finite numbers")
+        raise table.error("rows", f"{size} rows of {size} numbers, as there are names")
+    field = table.at("rows")
+    for number in (number for row in rows for number in row):
+        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+            raise InputError(table.source, field, number, "finite numbers")
     for i, row in enumerate(rows):
-        for j, entry in enumerate(row):
+        for j, number in enumerate(row):
             # 1e-6: what the rounding of a badly scaled covariance leaves, far below what anybody reads from it.
-            if abs(entry - rows[j][i]) > 1e-6 or abs(entry) > 1.0 + 1e-6 or (i == j and abs(entry - 1.0) > 1e-6):
-                raise InputError(source, f"{name}.rows", f"{entry!r} for {names[i]}, {names[j]}",
+            if abs(number - rows[j][i]) > 1e-6 or abs(number) > 1.0 + 1e-6 or (i == j and abs(number - 1.0) > 1e-6):
+                raise InputError(table.source, field, f"{number!r} for {names[i]}, {names[j]}",
                                  "a symmetric matrix with 1 on its diagonal and nothing larger beside it")
-    return Correlation(names, tuple(tuple(float(entry) for entry in row) for row in rows))
+    return Correlation(names, tuple(tuple(float(number) for number in row) for row in rows))

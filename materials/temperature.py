@@ -16,12 +16,10 @@ A number that does not change is ``coefficients = [1.4]``, ``powers = [0]`` with
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.errors import InputError
-from workbench.files.quantities import parse_quantity
-from workbench.files.tables import refuse_unknown_keys
+from workbench.files.tables import Table
 
 _KEYS = ("origin", "scale", "coefficients", "powers", "denominator_coefficients", "denominator_powers", "range")
 
@@ -56,20 +54,18 @@ class Law:
         return float(self.unit_factor * top / bottom)
 
 
-def _numbers(table: Mapping[str, object], key: str, *, source: str, field: str) -> list[float]:
-    found = table.get(key)
+def _numbers(table: Table, key: str) -> list[float]:
+    found = table.content.get(key)
     if not isinstance(found, list) or not found or not all(type(item) in (int, float) for item in found):
-        raise InputError(source, f"{field}.{key}", found, "a list of numbers")
+        raise table.error(key, "a list of numbers")
     return [float(item) for item in found]
 
 
-def _sum_of_powers(
-    table: Mapping[str, object], coefficients: str, powers: str, *, source: str, field: str
-) -> tuple[tuple[float, float], ...]:
-    factors = _numbers(table, coefficients, source=source, field=field)
-    exponents = _numbers(table, powers, source=source, field=field)
+def _sum_of_powers(table: Table, coefficients: str, powers: str) -> tuple[tuple[float, float], ...]:
+    factors, exponents = _numbers(table, coefficients), _numbers(table, powers)
     if len(factors) != len(exponents):
-        raise InputError(source, f"{field}.{powers}", exponents, f"{len(factors)} powers, one for each coefficient")
+        raise InputError(table.source, table.at(powers), exponents,
+                         f"{len(factors)} powers, one for each coefficient")
     return tuple(zip(factors, exponents, strict=True))
 
 
@@ -79,30 +75,22 @@ def parse_law(entry: object, unit_factor: float, *, source: str, field: str) -> 
     Raises:
         InputError: an unknown or missing key, lists that do not match, a temperature without its unit, an empty range.
     """
-    if not isinstance(entry, Mapping):
-        raise InputError(source, field, entry, "a table with origin, scale, coefficients, powers and range")
-    refuse_unknown_keys(entry, _KEYS, source=source, field=field)
-    origin = parse_quantity(entry.get("origin"), "temperature", source=source, field=f"{field}.origin")
-    scale = parse_quantity(entry.get("scale"), "temperature", source=source, field=f"{field}.scale")
-    if scale <= 0 or "degC" in str(entry["scale"]):
-        raise InputError(source, f"{field}.scale", entry["scale"], 'a temperature difference in K, for example "1 K"')
-    limits = entry.get("range")
-    if not isinstance(limits, list) or len(limits) != 2:
-        raise InputError(source, f"{field}.range", limits, 'two temperatures, for example ["0 degC", "50 degC"]')
-    lowest, highest = (
-        parse_quantity(limit, "temperature", source=source, field=f"{field}.range") for limit in limits
-    )
+    table = Table.of(entry, source=source, field=field,
+                     expected="a table with origin, scale, coefficients, powers and range").only(_KEYS)
+    origin, scale = table.quantity("origin", "temperature"), table.quantity("scale", "temperature")
+    if scale <= 0 or "degC" in str(table.content["scale"]):
+        raise table.error("scale", 'a temperature difference in K, for example "1 K"')
+    lowest, highest = table.quantities("range", "temperature",
+                                       expected='two temperatures, for example ["0 degC", "50 degC"]')
     if lowest >= highest:
-        raise InputError(source, f"{field}.range", limits, "a lowest temperature below the highest")
+        raise table.error("range", "a lowest temperature below the highest")
     denominator: tuple[tuple[float, float], ...] = ((1.0, 0.0),)
-    if "denominator_coefficients" in entry or "denominator_powers" in entry:
-        denominator = _sum_of_powers(
-            entry, "denominator_coefficients", "denominator_powers", source=source, field=field
-        )
+    if "denominator_coefficients" in table or "denominator_powers" in table:
+        denominator = _sum_of_powers(table, "denominator_coefficients", "denominator_powers")
     return Law(
         origin=origin,
         scale=scale,
-        numerator=_sum_of_powers(entry, "coefficients", "powers", source=source, field=field),
+        numerator=_sum_of_powers(table, "coefficients", "powers"),
         denominator=denominator,
         lowest=lowest,
         highest=highest,

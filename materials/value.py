@@ -14,13 +14,12 @@ unit of the last digit printed in the source. A fit adds the ends of its interva
 from __future__ import annotations
 
 import datetime
-import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
-from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
-from workbench.files.tables import refuse_unknown_keys
+from workbench.files.tables import Table
 
 #: The source of a number that was fitted: its entry says in [fit] to which recording.
 RECORDING = "recording"
@@ -62,55 +61,44 @@ class Value:
     loss_status: str = ""
 
 
-def text(table: Mapping[str, object], key: str, *, source: str, field: str, default: str | None = None) -> str:
-    """The non-empty text under `key`, or `default`; an :class:`InputError` if it is neither given nor defaulted."""
-    found = table.get(key, default)
-    if not isinstance(found, str) or (not found and default is None):
-        raise InputError(source, f"{field}.{key}" if field else key, found, "a text")
-    return found
+def date_text(table: Table, key: str) -> str:
+    """The date in ISO 8601 under `key`.
 
-
-def number(table: Mapping[str, object], key: str, *, source: str, field: str) -> float | None:
-    """The finite number under `key`, or None if the key is absent."""
-    if key not in table:
-        return None
-    found = table[key]
-    if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
-        raise InputError(source, f"{field}.{key}", found, "a finite number")
-    return float(found)
-
-
-def date_text(table: Mapping[str, object], key: str, *, source: str, field: str) -> str:
-    """The date in ISO 8601 under `key`."""
-    found = text(table, key, source=source, field=field)
+    Raises:
+        InputError: there is none.
+    """
+    found = table.text(key)
     try:
         datetime.datetime.fromisoformat(found)
     except ValueError:
-        raise InputError(source, f"{field}.{key}" if field else key, found,
-                         'a date, for example "2026-11-21T14:40:00+00:00"') from None
+        raise table.error(key, 'a date, for example "2026-11-21T14:40:00+00:00"') from None
     return found
 
 
-def unit_factor(table: Mapping[str, object], dimension: str, *, source: str, field: str) -> tuple[str, float]:
+def unit_factor(entry: Table, dimension: str) -> tuple[str, float]:
     """The unit of an entry and its factor to SI.
 
     Raises:
         InputError: the unit is missing, or is not one of the `dimension`.
     """
     units = UNITS[dimension]
-    unit = table.get("unit")
+    unit = entry.content.get("unit")
     if not isinstance(unit, str) or unit not in units:
         near = nearest_names(unit, units) if isinstance(unit, str) else ()
-        raise InputError(source, f"{field}.unit", unit, f"a unit of {dimension}: one of {', '.join(units)}", near)
+        raise entry.error("unit", f"a unit of {dimension}: one of {', '.join(units)}", near)
     return unit, units[unit]
 
 
-def check_source(key: str, references: Collection[str], *, source: str, field: str) -> str:
-    """`key` if it is the key of a reference; a number whose origin cannot be looked up is refused."""
+def source_of(table: Table, references: Collection[str], default: str | None = None) -> str:
+    """The key of a reference under ``source``; a number whose origin cannot be looked up is refused.
+
+    Raises:
+        InputError: no text, or not a key of `references`.
+    """
+    key = table.text("source", default)
     if key not in references:
-        near = nearest_names(key, references)
         expected = "a key of references.bib" + (" (this one needs a [fit] table)" if key == RECORDING else "")
-        raise InputError(source, f"{field}.source" if field else "source", key, expected, near)
+        raise InputError(table.source, table.at("source"), key, expected, nearest_names(key, references))
     return key
 
 
@@ -141,36 +129,24 @@ def parse_value(
         InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source or
             status, an interval that does not hold its value.
     """
-    if not isinstance(entry, Mapping):
-        raise InputError(source, field, entry, 'a table such as { value = 1.0, unit = "GPa" }')
-    keys = [key for key in _KEYS if lossy or not key.startswith("loss")]
-    refuse_unknown_keys(entry, keys, source=source, field=field)
-    unit, factor = unit_factor(entry, dimension, source=source, field=field)
-    real = number(entry, "value", source=source, field=field)
+    table = Table.of(entry, source=source, field=field, expected='a table such as { value = 1.0, unit = "GPa" }')
+    table.only([key for key in _KEYS if lossy or not key.startswith("loss")])
+    unit, factor = unit_factor(table, dimension)
+    real = table.optional_number("value")
     if real is None:
-        raise InputError(source, f"{field}.value", "nothing", "a finite number")
-    spreads = {}
-    for key in _SPREADS:
-        spread = number(entry, key, source=source, field=field)
-        if spread is not None and spread < 0:
-            raise InputError(source, f"{field}.{key}", spread, "a number not below zero")
-        spreads[key] = None if spread is None else spread * factor
-    loss = number(entry, "loss", source=source, field=field)
+        raise InputError(source, table.at("value"), "nothing", "a finite number")
+    spreads = {key: _spread(table, key, factor) for key in _SPREADS}
+    loss = table.optional_number("loss")
     rounding = spreads["rounding"] or 0.0
-    low, high, loss_low, loss_high = (_end(entry, key, loss or 0.0 if key.startswith("loss") else real, factor,
-                                           source=source, field=field) for key in _ENDS)
-    status, loss_status = (
-        choose(entry[key], STATUSES, source=source, field=f"{field}.{key}") if key in entry else ""
-        for key in ("status", "loss_status"))
+    low, high, loss_low, loss_high = (
+        _end(table, key, loss or 0.0 if key.startswith("loss") else real, factor) for key in _ENDS)
+    status, loss_status = (table.choice(key, STATUSES) if key in table else "" for key in ("status", "loss_status"))
     return Value(
         value=complex(real, loss or 0.0) * factor,
         unit=unit,
-        source=check_source(
-            text(entry, "source", source=source, field=field, default=default_source),
-            references, source=source, field=field,
-        ),
-        conditions=text(entry, "conditions", source=source, field=field, default=default_conditions),
-        note=text(entry, "note", source=source, field=field, default=""),
+        source=source_of(table, references, default_source),
+        conditions=table.text("conditions", default_conditions),
+        note=table.text("note", ""),
         uncertainty=spreads["uncertainty"],
         loss_uncertainty=spreads["loss_uncertainty"],
         rounding=rounding,
@@ -184,11 +160,17 @@ def parse_value(
     )
 
 
-def _end(
-    entry: Mapping[str, object], key: str, inside: float, factor: float, *, source: str, field: str
-) -> float | None:
+def _spread(table: Table, key: str, factor: float) -> float | None:
+    """An uncertainty (SI), not below zero."""
+    spread = table.optional_number(key)
+    if spread is not None and spread < 0:
+        raise InputError(table.source, table.at(key), spread, "a number not below zero")
+    return None if spread is None else spread * factor
+
+
+def _end(table: Table, key: str, inside: float, factor: float) -> float | None:
     """One end of an interval (SI), which has to hold the number `inside` (in the unit of the entry)."""
-    end = number(entry, key, source=source, field=field)
+    end = table.optional_number(key)
     if end is not None and (end > inside if key.endswith("low") else end < inside):
-        raise InputError(source, f"{field}.{key}", end, f"an interval that holds the value, {inside:g}")
+        raise InputError(table.source, table.at(key), end, f"an interval that holds the value, {inside:g}")
     return None if end is None else end * factor

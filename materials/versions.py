@@ -20,9 +20,9 @@ from pathlib import Path
 
 from materials.lines import located
 from materials.toml import quoted
-from materials.value import date_text, text
+from materials.value import date_text
 from workbench.files.errors import InputError
-from workbench.files.tables import read_toml, refuse_unknown_keys
+from workbench.files.tables import Table
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*/[A-Za-z0-9][A-Za-z0-9_-]*")
 _VERSION = re.compile(rf"({_NAME.pattern})@([1-9][0-9]*)")
@@ -95,10 +95,8 @@ def read_withdrawal(entry: Path) -> Withdrawal | None:
     if not path.is_file():
         return None
     with located(path):
-        table, source = read_toml(path), str(path)
-        refuse_unknown_keys(table, ("date", "reason"), source=source, field="")
-        return Withdrawal(date_text(table, "date", source=source, field=""),
-                          text(table, "reason", source=source, field=""))
+        table = Table.read(path).only(("date", "reason"))
+        return Withdrawal(date_text(table, "date"), table.text("reason"))
 
 
 def put(content: bytes, paths: Iterable[Path]) -> Path:

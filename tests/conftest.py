@@ -56,7 +56,7 @@ def tables_fit(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     from support import check_table
 
     from workbench.commands import terminal
-    from workbench.report import Table
+    from workbench.report.page import Table
 
     found: list[str] = []
     drawn = terminal.table_lines
@@ -141,7 +141,8 @@ def _reference_spectrum(name: str) -> Spectrum:
 
 def _uniform_mesh(chip: Chip, edge: float, skins: Mapping[str, float] | None = None) -> SectionMesh:
     """The chip in elements of equal size, no longer than `edge` (metres), for orders of convergence."""
-    from geometry.mesh import MeshSize, mesh_section
+    from geometry.mesh import mesh_section
+    from geometry.mesh_size import MeshSize
     from geometry.section import cut_section
 
     section = cut_section(chip)
@@ -165,7 +166,7 @@ def _pencil(operators: FullOperators, values: Mapping[str, complex]) -> dict[int
     from workbench.physics.term import Monomial
 
     monomials = [integral.coefficient for integral in operators.integrals]
-    powers = [c.omega_power for c in monomials if isinstance(c, Monomial)]
+    powers = [int(c.omega_power) for c in monomials if isinstance(c, Monomial)]
     constants = [c.constant(values) for c in monomials if isinstance(c, Monomial)]
     assert len(powers) == len(monomials), "a coefficient that is no power of w"
     pattern = operators.pattern

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.discretisation import Discretisation
 from workbench.physics.term import Condition, Term
@@ -171,3 +174,24 @@ def check_table(lines: list[str], title: str, columns: tuple[str, ...], rows: tu
     found, sought = ("".join("".join(texts).split()) for texts in (printed, written))
     for character in set(sought):
         assert found.count(character) >= sought.count(character), (character, shown)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FluidState:
+    """A fluid given by its numbers alone: density kg/m^3, sound speed m/s, shear viscosity Pa s."""
+
+    density: float
+    sound_speed: float
+    shear_viscosity: float | None
+
+
+def moved_onto(mesh: SectionMesh, chip: Chip) -> SectionMesh:
+    """`mesh` moved onto a chip with the same regions between the same breaks: linear between two of them.
+
+    The mesh checks names, areas and volumes itself.
+    """
+    section = cut_section(chip)
+    r, z = mesh.mesh.p
+    moved = np.stack([np.interp(r, mesh.section.r_breaks, section.r_breaks),
+                      np.interp(z, mesh.section.z_breaks, section.z_breaks)])
+    return replace(mesh, mesh=replace(mesh.mesh, doflocs=moved), section=section)

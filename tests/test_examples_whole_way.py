@@ -5,14 +5,16 @@ import json
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from geometry.chip import read_chip
 from materials.registry import Registry
 from workbench.bench.setup import read_bench
-from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN, part
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
 from workbench.options import COMMANDS, parser
+from workbench.parameter_names import part
 
 _SPEC = importlib.util.spec_from_file_location(
     "whole_way", Path(__file__).resolve().parents[1] / "examples" / "11_whole_way.py")
@@ -21,12 +23,12 @@ _SPEC.loader.exec_module(example)
 
 
 @pytest.fixture
-def commands(tmp_path, monkeypatch):
+def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """The output folder and every command the example gives, none of them run."""
     given = []
 
     @contextmanager
-    def served(bench, *held):
+    def served(bench: Any, *held: Any) -> Any:
         given.append(("bench", "simulate", *held, *example.NOISE))
         yield
 
@@ -38,7 +40,7 @@ def commands(tmp_path, monkeypatch):
     return tmp_path / "out", given
 
 
-def test_every_command_of_the_whole_way_is_one(commands):
+def test_every_command_of_the_whole_way_is_one(commands: Any) -> None:
     _, given = commands
     for command in given:
         parser().parse_args(command)
@@ -48,7 +50,7 @@ def test_every_command_of_the_whole_way_is_one(commands):
     assert all("truth" not in word for command in given if command[0] != "bench" for word in command)
 
 
-def test_the_files_are_read_and_the_gel_is_not_what_they_say(commands):
+def test_the_files_are_read_and_the_gel_is_not_what_they_say(commands: Any) -> None:
     folder, given = commands
     for name, thickness in (("disc_on_pla.toml", 24e-6), ("chip.toml", 15e-6)):
         said, true = (read_chip(folder / place / name).dimensions() for place in (".", "truth"))
@@ -67,7 +69,7 @@ def test_the_files_are_read_and_the_gel_is_not_what_they_say(commands):
                 assert (folder / word).exists(), word
 
 
-def test_the_truth_is_not_what_the_fits_begin_with():
+def test_the_truth_is_not_what_the_fits_begin_with() -> None:
     registry = Registry((example.FILES / "truth",))
     for true, start, free in (("pzt_bench/disc", "pzt4/comsol_nominal", TRANSDUCER_TEN),
                               ("pla_bench/print", "pla/acevedo_2026", POLYMER_FOUR)):
@@ -81,7 +83,7 @@ def test_the_truth_is_not_what_the_fits_begin_with():
                     assert value == other, name
 
 
-def test_the_outcome_tells_what_lies_outside(tmp_path, capsys):
+def test_the_outcome_tells_what_lies_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "truth").symlink_to(example.FILES / "truth")
     entries = {"fit_disc": [("pzt4/comsol_nominal.c33", 119.2e9, 119.0e9, 119.4e9),
                             ("pzt4/comsol_nominal.c33.loss", -0.50e9, -0.55e9, -0.45e9)],

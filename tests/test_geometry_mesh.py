@@ -15,16 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.chip import Chip, parse_chip, read_chip
-from geometry.mesh import (
-    MeshError,
-    MeshSize,
-    SectionMesh,
-    elements_per_wavelength,
-    gmsh_session,
-    mesh_section,
-    refined,
-    user_cache,
-)
+from geometry.mesh import MeshError, SectionMesh, elements_per_wavelength, gmsh_session, mesh_section, user_cache
+from geometry.mesh_size import MeshSize, refined
 from geometry.section import Section, cut_section
 from workbench.files.errors import InputError
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geometry.chip import Chip, Dimension, Ports, read_chip
+from geometry.chip import Chip, Dimension, read_chip
 from geometry.export import export_step, export_stl
+from geometry.parts import Ports
 from geometry.section import cut_section
 from geometry.solid import SolidError, part_volumes, parts, ports_volume, solids, volume
 from workbench.files.errors import InputError

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,21 +22,21 @@ CIRCUIT = Circuit(lead_inductance=0.4e-6, lead_capacitance=60e-12, probe_capacit
                   delay_reference=2e-9)
 
 
-def read(device, circuit=CIRCUIT, frequency=FREQUENCY):
+def read(device: Any, circuit: Any = CIRCUIT, frequency: Any = FREQUENCY) -> Any:
     """Eq. 25 on the circuit, without noise, for a device of impedance (n,) or one number."""
     values = np.broadcast_to(np.asarray(device, dtype=complex), frequency.shape)
     pairs = np.array([circuit.responses(f, z) for f, z in zip(frequency, values, strict=True)])
     return 0.5 * (pairs[:, 0] / pairs[:, 1] - 1.0)
 
 
-def spectrum(values, noise=None, frequency=FREQUENCY):
+def spectrum(values: Any, noise: Any = None, frequency: Any = FREQUENCY) -> Any:
     return Spectrum(frequency, np.asarray(values), None if noise is None else np.asarray(noise))
 
 
 STANDARDS = Compensation(spectrum(read(1e12)), spectrum(read(0.0)), Load(spectrum(read(50.0)), 50.0))
 
 
-def test_open_short_and_load_take_any_linear_fixture_out():
+def test_open_short_and_load_take_any_linear_fixture_out() -> None:
     measured = spectrum(read(DEVICE))
     assert np.max(np.abs(measured.impedance / DEVICE - 1.0)) > 0.3
     found = compensate(measured, STANDARDS)
@@ -44,7 +45,7 @@ def test_open_short_and_load_take_any_linear_fixture_out():
     assert str(STANDARDS) == "open, short, load"
 
 
-def test_fewer_recordings_take_simpler_fixtures_out():
+def test_fewer_recordings_take_simpler_fixtures_out() -> None:
     series = spectrum(DEVICE + 0.3 + 2j)
     found = compensate(series, Compensation(short=spectrum(np.full(len(FREQUENCY), 0.3 + 2j))))
     np.testing.assert_allclose(found.impedance, DEVICE, rtol=1e-12)
@@ -61,7 +62,7 @@ def test_fewer_recordings_take_simpler_fixtures_out():
 
 
 @pytest.mark.parametrize("loaded", [True, False])
-def test_noise_of_every_recording_is_carried_through(loaded):
+def test_noise_of_every_recording_is_carried_through(loaded: Any) -> Any:
     rng = np.random.default_rng(5)
     # So much capacitance across the device that the open is no larger than the device, and its noise matters.
     circuit = replace(CIRCUIT, lead_capacitance=2e-9)
@@ -69,11 +70,11 @@ def test_noise_of_every_recording_is_carried_through(loaded):
     size = {"x": 1e-3 * np.abs(exact["x"]), "o": 3e-3 * np.abs(exact["o"]), "s": np.full(51, 0.05),
             "l": 1e-3 * np.abs(exact["l"])}
 
-    def noisy(name):
+    def noisy(name: str) -> Any:
         noise = size[name] * (rng.normal(size=51) + 1j * rng.normal(size=51))
         return spectrum(exact[name] + noise, size[name])
 
-    def compensated(recorded):
+    def compensated(recorded: Any) -> Any:
         load = Load(recorded("l"), 50.0) if loaded else None
         return compensate(recorded("x"), Compensation(recorded("o"), recorded("s"), load))
 
@@ -87,7 +88,7 @@ def test_noise_of_every_recording_is_carried_through(loaded):
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)
 
 
-def test_standards_at_other_frequencies_are_interpolated_only_where_that_is_fine():
+def test_standards_at_other_frequencies_are_interpolated_only_where_that_is_fine() -> None:
     fine = np.linspace(0.88e6, 1.17e6, 200)
     standards = Compensation(spectrum(read(1e12, frequency=fine), frequency=fine),
                              spectrum(read(0.0, frequency=fine), frequency=fine),
@@ -104,7 +105,7 @@ def test_standards_at_other_frequencies_are_interpolated_only_where_that_is_fine
                    Compensation(load=Load(spectrum(read(DEVICE)), 50.0)))
 
 
-def test_a_fixture_of_a_known_resistor_predicts_another_frequency():
+def test_a_fixture_of_a_known_resistor_predicts_another_frequency() -> None:
     frequency = np.geomspace(1e4, 1e7, 200)
     omega = 2 * np.pi * frequency
     recorded = Spectrum(frequency, 1.02 * np.exp(0.01j) * 47.0 + 1j * omega * 1.5e-6)
@@ -118,7 +119,7 @@ def test_a_fixture_of_a_known_resistor_predicts_another_frequency():
         fixture_from_load(Load(recorded, 47.0), band=(1e5, 1.02e5))
 
 
-def test_uncertainty_of_a_fixture_is_that_of_its_elements():
+def test_uncertainty_of_a_fixture_is_that_of_its_elements() -> None:
     fixture = Fixture(1.0 + 0.0j, 1e-6, (0.01, 1e-8))
     found = fixture.remove(Spectrum(np.array([1e6, 2e6]), np.array([100.0 + 0j, 100.0 + 0j])))
     z = abs(100.0 - 2j * np.pi)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,15 +32,15 @@ class Measured:
     uncertainty: float
 
 
-def setup(sweep, levels=(5.0,)):
+def setup(sweep: Any, levels: tuple[Any, ...] = (5.0,)) -> Any:
     return BenchSetup("BENCH.toml", "", GeneratorSettings("a"), OscilloscopeSettings("b"), ReferenceResistor(0.5),
                       sweep, levels, Limits(), Acquisition(), Standards(), {})
 
 
-def swept(found, at=lambda frequency: 10.0 + 0j, noise=1e-3, seed=0):
+def swept(found: Any, at: Any = lambda frequency: 10.0 + 0j, noise: float = 1e-3, seed: int = 0) -> Any:
     """All points of a plan, measured with relative `noise`."""
     rng = np.random.default_rng(seed)
-    points = []
+    points: list[Any] = []
     while (target := next_target(found, points)) is not None:
         z = complex(at(target.frequency))
         error = noise * abs(z) * complex(rng.normal(), rng.normal())
@@ -47,12 +48,12 @@ def swept(found, at=lambda frequency: 10.0 + 0j, noise=1e-3, seed=0):
     return points
 
 
-def chip_filled():
+def chip_filled() -> Any:
     frequency, real, imaginary = np.loadtxt(REFERENCE, delimiter=",", skiprows=1, unpack=True)
     return Spectrum(frequency, real + 1j * imaginary)
 
 
-def test_up_and_down_at_every_level():
+def test_up_and_down_at_every_level() -> None:
     sweep = Sweep(1e6, 1.002e6, step=1e3, direction="both", repeats=2)
     points = swept(setup(sweep, (1.0, 5.0)))
     up = [1e6, 1.001e6, 1.002e6]
@@ -64,7 +65,7 @@ def test_up_and_down_at_every_level():
     assert [p.frequency for p in down] == up[::-1]
 
 
-def test_a_plan_taken_up_anywhere_goes_on_as_it_would_have():
+def test_a_plan_taken_up_anywhere_goes_on_as_it_would_have() -> None:
     found = setup(Sweep(0.91e6, 1.155e6, kind="adaptive", points=60, direction="both"))
     at = chip_filled().interpolant()
     points = swept(found, at)
@@ -76,13 +77,13 @@ def test_a_plan_taken_up_anywhere_goes_on_as_it_would_have():
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-3])
-def test_adaptive_points_find_the_figures_of_merit_that_481_do(noise):
+def test_adaptive_points_find_the_figures_of_merit_that_481_do(noise: Any) -> Any:
     """Root mean square errors over three noises, against the spectrum that both sample."""
     spectrum = chip_filled().restricted(0.91e6, 1.15e6)
     truth = figures(spectrum)
     at = spectrum.interpolant()
 
-    def errors(kind):
+    def errors(kind: Any) -> Any:
         rows = []
         for seed in range(3):
             points = swept(setup(Sweep(0.91e6, 1.15e6, kind=kind)), at, noise, seed)
@@ -97,12 +98,12 @@ def test_adaptive_points_find_the_figures_of_merit_that_481_do(noise):
     assert np.all(adaptive <= np.maximum(2.0 * linear, [1.0, 1e-4, 1e-4])), (adaptive, linear)
 
 
-def test_a_smooth_spectrum_costs_no_more_than_the_even_points():
+def test_a_smooth_spectrum_costs_no_more_than_the_even_points() -> None:
     points = swept(setup(Sweep(0.9e6, 1.1e6, kind="adaptive")), lambda f: 1.0 / (2j * np.pi * f * 1e-9))
     assert len(points) == 25
 
 
-def test_points_of_one_frequency_are_weighted():
+def test_points_of_one_frequency_are_weighted() -> None:
     points = [Measured(1e6, 5.0, 0, 10.0 + 0j, 1.0), Measured(1e6, 5.0, 1, 13.0 + 0j, 2.0),
               Measured(2e6, 5.0, 0, 1j, 0.1)]
     found = combined(points[::-1])

@@ -1,6 +1,8 @@
 """workbench.bench.run_file: nothing that was written is lost, wherever the writing stopped."""
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from workbench.files.errors import InputError
 INSTRUMENTS = {"generator": "FY3224S", "oscilloscope": "TEKTRONIX,TDS 2024B,0,CF:91.1CT FV:v22.11"}
 
 
-def point(sequence, *, samples=40):
+def point(sequence: Any, *, samples: int = 40) -> Any:
     rng = np.random.default_rng(sequence)
     return Point(
         sequence, 1e6 + 500.0 * sequence, 5.0, 4.5, sequence % 2, 1.7e9 + sequence,
@@ -23,7 +25,7 @@ def point(sequence, *, samples=40):
     )
 
 
-def same(first, second):
+def same(first: Any, second: Any) -> None:
     for field in dataclasses.fields(Point):
         a, b = getattr(first, field.name), getattr(second, field.name)
         if isinstance(a, np.ndarray):
@@ -33,14 +35,14 @@ def same(first, second):
             assert a == b, field.name
 
 
-def started(path, points=3):
+def started(path: Path, points: int = 3) -> Any:
     journal = Journal(path, new_run('[generator]\nport = "x"\n', INSTRUMENTS, 1.7e9))
     for sequence in range(points):
         journal.add(point(sequence))
     return journal
 
 
-def test_what_was_added_is_read_back_bit_for_bit(tmp_path):
+def test_what_was_added_is_read_back_bit_for_bit(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     assert not exists(path)
     with started(path) as journal:
@@ -55,7 +57,7 @@ def test_what_was_added_is_read_back_bit_for_bit(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]
 
 
-def test_a_journal_cut_anywhere_keeps_every_whole_point(tmp_path):
+def test_a_journal_cut_anywhere_keeps_every_whole_point(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     started(path).close()
     beside = journal_path(path)
@@ -81,7 +83,7 @@ def test_a_journal_cut_anywhere_keeps_every_whole_point(tmp_path):
         same(again.points[-1], point(expected))
 
 
-def test_a_flipped_bit_ends_the_journal_there(tmp_path):
+def test_a_flipped_bit_ends_the_journal_there(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     started(path).close()
     data = bytearray(journal_path(path).read_bytes())
@@ -90,7 +92,7 @@ def test_a_flipped_bit_ends_the_journal_there(tmp_path):
     assert len(read_run(path).points) == 2
 
 
-def test_nothing_behind_a_spoilt_record_comes_back(tmp_path):
+def test_nothing_behind_a_spoilt_record_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     started(path, points=4).close()
     data = bytearray(journal_path(path).read_bytes())
@@ -106,19 +108,19 @@ def test_nothing_behind_a_spoilt_record_comes_back(tmp_path):
 class _Interrupted:
     """A stream that is interrupted after half of what it should write."""
 
-    def __init__(self, stream):
+    def __init__(self, stream: Any) -> None:
         self._stream = stream
 
-    def write(self, data):
+    def write(self, data: Any) -> Any:
         if len(data) < 200:
             raise KeyboardInterrupt
         return self._stream.write(data[:len(data) // 2])
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
 
-def test_an_interrupted_write_leaves_no_half_record(tmp_path):
+def test_an_interrupted_write_leaves_no_half_record(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with started(path) as journal:
         stream = journal._stream
@@ -132,10 +134,12 @@ def test_an_interrupted_write_leaves_no_half_record(tmp_path):
     assert run.events[-1].text == "interrupted"
 
 
-def test_a_point_that_is_whole_stays_when_an_interrupt_comes_behind_it(tmp_path, monkeypatch):
+def test_a_point_that_is_whole_stays_when_an_interrupt_comes_behind_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "run.h5"
     with started(path) as journal:
-        def interrupted(handle):
+        def interrupted(handle: Any) -> None:
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:
@@ -148,7 +152,7 @@ def test_a_point_that_is_whole_stays_when_an_interrupt_comes_behind_it(tmp_path,
     same(run.points[3], point(3))
 
 
-def test_folded_and_taken_up_again(tmp_path):
+def test_folded_and_taken_up_again(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with started(path) as journal:
         journal.fold(complete=False)
@@ -161,7 +165,7 @@ def test_folded_and_taken_up_again(tmp_path):
     assert [p.sequence for p in read_run(path).points] == [0, 1, 2, 3]
 
 
-def test_files_that_are_no_runs_are_refused(tmp_path):
+def test_files_that_are_no_runs_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with pytest.raises(InputError, match="a run file"):
         read_run(path)

@@ -1,6 +1,7 @@
 """workbench.bench.setup: what BENCH.toml says, and every mistake in it answered with file, field and value."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_everything_is_read_in_si(tmp_path):
+def test_everything_is_read_in_si(tmp_path: Path) -> None:
     setup = read_bench(written(tmp_path, TEXT))
     assert (setup.generator.port, setup.oscilloscope.port, setup.oscilloscope.timeout) == (
         "/dev/ttyUSB0", "/dev/usbtmc0", 2.0)
@@ -73,7 +74,7 @@ def test_everything_is_read_in_si(tmp_path):
     assert setup.text == TEXT
 
 
-def test_the_papers_sweep_has_481_points_that_the_generator_can_be_set_to():
+def test_the_papers_sweep_has_481_points_that_the_generator_can_be_set_to() -> None:
     grid = Sweep(0.88e6, 1.12e6, step=500.0).grid()
     assert len(grid) == 481
     assert grid[0] == 0.88e6
@@ -103,7 +104,7 @@ def test_the_papers_sweep_has_481_points_that_the_generator_can_be_set_to():
     ('load_resistance = "50 ohm"', "", "compensation.load_resistance", "with load"),
     ("[limits]", "[limit]", "limit", "'limits'"),
 ])
-def test_mistakes_are_named(tmp_path, old, new, field, said):
+def test_mistakes_are_named(tmp_path: Path, old: Any, new: Any, field: Any, said: Any) -> None:
     assert old in TEXT
     path = written(tmp_path, TEXT.replace(old, new))
     with pytest.raises(InputError) as caught:
@@ -112,7 +113,7 @@ def test_mistakes_are_named(tmp_path, old, new, field, said):
     assert said in str(caught.value)
 
 
-def test_recordings_of_the_fixture_may_have_a_column_map(tmp_path):
+def test_recordings_of_the_fixture_may_have_a_column_map(tmp_path: Path) -> None:
     text = TEXT.replace('load = "load.h5"', 'load = "load.csv"\ncolumns = "map.toml"')
     (tmp_path / "load.csv").write_text("f (Hz),Z,angle\n300000,50,0.1\n400000,50,0.2\n")
     (tmp_path / "map.toml").write_text('frequency = "f (Hz)"\nfirst = "Z"\nsecond = "angle"\nquantity = { kind = '

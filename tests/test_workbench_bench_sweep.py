@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,27 +48,27 @@ attempts = 3
 
 
 @pytest.fixture
-def bench():
+def bench() -> Any:
     with SimulatedBench(resistor(12.0), circuit=IDEAL, seed=3) as found:
         yield found
 
 
-def setup(bench, folder, *, sweep="", drive='"5 Vpp"', limits=""):
+def setup(bench: Any, folder: Path, *, sweep: str = "", drive: str = '"5 Vpp"', limits: str = "") -> Any:
     path = folder / "BENCH.toml"
     path.write_text(TEXT.format(generator=bench.generator_port, oscilloscope=bench.oscilloscope_port, sweep=sweep,
                                 drive=drive, limits=limits), encoding="utf-8")
     return read_bench(path)
 
 
-def no_wait(seconds):
+def no_wait(seconds: Any) -> None:
     """For a bench without time."""
 
 
-def safe(bench, path):
+def safe(bench: Any, path: Path) -> Any:
     return bench.drive == 0.0 and not marker_path(path).exists()
 
 
-def test_a_sweep_reads_what_is_connected(bench, tmp_path):
+def test_a_sweep_reads_what_is_connected(bench: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     seen = []
     run = measure(setup(bench, tmp_path), path, sleep=no_wait,
@@ -92,11 +94,11 @@ def test_a_sweep_reads_what_is_connected(bench, tmp_path):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_every_interruption_ends_safe_and_is_resumed(bench, tmp_path, error):
+def test_every_interruption_ends_safe_and_is_resumed(bench: Any, tmp_path: Path, error: Any) -> None:
     path = tmp_path / "run.h5"
     drives = []
 
-    def interrupt(progress):
+    def interrupt(progress: Any) -> None:
         drives.append(bench.drive)
         if len(progress.run.points) == 2:
             raise error("stop")
@@ -118,7 +120,7 @@ def test_every_interruption_ends_safe_and_is_resumed(bench, tmp_path, error):
         measure(setup(bench, tmp_path, drive='"4 Vpp"'), path, resume=True, sleep=no_wait)
 
 
-def test_the_successor_of_a_killed_process_makes_the_bench_safe_first(bench, tmp_path):
+def test_the_successor_of_a_killed_process_makes_the_bench_safe_first(bench: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     found = setup(bench, tmp_path)
     rig = Rig(found, marker_path(path), sleep=no_wait)
@@ -144,7 +146,7 @@ def test_the_successor_of_a_killed_process_makes_the_bench_safe_first(bench, tmp
     Fault(OSCILLOSCOPE, Kind.RESTART, at=120), Fault(GENERATOR, Kind.RESTART, at=20),
     Fault(OSCILLOSCOPE, Kind.CLIPPED, at=150), Fault(OSCILLOSCOPE, Kind.DISCONNECT, at=150, seconds=0.05),
 ])
-def test_a_fault_costs_an_attempt_and_no_truth(bench, tmp_path, fault):
+def test_a_fault_costs_an_attempt_and_no_truth(bench: Any, tmp_path: Path, fault: Any) -> None:
     bench.inject(fault)
     path = tmp_path / "run.h5"
     found = setup(bench, tmp_path)
@@ -156,11 +158,13 @@ def test_a_fault_costs_an_attempt_and_no_truth(bench, tmp_path, fault):
     assert safe(bench, path)
 
 
-def test_a_capture_that_suddenly_clips_is_taken_again(bench, tmp_path, monkeypatch):
+def test_a_capture_that_suddenly_clips_is_taken_again(
+    bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Any:
     captures = []
     capture = Rig.capture
 
-    def clipped_once(rig):
+    def clipped_once(rig: Any) -> Any:
         pair = capture(rig)
         captures.append(pair)
         # By then the ranges are found: it is the second of the three captures of a point.
@@ -172,7 +176,7 @@ def test_a_capture_that_suddenly_clips_is_taken_again(bench, tmp_path, monkeypat
     assert [point.flags for point in run.points] == [()] * 5
 
 
-def test_a_bench_that_stays_broken_ends_in_good_order(bench, tmp_path):
+def test_a_bench_that_stays_broken_ends_in_good_order(bench: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     bench.inject(Fault(OSCILLOSCOPE, Kind.HIDDEN, at=200, count=1000))
     with pytest.raises(BenchFailure, match=r"failed 3 times.*--resume"):
@@ -184,7 +188,7 @@ def test_a_bench_that_stays_broken_ends_in_good_order(bench, tmp_path):
     assert sum("attempt" in event.text for event in run.events) == 3
 
 
-def test_a_drive_that_cannot_be_reached_is_said_out_loud(bench, tmp_path):
+def test_a_drive_that_cannot_be_reached_is_said_out_loud(bench: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     rig = Rig(setup(bench, tmp_path), marker_path(path), sleep=no_wait)
     rig.connect()
@@ -195,7 +199,7 @@ def test_a_drive_that_cannot_be_reached_is_said_out_loud(bench, tmp_path):
     assert marker_path(path).exists()
 
 
-def test_a_generator_that_ignores_the_safe_state_is_seen(bench, tmp_path):
+def test_a_generator_that_ignores_the_safe_state_is_seen(bench: Any, tmp_path: Path) -> None:
     """Off is sent three times at a time; the first of them are ignored, or all."""
     path = tmp_path / "run.h5"
     for ignored, ends_off in ((3, True), (7, True), (100, False)):
@@ -216,7 +220,7 @@ def test_a_generator_that_ignores_the_safe_state_is_seen(bench, tmp_path):
 
 
 @pytest.mark.parametrize("blind", ["nothing captured", "no signal", "oscilloscope away"])
-def test_an_oscilloscope_that_cannot_tell_does_not_hold_the_drive(bench, tmp_path, blind):
+def test_an_oscilloscope_that_cannot_tell_does_not_hold_the_drive(bench: Any, tmp_path: Path, blind: Any) -> None:
     path = tmp_path / "run.h5"
     rig = Rig(setup(bench, tmp_path), marker_path(path), sleep=no_wait)
     rig.connect()
@@ -230,7 +234,7 @@ def test_an_oscilloscope_that_cannot_tell_does_not_hold_the_drive(bench, tmp_pat
     rig.disconnect()
 
 
-def test_limits_lower_the_drive_before_the_device_sees_more(bench, tmp_path):
+def test_limits_lower_the_drive_before_the_device_sees_more(bench: Any, tmp_path: Path) -> None:
     """12 ohm behind 50.5 at 5 Vpp would draw 80 mA peak to peak; 40 mA are allowed."""
     highest = []
     path = tmp_path / "run.h5"
@@ -243,23 +247,25 @@ def test_limits_lower_the_drive_before_the_device_sees_more(bench, tmp_path):
     assert safe(bench, path)
 
 
-def test_the_amplitude_goes_down_before_the_frequency_changes(bench, tmp_path):
+def test_the_amplitude_goes_down_before_the_frequency_changes(
+    bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen = []
     with Rig(setup(bench, tmp_path), marker_path(tmp_path / "run.h5"), sleep=lambda _: None) as rig:
         rig.drive(1e6, 5.0)
         set_frequency = rig._generator.set_frequency
 
-        def watched(frequency):
+        def watched(frequency: Any) -> None:
             seen.append(bench.drive)
             set_frequency(frequency)
 
-        rig._generator.set_frequency = watched
+        monkeypatch.setattr(rig._generator, "set_frequency", watched)
         rig.drive(1.01e6, 1.0)
         rig.drive(1.02e6, 4.0)
     assert seen == [1.0, 1.0]
 
 
-def test_a_device_that_sees_too_much_ends_the_sweep(tmp_path):
+def test_a_device_that_sees_too_much_ends_the_sweep(tmp_path: Path) -> None:
     """A channel that shows a fifth too much stands for a device that is not as passive as the limit supposes."""
     with SimulatedBench(resistor(1e4), circuit=replace(IDEAL, gain_total=1.2), seed=1) as bench:
         found = setup(bench, tmp_path, drive='"0.5 Vpp"', limits='device_voltage = "0.5 Vpp"')
@@ -268,14 +274,14 @@ def test_a_device_that_sees_too_much_ends_the_sweep(tmp_path):
         assert safe(bench, tmp_path / "run.h5")
 
 
-def test_a_wrong_probe_factor_is_noticed(tmp_path):
+def test_a_wrong_probe_factor_is_noticed(tmp_path: Path) -> None:
     with SimulatedBench(resistor(12.0), circuit=replace(IDEAL, gain_total=10.0), seed=1) as bench:
         with pytest.raises(BenchFailure, match="probe factor"):
             measure(setup(bench, tmp_path), tmp_path / "run.h5", sleep=no_wait)
         assert safe(bench, tmp_path / "run.h5")
 
 
-def test_up_and_down_find_a_drift(tmp_path):
+def test_up_and_down_find_a_drift(tmp_path: Path) -> None:
     """A device that changes by a tenth of a per cent a simulated second, of which each command takes a twentieth."""
     for rate, drifts in ((0.0, False), (1e-3, True)):
         with SimulatedBench(resistor(12.0), circuit=IDEAL, seed=2, drift=Drift(impedance=rate)) as bench:
@@ -294,7 +300,7 @@ def test_up_and_down_find_a_drift(tmp_path):
         np.testing.assert_allclose(level.noise, expected)
 
 
-def test_levels_are_swept_in_turn_and_told_apart(bench, tmp_path):
+def test_levels_are_swept_in_turn_and_told_apart(bench: Any, tmp_path: Path) -> None:
     found = setup(bench, tmp_path, drive='["1 Vpp", "5 Vpp"]')
     run = measure(found, tmp_path / "run.h5", sleep=no_wait)
     low, high = level_spectra(run, found, Compensation())
@@ -307,7 +313,7 @@ def test_levels_are_swept_in_turn_and_told_apart(bench, tmp_path):
     np.testing.assert_allclose(high.spectrum.uncertainty, np.hypot(high.noise, high.common * high.spectrum.magnitude))
 
 
-def test_an_instrument_that_is_not_there_is_said_so(bench, tmp_path):
+def test_an_instrument_that_is_not_there_is_said_so(bench: Any, tmp_path: Path) -> None:
     found = setup(bench, tmp_path)
     found = replace(found, oscilloscope=replace(found.oscilloscope, port=str(tmp_path / "nothing")))
     with pytest.raises(InstrumentError, match="nothing"):

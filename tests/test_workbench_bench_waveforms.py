@@ -1,6 +1,7 @@
 """workbench.bench.waveforms: Tektronix CSV and ISF, with every trap seen in real files."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +19,15 @@ SETTINGS = {
 }
 
 
-def samples(amplitude=0.6, phase=0.0):
+def samples(amplitude: float = 0.6, phase: float = 0.0) -> Any:
     time = STEP * (np.arange(SAMPLES) - 1250)
     quantum = SCALE / 25.0
     return time, np.round(amplitude * np.cos(2e6 * np.pi * time + phase) / quantum) * quantum
 
 
-def csv(path: Path, *, first="", drop=0, amplitude=0.6, phase=0.0, **changed: str) -> Path:
+def csv(
+    path: Path, *, first: str = "", drop: int = 0, amplitude: float = 0.6, phase: float = 0.0, **changed: str
+) -> Path:
     settings = {key: changed.get(key.replace(" ", "_"), value) for key, value in SETTINGS.items()}
     rows = list(zip(*samples(amplitude, phase), strict=True))
     heads = [f"{key},{value}" for key, value in settings.items()] + [","] * (SAMPLES - len(settings))
@@ -35,7 +38,9 @@ def csv(path: Path, *, first="", drop=0, amplitude=0.6, phase=0.0, **changed: st
     return path
 
 
-def isf(path: Path, *, points=SAMPLES, form="Y", short=False, tail=b"", cut=0) -> Path:
+def isf(
+    path: Path, *, points: Any = SAMPLES, form: str = "Y", short: bool = False, tail: Any = b"", cut: int = 0
+) -> Path:
     _, volts = samples()
     raw = np.round(volts / 0.008).astype(">i1").tobytes()
     header = (f':WFMPRE:BYT_NR 1;BIT_NR 8;ENCDG BIN;BN_FMT RI;BYT_OR MSB;NR_PT {points};'
@@ -53,7 +58,7 @@ def isf(path: Path, *, points=SAMPLES, form="Y", short=False, tail=b"", cut=0) -
 
 
 @pytest.mark.parametrize("first", ["", ",,,time,volt,\r\n"])
-def test_csv_with_its_odd_numbers_and_a_line_added_by_hand(tmp_path, first):
+def test_csv_with_its_odd_numbers_and_a_line_added_by_hand(tmp_path: Path, first: Any) -> None:
     found = read_waveform(csv(tmp_path / "F0001CH1.CSV", first=first))
     time, volts = samples()
     np.testing.assert_allclose(found.volts, volts, atol=1e-9)
@@ -63,7 +68,7 @@ def test_csv_with_its_odd_numbers_and_a_line_added_by_hand(tmp_path, first):
     assert not found.clipped
 
 
-def test_isf_in_long_and_short_words(tmp_path):
+def test_isf_in_long_and_short_words(tmp_path: Path) -> None:
     _, volts = samples()
     for short in (False, True):
         found = read_waveform(isf(tmp_path / "a.isf", short=short))
@@ -72,7 +77,7 @@ def test_isf_in_long_and_short_words(tmp_path):
         assert (found.channel, found.start, found.step) == (1, -5e-6, 4e-9)
 
 
-def test_an_envelope_beside_the_samples_is_left_out(tmp_path):
+def test_an_envelope_beside_the_samples_is_left_out(tmp_path: Path) -> None:
     envelope = isf(tmp_path / "b.isf", form="ENV").read_bytes()
     found = read_waveform(isf(tmp_path / "a.isf", tail=envelope))
     assert len(found.volts) == SAMPLES
@@ -80,7 +85,7 @@ def test_an_envelope_beside_the_samples_is_left_out(tmp_path):
         read_waveform(tmp_path / "b.isf")
 
 
-def test_a_flat_crest_is_noticed(tmp_path):
+def test_a_flat_crest_is_noticed(tmp_path: Path) -> None:
     path = csv(tmp_path / "F0001CH1.CSV")
     text = path.read_text()
     assert not read_waveform(path).clipped
@@ -98,19 +103,19 @@ def test_a_flat_crest_is_noticed(tmp_path):
     ({"Vertical_Scale": "none"}, "above zero"),
     ({"Source": "MATH", "name": "MATH.CSV"}, "not a calculated trace"),
 ])
-def test_csv_that_cannot_be_trusted_is_refused(tmp_path, changed, said):
+def test_csv_that_cannot_be_trusted_is_refused(tmp_path: Path, changed: Any, said: Any) -> None:
     name = changed.get("name", "F0001CH1.CSV")
     with pytest.raises(InputError, match=said):
         read_waveform(csv(tmp_path / name, **{k: v for k, v in changed.items() if k != "name"}))
 
 
 @pytest.mark.parametrize(("changed", "said"), [({"cut": 1}, "cut short"), ({"points": 2499}, "of NR_PT")])
-def test_isf_that_cannot_be_trusted_is_refused(tmp_path, changed, said):
+def test_isf_that_cannot_be_trusted_is_refused(tmp_path: Path, changed: Any, said: Any) -> None:
     with pytest.raises(InputError, match=said):
         read_waveform(isf(tmp_path / "a.isf", **changed))
 
 
-def test_other_files_are_refused_with_what_they_are(tmp_path):
+def test_other_files_are_refused_with_what_they_are(tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("f,U\n1,2\n")
     with pytest.raises(InputError, match="f,U"):
@@ -119,7 +124,7 @@ def test_other_files_are_refused_with_what_they_are(tmp_path):
         read_waveform(tmp_path / "absent.csv")
 
 
-def test_pairs_by_name(tmp_path):
+def test_pairs_by_name(tmp_path: Path) -> None:
     for number, phase in ((3, 0.5), (4, 0.25)):
         csv(tmp_path / f"F000{number}CH1.CSV", phase=phase)
         csv(tmp_path / f"F000{number}CH2.CSV", amplitude=0.3, Source="CH2")

@@ -15,8 +15,8 @@ import pytest
 from workbench.cli import main
 from workbench.commands import export as export_command
 from workbench.files.errors import InputError
-from workbench.operators import ModelError
 from workbench.options import parser
+from workbench.physics.term import ModelError
 from workbench.solve import NotConverged
 
 COMMANDS = ("simulate", "compare", "mesh", "export", "render", "sensitivity", "materials", "measure", "import", "bench")

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -63,14 +64,14 @@ load_resistance = "50 ohm"
 """
 
 
-def written(bench, folder, *, compensation="", step="10 kHz"):
+def written(bench: Any, folder: Path, *, compensation: str = "", step: str = "10 kHz") -> Any:
     path = folder / "BENCH.toml"
     path.write_text(TEXT.format(generator=bench.generator_port, oscilloscope=bench.oscilloscope_port, step=step,
                                 compensation=compensation), encoding="utf-8")
     return str(path)
 
 
-def test_a_compensated_run_from_the_command_line(tmp_path, capsys):
+def test_a_compensated_run_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with SimulatedBench(device_of(DEVICE), seed=4) as bench:
         for name, connected in (("open", open_circuit()), ("short", resistor(0.0)), ("load", resistor(50.0))):
             bench.connect(connected)
@@ -114,7 +115,7 @@ def test_a_compensated_run_from_the_command_line(tmp_path, capsys):
     assert not marker_path(tmp_path / "run.h5").exists()
 
 
-def test_mistakes_are_answered_before_anything_is_measured(tmp_path, capsys):
+def test_mistakes_are_answered_before_anything_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with SimulatedBench(device_of(DEVICE), seed=4) as bench:
         file = written(bench, tmp_path, compensation=COMPENSATION)
         assert main(["measure", file, "-o", str(tmp_path / "run.h5")]) == 2
@@ -126,7 +127,7 @@ def test_mistakes_are_answered_before_anything_is_measured(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
-def test_a_request_to_end_ends_safe_with_everything_kept(tmp_path, end):
+def test_a_request_to_end_ends_safe_with_everything_kept(tmp_path: Path, end: Any) -> None:
     path = tmp_path / "run.h5"
     with SimulatedBench(device_of(DEVICE), seed=5) as bench:
         command = [sys.executable, "-m", "workbench.cli", "measure", written(bench, tmp_path, step="500 Hz"), "-o",
@@ -153,7 +154,7 @@ def test_a_request_to_end_ends_safe_with_everything_kept(tmp_path, end):
     assert "not complete" in (tmp_path / "run.html").read_text()
 
 
-def test_the_sketch_shows_where_the_minimum_is():
+def test_the_sketch_shows_where_the_minimum_is() -> None:
     assert sketch(np.array([1e6]), np.array([5.0])) == []
     lines = sketch(DEVICE.frequency, DEVICE.magnitude)
     assert f"{DEVICE.magnitude.min():.3g} ohm" in lines[9]
@@ -166,7 +167,7 @@ def test_the_sketch_shows_where_the_minimum_is():
     assert len(dots) < 10
 
 
-def saved(path, volts, channel):
+def saved(path: Path, volts: Any, channel: Any) -> None:
     """A waveform as a TDS2000 writes it to its stick."""
     step = 4e-9
     head = {"Record Length": "2500", "Sample Interval": "4e-9", "Source": f"CH{channel}", "Vertical Units": "V",
@@ -176,7 +177,7 @@ def saved(path, volts, channel):
         zip(cells, np.round(volts / 0.008) * 0.008, strict=True))))
 
 
-def test_import_of_waveforms_taken_by_hand(tmp_path, capsys):
+def test_import_of_waveforms_taken_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "ALL"
     folder.mkdir()
     time_axis = 4e-9 * np.arange(2500)

@@ -2,6 +2,7 @@
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ CIRCUIT = {"motional_resistance": 5.905, "motional_inductance": 151.99e-6, "moti
 MEASURED = Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT))
 
 
-def test_a_spectrum_against_itself():
+def test_a_spectrum_against_itself() -> None:
     got = compare(MEASURED, MEASURED)
     assert (got.mape_percent, got.phase_max_deg, got.rms_log_residual) == pytest.approx((0.0, 0.0, 0.0), abs=1e-10)
     assert got.fraction_used == 1.0
@@ -26,7 +27,7 @@ def test_a_spectrum_against_itself():
     assert [row.error_percent for row in got.rows] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
 
 
-def test_a_gain_error_is_seen_as_it_is():
+def test_a_gain_error_is_seen_as_it_is() -> None:
     """Z_sim = 1.1 e^{j 5 deg} Z_meas: 10 % at every point, 5 degrees, |ln| = |ln 1.1 + j 5 deg|."""
     factor = 1.1 * np.exp(1j * np.radians(5.0))
     got = compare(MEASURED, Spectrum(SWEEP, factor * MEASURED.impedance))
@@ -41,7 +42,7 @@ def test_a_gain_error_is_seen_as_it_is():
     assert rows["f0 (Hz)"].error_percent == pytest.approx(0.0, abs=1e-6)
 
 
-def test_sign_and_size_of_a_row():
+def test_sign_and_size_of_a_row() -> None:
     low = MetricRow("Q factor", 100.0, 80.0)
     assert (low.difference_percent, low.error_percent) == (-20.0, 20.0)
 
@@ -53,11 +54,11 @@ TABLE_5 = [("f0 (MHz)", "1.0284", "1.0286", "0.02"), ("f0 (MHz)", "1.0274", "1.0
 
 
 @pytest.mark.parametrize(("metric", "measured", "simulated", "printed"), TABLE_5)
-def test_error_is_defined_as_in_table_5(metric, measured, simulated, printed):
+def test_error_is_defined_as_in_table_5(metric: Any, measured: Any, simulated: Any, printed: Any) -> Any:
     """Two of the printed errors, 7.56 and 20.77, are not what the printed values give, 7.64 and 20.78: the authors
     divided before they rounded. Every printed error must lie within what the rounding
     of its three numbers allows."""
-    def interval(text):
+    def interval(text: str) -> Any:
         half = 0.5 * 10.0 ** -len(text.partition(".")[2])
         return float(text) - half, float(text) + half
 
@@ -70,7 +71,7 @@ def test_error_is_defined_as_in_table_5(metric, measured, simulated, printed):
     assert got == pytest.approx(float(printed), abs=0.1)
 
 
-def test_only_the_common_band_is_used():
+def test_only_the_common_band_is_used() -> None:
     """Simulated on a shifted, coarser grid: 980 kHz to 1.05 MHz holds 141 of 491 measured points."""
     grid = np.arange(980e3, 1050.1e3, 700.0)
     got = compare(MEASURED, Spectrum(grid, bvd_impedance(grid, **CIRCUIT)))
@@ -80,7 +81,7 @@ def test_only_the_common_band_is_used():
     assert got.rms_log_residual < 1e-7  # the interpolant's error at 700 Hz steps
 
 
-def test_bands_that_do_not_overlap():
+def test_bands_that_do_not_overlap() -> None:
     elsewhere = Spectrum(SWEEP + 1e6, MEASURED.impedance)
     with pytest.raises(ValueError, match="measured 910000 to 1155000 Hz, simulated 1910000 to 2155000"):
         compare(MEASURED, elsewhere)
@@ -88,7 +89,7 @@ def test_bands_that_do_not_overlap():
         compare(MEASURED, Spectrum(SWEEP + 245e3 - 100.0, MEASURED.impedance))
 
 
-def test_missing_resonance_leaves_the_residual():
+def test_missing_resonance_leaves_the_residual() -> None:
     high = Spectrum(SWEEP[200:], MEASURED.impedance[200:])
     got = compare(high, MEASURED)
     assert got.rows == ()
@@ -96,7 +97,7 @@ def test_missing_resonance_leaves_the_residual():
     assert got.mape_percent == pytest.approx(0.0, abs=1e-6)
 
 
-def test_reduced_chi_square_is_one_for_noise_alone():
+def test_reduced_chi_square_is_one_for_noise_alone() -> None:
     """490 complex points: standard deviation sqrt(2 / 982) = 0.045; four of them."""
     generator = np.random.default_rng(3)
     deviation = 0.01 * MEASURED.magnitude
@@ -108,7 +109,7 @@ def test_reduced_chi_square_is_one_for_noise_alone():
         0.5 * compare(noisy, MEASURED).reduced_chi_square, rel=1e-9)
 
 
-def test_worst_point_is_on_a_peak():
+def test_worst_point_is_on_a_peak() -> None:
     moved = CIRCUIT | {"motional_resistance": 8.0}
     got = compare(MEASURED, Spectrum(SWEEP, bvd_impedance(SWEEP, **moved)))
     assert got.worst_percent > 5.0 * got.mape_percent
@@ -117,7 +118,7 @@ def test_worst_point_is_on_a_peak():
     assert min(abs(got.worst_frequency - f0), abs(got.worst_frequency - fa)) < 1000.0
 
 
-def test_empty_against_filled_chip():
+def test_empty_against_filled_chip() -> None:
     """Two states of the independent solver's chip: rows equal the two states' own figures of merit."""
     empty, filled = (read_recording(REFERENCE / f"chip_{state}.csv").spectrum for state in ("empty", "filled"))
     got = compare(empty, filled)

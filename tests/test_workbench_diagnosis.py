@@ -21,7 +21,7 @@ from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.locate import MODE, WIDTHS, changes, evidence, located
 from workbench.diagnosis.refit import UNNEEDED
 from workbench.diagnosis.score import Tangents
-from workbench.fitting.joint import Search
+from workbench.fitting.search import Search
 
 TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
 

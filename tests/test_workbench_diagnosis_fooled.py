@@ -21,12 +21,13 @@ from materials.registry import user_registry
 from workbench.diagnosis.belong import cleared, each_alone
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import Model, model
+from workbench.diagnosis.procedure import diagnose_model
 from workbench.diagnosis.refit import MODELLED, UNNEEDED, base_fit, checked, refit
 from workbench.diagnosis.score import scores_at
-from workbench.diagnosis.verdict import Diagnosis, diagnose
+from workbench.diagnosis.verdict import Diagnosis
 from workbench.files.errors import InputError
-from workbench.fitting.joint import Search
 from workbench.fitting.objective import through_bench
+from workbench.fitting.search import Search
 from workbench.operators import assemble
 from workbench.physics import bubbles
 from workbench.problem import build, with_boundary_layers
@@ -87,7 +88,7 @@ class Bench:
         return model(read_campaign(path, materials=[MATERIALS]), accuracy=ACCURACY, cache=self.folder / "cache")
 
     def diagnosed(self, known: Mapping[str, str]) -> Diagnosis:
-        return diagnose(self.model(known))
+        return diagnose_model(self.model(known))
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workbench.diagnosis import refit
-from workbench.fitting.joint import NO_END
+from workbench.diagnosis import refit, tempering
+from workbench.fitting.search import NO_END
 
 
 def test_bases_are_made_where_the_search_begins(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,7 +35,7 @@ def test_bases_are_made_where_the_search_begins(monkeypatch: pytest.MonkeyPatch)
 
     ended: Any = SimpleNamespace(search=Search(), here=SimpleNamespace(jacobian=np.ones((1, 1))), x=np.ones(1),
                                  effects=(), doubt=0.0)
-    monkeypatch.setattr(refit, "_judged", lambda *_of: ended)
+    monkeypatch.setattr(refit, "refit_at", lambda *_of: ended)
     model: Any = SimpleNamespace(deviations=lambda: [0.01], fitted=SimpleNamespace(cover=cover),
                                  parameters=[SimpleNamespace(name="missing")])
     refit.gather(model, ended)
@@ -65,7 +65,7 @@ def test_starts_are_drawn_where_a_part_is_explained_alone(deep: float, found: bo
                                  fitted=SimpleNamespace(cover=lambda x, *_how: surrounded.append(x)))
     effect: Any = SimpleNamespace(names=("own",))
     end: Any = SimpleNamespace(x=np.array([0.0, 7.0]), cost=50.0)
-    better = refit._drawn(model, effect, Search(), end, np.array([1.0, 3.0]))  # type: ignore[arg-type]
+    better = tempering._drawn(model, effect, Search(), end, np.array([1.0, 3.0]))  # type: ignore[arg-type]
     assert (better is not end) == found
     # With the known parameters of the place given and as much of the effect as there was.
     assert surrounded[0].tolist() == [1.0, 7.0]
@@ -90,7 +90,7 @@ def test_the_base_is_asked_for_where_an_effect_has_led_it(
     model: Any = SimpleNamespace(known=2, index=names.index, deviations=lambda: [0.01])
     base: Any = SimpleNamespace(search=Search(), evidence=2.0)
     other: Any = SimpleNamespace(evidence=there)
-    monkeypatch.setattr(refit, "_judged", lambda *_of: other)
+    monkeypatch.setattr(refit, "refit_at", lambda *_of: other)
     led: Any = SimpleNamespace(x=np.array([5.0, 6.0, 7.0]), effects=(SimpleNamespace(names=("too thick", "own")),))
     assert refit.without(model, base, led) is (other if better else base)
     assert begun[0].tolist() == [5.0, 6.0, 0.5]

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from workbench.diagnosis.catalogue import Effect
+from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.score import Score, Tangents, confusion, score, scores_at
 from workbench.fitting.parameter import Parameter
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.diagnosis import refit, verdict
+from workbench.diagnosis import basins, criteria, procedure, refit, verdict
 from workbench.diagnosis.locate import MODE, Place
-from workbench.diagnosis.score import Score
+from workbench.diagnosis.score import Score, promising
 
 
 def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: float = 1.0) -> Any:
@@ -35,7 +35,7 @@ def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
 ])
 def test_what_is_left_decides_whether_a_fit_explains(before: Any, after: Any, explained: bool, said: str) -> None:
     """And what is said of a fit of which a further hypothesis would take 30."""
-    assert verdict._explains(before, after) == explained
+    assert criteria.explains(before, after) == explained
     assert said in verdict._lacking(before, after, 30.0)
 
 
@@ -50,17 +50,17 @@ def test_the_best_single_is_looked_for_in_other_basins_where_it_still_hints_at_s
     """Before the base is asked for where it led: from a wrong basin no way leads to the base's right one."""
     base, second, hopped = fit(1.5, chi_square=1500.0), fit(1.5, chi_square=1499.0), fit(1.0, True, 1000.0)
     best.x = np.zeros(1)
-    monkeypatch.setattr(verdict, "_further", lambda *_of: [score(42.0)])
-    monkeypatch.setattr(verdict, "gathered_elsewhere", lambda _model, of, _x: hopped if of is best else None)
-    monkeypatch.setattr(verdict, "gather", lambda _model, of, _scores: of)
+    monkeypatch.setattr(procedure, "further_scores", lambda *_of: [score(42.0)])
+    monkeypatch.setattr(procedure, "gathered_elsewhere", lambda _model, of, _x: hopped if of is best else None)
+    monkeypatch.setattr(procedure, "gather", lambda _model, of, _scores: of)
     model: Any = None
-    found = verdict._hopped(model, base, [second, best], lambda *_of: None)
+    found = procedure._hopped(model, base, [second, best], lambda *_of: None)
     assert found == sorted([second, hopped if asked else best], key=lambda each: each.chi_square)
 
 
 def test_nothing_is_looked_for_in_other_basins_where_no_hypothesis_was_refitted() -> None:
     model: Any = None
-    assert verdict._hopped(model, fit(1.5), [], lambda *_of: None) == []
+    assert procedure._hopped(model, fit(1.5), [], lambda *_of: None) == []
 
 
 @pytest.mark.parametrize(("base", "best", "left", "complete"), [
@@ -73,20 +73,20 @@ def test_nothing_is_looked_for_in_other_basins_where_no_hypothesis_was_refitted(
 def test_nothing_else_may_take_much_of_what_an_explanation_leaves(
     base: Any, best: Any, left: float, complete: bool
 ) -> None:
-    assert verdict._complete(base, best, left) == complete
+    assert criteria.is_complete(base, best, left) == complete
 
 
 def test_a_mode_besides_outdoes_an_effect_that_explains_less() -> None:
     base, best = fit(1.2, chi_square=1200.0), fit(1.1, True, 1180.0)
     mode, loss = Place("transducer", MODE, 6.0), Place("bond", "loss", 5.0)
-    assert verdict._besides(base, best, (mode, loss))
+    assert criteria.has_mode_besides(base, best, (mode, loss))
     # Its square must be ahead of the gain of 20 by 6; patterns of other kinds are what an effect looks like.
-    assert not verdict._besides(base, best, (mode._replace(sigmas=5.0), loss))
-    assert not verdict._besides(base, best, (loss._replace(sigmas=7.0), mode))
-    assert not verdict._besides(base, best, ())
+    assert not criteria.has_mode_besides(base, best, (mode._replace(sigmas=5.0), loss))
+    assert not criteria.has_mode_besides(base, best, (loss._replace(sigmas=7.0), mode))
+    assert not criteria.has_mode_besides(base, best, ())
     # A third of both is 12 and 7.
     best.correlation = 3.0
-    assert not verdict._besides(base, best, (mode, loss))
+    assert not criteria.has_mode_besides(base, best, (mode, loss))
 
 
 @pytest.mark.parametrize(("gain", "numbers", "correlation", "hint"), [
@@ -97,31 +97,31 @@ def test_a_mode_besides_outdoes_an_effect_that_explains_less() -> None:
     (30.0, 6, 1.0, True),
 ])
 def test_a_hint_is_what_noise_hardly_gives(gain: float, numbers: int, correlation: float, hint: bool) -> None:
-    assert verdict._hints(score(gain, numbers), correlation) == hint
+    assert criteria.is_hint(score(gain, numbers), correlation) == hint
 
 
 def test_a_further_hypothesis_of_many_numbers_takes_some_by_chance() -> None:
     """Twenty by one number and 35.8 by seven are as rare."""
     best = fit(1.02)
     best.effects = ("rim",)
-    assert verdict._left(best, [score(20.0)]) == pytest.approx(20.0)
-    assert verdict._left(best, [score(12.0), score(36.0, 7)]) == pytest.approx(20.2, abs=0.1)
+    assert criteria.remaining_gain(best, [score(20.0)]) == pytest.approx(20.0)
+    assert criteria.remaining_gain(best, [score(12.0), score(36.0, 7)]) == pytest.approx(20.2, abs=0.1)
 
 
 def test_what_a_further_hypothesis_takes_is_asked_of_the_refit_where_there_is_one() -> None:
     best, pair = fit(1.02, chi_square=1000.0), fit(1.01, chi_square=988.0)
     best.effects, pair.effects = ("rim",), ("rim", "load")
     further = [score(9.0, effect="mass"), score(25.0, effect="load")]
-    assert verdict._left(best, further) == pytest.approx(25.0)
-    assert verdict._left(best, further, [pair]) == pytest.approx(12.0)
+    assert criteria.remaining_gain(best, further) == pytest.approx(25.0)
+    assert criteria.remaining_gain(best, further, [pair]) == pytest.approx(12.0)
     pair.effects = ("gap", "load")
-    assert verdict._left(best, further, [pair]) == pytest.approx(25.0)
+    assert criteria.remaining_gain(best, further, [pair]) == pytest.approx(25.0)
 
 
 @pytest.mark.parametrize(("gain", "numbers", "rare"), [(14.0, 1, False), (16.5, 1, True), (16.5, 2, False),
                                                        (19.5, 2, True)])
 def test_four_sigmas_of_one_number_are_rare(gain: float, numbers: int, rare: bool) -> None:
-    assert verdict._rare(gain, numbers, verdict.CLEAR) == rare
+    assert criteria.is_rare(gain, numbers, criteria.CLEAR) == rare
 
 
 @pytest.mark.parametrize(("gains", "count", "least", "kept"), [
@@ -134,15 +134,15 @@ def test_what_promises_much_is_refitted_in_the_order_of_evidence(
     gains: tuple[float, ...], count: int, least: float, kept: tuple[float, ...]
 ) -> None:
     scores: Any = [SimpleNamespace(gain=gain) for gain in gains]
-    assert tuple(scored.gain for scored in refit.promising(scores, count, least)) == kept
+    assert tuple(scored.gain for scored in promising(scores, count, least)) == kept
 
 
 def test_what_leaves_little_and_hints_at_something_is_not_quiet() -> None:
     """A wrong basin of a thin layer's thickness: chi-square 1.00, and a hypothesis that gains 42."""
     weak, strong = score(8.0), score(42.0)
-    assert verdict._quiet(fit(1.0, True), [weak])
-    assert not verdict._quiet(fit(1.0, True), [weak, strong])
-    assert not verdict._quiet(fit(1.3), [weak])
+    assert criteria.is_quiet(fit(1.0, True), [weak])
+    assert not criteria.is_quiet(fit(1.0, True), [weak, strong])
+    assert not criteria.is_quiet(fit(1.3), [weak])
 
 
 def test_basins_that_cost_about_the_same_are_compared_where_the_data_weigh_more() -> None:
@@ -157,24 +157,24 @@ def test_basins_that_cost_about_the_same_are_compared_where_the_data_weigh_more(
     # The third is the first one's basin, the last costs too much.
     ends: Any = [SimpleNamespace(x=np.array([place]), cost=cost)
                  for place, cost in ((0.0, 1.0), (2.0, 1.2), (0.4, 1.1), (4.0, 2.0))]
-    end, there = refit._compared(search, ends, [0])
+    end, there = basins._compared(search, ends, [0])
     assert end is ends[1]
     assert there == pytest.approx([2.01])
     assert asked == [0.0, 2.0]
-    assert refit._compared(search, ends[:1], [0]) == (ends[0], ends[0].x)
+    assert basins._compared(search, ends[:1], [0]) == (ends[0], ends[0].x)
     assert asked == [0.0, 2.0]  # nothing to compare
 
 
 def test_basins_far_off_are_looked_for_in_all_that_a_layer_may_be() -> None:
     search: Any = SimpleNamespace(low=np.array([2e-6]), high=np.array([1e-4]), centre=np.array([2e-5]),
                                   scale=np.array([3e-6]))
-    near, far = (np.array(refit._places(search, 0, far)) for far in (False, True))
+    near, far = (np.array(basins._places(search, 0, far)) for far in (False, True))
     assert np.abs(near - 2e-5).max() == pytest.approx(6e-6)
     # A basin is about as wide as its layer is thick.
     steps = np.diff(np.log([2e-6, *far, 1e-4]))
     assert 0.0 < steps.min() <= steps.max() <= np.log(2.0)
     negative: Any = SimpleNamespace(low=-search.high, high=-search.low)
-    assert refit._places(negative, 0, True) == pytest.approx(-far[::-1])
+    assert basins._places(negative, 0, True) == pytest.approx(-far[::-1])
 
 
 def test_parameters_that_end_at_a_bound_are_told() -> None:
@@ -224,4 +224,4 @@ def test_what_fits_as_well_is_a_rival_whatever_its_ranges_cost(
     best: Any = SimpleNamespace(chi_square=100.0, estimate={"a": 1.0}, effects=("one",))
     other: Any = SimpleNamespace(chi_square=chi_square, estimate=dict.fromkeys(parameters, 1.0),
                                  effects=("one", "two")[:effects])
-    assert verdict._fits_as_well(other, best, held) == as_well
+    assert criteria.fits_as_well(other, best, held) == as_well

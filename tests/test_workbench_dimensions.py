@@ -4,12 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import quadratic
+from support import moved_onto, quadratic
 
 from geometry.chip import Chip, read_chip
 from geometry.mesh import MeshError
 from geometry.names import LEVEL, outside, part
-from geometry.stretch import stretch
 from materials.registry import Registry
 from workbench.dimensions import flexible
 from workbench.files.errors import InputError
@@ -90,7 +89,7 @@ def problem(chip: Chip) -> Problem:
 
 
 def test_a_new_thickness_is_that_of_the_stretched_mesh(chip: Chip, problem: Problem) -> None:
-    stretched = assemble(stretch(problem.mesh, chip.with_dimensions(LONGER)), problem.terms)
+    stretched = assemble(moved_onto(problem.mesh, chip.with_dimensions(LONGER)), problem.terms)
     expected = solve_full(stretched, FREQUENCIES, problem.values).impedance
     thick = flexible(problem, chip)
     values = {**thick.values, **{name: complex(value) for name, value in LONGER.items()}}
@@ -105,7 +104,8 @@ def test_a_new_thickness_is_that_of_the_stretched_mesh(chip: Chip, problem: Prob
 def test_new_radii_are_those_of_the_stretched_mesh(chip: Chip, problem: Problem) -> None:
     lengths = {**LONGER, **WIDER}
     moved = chip.with_dimensions({**lengths, **{name: WIDER[first] for name, first in TIED.items()}})
-    expected = solve_full(assemble(stretch(problem.mesh, moved), problem.terms), FREQUENCIES, problem.values).impedance
+    there = assemble(moved_onto(problem.mesh, moved), problem.terms)
+    expected = solve_full(there, FREQUENCIES, problem.values).impedance
     wide = flexible(problem, chip, tuple(WIDER))
     operators = assemble(wide.mesh, wide.terms)
     values = {**wide.values, **{name: complex(value) for name, value in lengths.items()}}

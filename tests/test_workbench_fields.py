@@ -19,6 +19,7 @@ from workbench.drive import GeneratorDrive, PowerDrive, VoltageDrive
 from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
 from workbench.operators import FullOperators, assemble
+from workbench.physics.term import Monomial
 from workbench.problem import Problem, build
 from workbench.simulation import loss_budget
 from workbench.solve import Solution, solve_full
@@ -147,6 +148,7 @@ def test_the_energy_density_integrates_to_the_systems_quadratic_forms(
         if integral.place not in energy or names & {"e31", "e33", "e15"}:
             continue  # the coupling moves energy between the elastic and the electric part
         fluid = isinstance(problem.materials[integral.place], Fluid)
+        assert isinstance(integral.coefficient, Monomial)
         inertia, electric = integral.coefficient.omega_power == 2, bool(names & {"eps11", "eps33"})
         # In A(w) kinetic energy of solids, electric energy, and compression of fluids stand with a minus.
         negative = integral.coefficient.omega_power == 0 if fluid else inertia or electric

@@ -1,14 +1,17 @@
-"""Writing files: whole or not at all, and nothing but files is replaced."""
+"""Files written whole or not at all, and tables whose every mistake is named with its file, field and remedy."""
 
 from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
 import pytest
 
+from workbench.files.errors import InputError
+from workbench.files.tables import Table
 from workbench.files.writing import replacing, write_atomic
 
 
@@ -55,3 +58,90 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
     reader.join(timeout=10.0)
     assert read == ["spectrum"]
     assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+TEXT = """
+name = "disc 1"
+empty = ""
+count = 3
+share = 0.25
+yes = true
+thickness = "2.02 mm"
+band = ["0.9 MHz", "1.1 MHz"]
+free = ["c33", ""]
+[inner]
+kind = "pzt"
+[[rows]]
+name = "one"
+[[rows]]
+name = 2
+"""
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Table:
+    path = tmp_path / "a.toml"
+    path.write_text(TEXT, encoding="utf-8")
+    return Table.read(path)
+
+
+def test_a_table_gives_values_in_si(table: Table) -> None:
+    assert table.text("name") == table.optional_text("name") == "disc 1"
+    assert table.text("empty", "a") == ""
+    assert table.texts("free") == ("c33", "")
+    assert table.quantity("thickness", "length") == table.optional_quantity("thickness", "length") == 2.02e-3
+    assert table.quantities("band", "frequency", expected="two") == (0.9e6, 1.1e6)
+    assert table.optional_number("share") == 0.25
+    assert table.whole("count", low=1, high=3) == 3
+    assert table.flag("yes") is True
+    assert table.table("inner").choice("kind", ("pzt", "polymer")) == "pzt"
+    assert table.tables("rows", expected="tables [[rows]]")[0].text("name") == "one"
+    assert "name" in table
+    assert list(table.table("inner")) == ["kind"]
+
+
+def test_a_default_stands_in_for_what_a_table_lacks(table: Table) -> None:
+    assert table.text("x", "a") == "a"
+    assert table.texts("x", ("a",)) == ("a",)
+    assert table.quantity("x", "length", 1.0) == 1.0
+    assert table.whole("x", 2, low=1, high=3) == 2
+    assert table.flag("x", default=True) is True
+    assert table.choice("x", ("a", "b"), "b") == "b"
+    assert table.table("x").content == {}
+    assert table.tables("x", expected="tables") == ()
+    assert (table.optional_text("x"), table.optional_quantity("x", "length"), table.optional_number("x")) == (None,) * 3
+
+
+@pytest.mark.parametrize(("take", "field", "value", "expected"), [
+    (lambda t: t.text("count"), "count", 3, "a text"),
+    (lambda t: t.text("empty"), "empty", "", "a text"),
+    (lambda t: t.text("x"), "x", None, "a text"),
+    (lambda t: t.optional_text("empty"), "empty", "", "a text"),
+    (lambda t: t.texts("x"), "x", None, "a list of texts"),
+    (lambda t: t.texts("count", ()), "count", 3, "a list of texts"),
+    (lambda t: t.quantity("x", "length"), "x", None, "a length with its unit"),
+    (lambda t: t.quantity("share", "length"), "share", 0.25, "a length with its unit"),
+    (lambda t: t.quantities("free", "length", expected="two", numbered=True), "free[0]", "c33", "a length"),
+    (lambda t: t.quantities("free", "length", expected="two"), "free", "c33", "a length"),
+    (lambda t: t.quantities("count", "length", expected="two lengths"), "count", 3, "two lengths"),
+    (lambda t: t.optional_number("yes"), "yes", True, "a finite number"),
+    (lambda t: t.whole("count", low=1, high=2), "count", 3, "a whole number from 1 to 2"),
+    (lambda t: t.whole("yes", low=0, high=2), "yes", True, "a whole number from 0 to 2"),
+    (lambda t: t.flag("name"), "name", "disc 1", "true or false"),
+    (lambda t: t.choice("name", ("disc 2", "ring")), "name", "disc 1", "one of disc 2, ring; did you mean 'disc 2'"),
+    (lambda t: t.table("name"), "name", "disc 1", "a table"),
+    (lambda t: t.table("inner").text("name"), "inner.name", None, "a text"),
+    (lambda t: t.tables("inner", expected="tables [[inner]]"), "inner", {"kind": "pzt"}, "tables [[inner]]"),
+    (lambda t: t.tables("rows", expected="tables")[1].text("name"), "rows[1].name", 2, "a text"),
+    (lambda t: t.required("nam", "a name"), "nam", None, "a name; did you mean 'name'"),
+    (lambda t: t.table("inner").only(("name", "king")), "inner.kind", "kind", "one of king, name; did you mean 'king'"),
+    (lambda t: Table.of(3, source=t.source, field="fit"), "fit", 3, "a table"),
+])
+def test_a_mistake_in_a_table_is_named(
+    take: Callable[[Table], object], field: str, value: object, expected: str, table: Table
+) -> None:
+    with pytest.raises(InputError) as caught:
+        take(table)
+    error = caught.value
+    assert (error.source, error.field, error.value) == (table.source, field, value)
+    assert expected in str(error)

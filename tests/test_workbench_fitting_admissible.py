@@ -52,7 +52,7 @@ def moved(problem: Problem, parameters: tuple[Parameter, ...], x: Real) -> Piezo
     """The ceramic that the vector x (p,) means."""
     numbers = {name: complex(problem.values[f"{PZT}.{name}"]) for name in Piezoelectric.PARAMETERS}
     for parameter, number in zip(parameters, x, strict=True):
-        name = parameter.coefficient.removeprefix(f"{PZT}.")
+        name = parameter.parsed.coefficient
         old = numbers[name]
         numbers[name] = complex(old.real, number) if parameter.is_loss else complex(number, old.imag)
     ceramic = problem.materials["transducer"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +69,7 @@ def rosenbrock(x: Real) -> Given:
 def search(
     function: Callable[[Real], Linear | Given], start: Real, *, reach: float = 100.0,
     inequalities: tuple[Inequality, ...] = (), radius: float = 1.0, limit: int = 100,
-) -> Minimum:
+) -> Minimum[Any]:
     size = start.size
     return minimise(function, start, low=np.full(size, -reach), high=np.full(size, reach), scale=np.ones(size),
                     inequalities=inequalities, radius=radius, tolerance=1e-12, limit=limit)

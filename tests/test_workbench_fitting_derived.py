@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from workbench.fitting.certainty import DEVIATIONS
 from workbench.fitting.derived import QUANTITIES, derived, moduli_of, quantities
 from workbench.fitting.parameter import POLYMER_FOUR
+from workbench.fitting.uncertainty import DEVIATIONS
 
 #: PLA of Table 4: K', K'', G', G'' (Pa), density, and the frequency the table is for.
 PLA = dict(zip(POLYMER_FOUR, (3.57e9, -0.03e9, 0.93e9, -0.05e9), strict=True))

@@ -14,12 +14,14 @@ from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
 from workbench.dimensions import flexible
 from workbench.files.errors import InputError
-from workbench.fitting import joint
+from workbench.fitting import multistart
 from workbench.fitting.constrained import minimise
-from workbench.fitting.joint import FINE, SEARCHED_POINTS, FitError, FitResult, Search, fit
+from workbench.fitting.joint import FINE, FitError, FitResult, fit
+from workbench.fitting.multistart import prior_samples
 from workbench.fitting.objective import Objective, Recording, through_bench
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters, started_at
 from workbench.fitting.predict import Predictor
+from workbench.fitting.search import SEARCHED_POINTS, Search
 from workbench.problem import Problem
 from workbench.reduction import NotEnriched
 from workbench.spectrum import Spectrum
@@ -171,7 +173,7 @@ def test_the_only_start_reached_the_optimum(result: FitResult, begun: tuple[Para
     assert (start.label, start.outcome) == ("start", "same optimum")
     assert start.begin == pytest.approx([p.start for p in begun], rel=1e-12)
     assert start.steps > 0
-    assert "1 of 1 ways down reached the same optimum." in result.findings
+    assert "1 of 1 descents reached the same optimum." in result.findings
 
 
 def test_a_dimension_and_the_bench_are_recovered(disc: Problem, chip: Chip) -> None:
@@ -290,7 +292,7 @@ def test_an_overtone_laid_on_its_neighbour_is_left(shear: tuple[Chip, Problem], 
     assert ends[saved].rms < 0.02
     # The prior is about the wrong start, and what it weighs against the data are two of its standard deviations.
     assert np.abs(offsets(found, truth)).max() < FAR + 2.0 * max(e.narrowing for e in found.estimates)
-    assert any(f"of {len(ends)} ways down reached the same optimum" in line and "ended elsewhere" in line
+    assert any(f"of {len(ends)} descents reached the same optimum" in line and "ended elsewhere" in line
                for line in found.findings)
 
 
@@ -305,32 +307,32 @@ def test_a_residual_of_a_hundred_per_cent_is_never_explained(
     assert found.recordings[0].after.rms_log_residual < 0.5 or len(found.starts) > 1
 
 
-def test_starts_drawn_from_the_prior_are_only_followed_where_needed(
+def test_samples_of_the_prior_are_only_tried_where_needed(
     shear: tuple[Chip, Problem], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wide, problem = shear
     begun = parameters(problem, None, PZT, ["c11", "c44"])
     one = recorded(problem, wide, {p.name: p.start for p in begun}, frequency=np.linspace(500e3, 1000e3, 161))
     assert [s.label for s in fit([one], begun, tries=3, bands=0, profiles=False).starts] == ["start"]
-    # Without neighbours, the draws are all there is.
-    monkeypatch.setattr(joint, "HOPS", {0: 1.0})
+    # Without offsets, the samples are all there is.
+    monkeypatch.setattr(multistart, "OVERTONE_FACTORS", {0: 1.0})
     found = fit([one], started(begun, c44=0.8), tries=1, seed=3, bands=0, profiles=False)
     assert [s.label for s in found.starts] == ["start", "draw 1"]
 
 
-def test_draws_are_distributed_as_the_prior(disc: Problem, chip: Chip) -> None:
+def test_samples_are_distributed_as_the_prior(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "e33", "c33.loss"])
     search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
-    drawn = np.array([x for _, x in joint._drawn(search, 2000, 0)])
-    assert (drawn[:3] == [x for _, x in joint._drawn(search, 3, 0)]).all()
-    assert (drawn[:3] != [x for _, x in joint._drawn(search, 3, 1)]).all()
+    samples = np.array([x for _, x in prior_samples(search, 2000, 0)])
+    assert (samples[:3] == [x for _, x in prior_samples(search, 3, 0)]).all()
+    assert (samples[:3] != [x for _, x in prior_samples(search, 3, 1)]).all()
     for column, parameter in enumerate(free[:2]):
         assert parameter.prior is not None
-        off = (drawn[:, column] - parameter.start) / parameter.prior
-        # Of 2000 draws: the mean within 4.5 / sqrt 2000, the deviation within 4.5 / sqrt 4000.
+        off = (samples[:, column] - parameter.start) / parameter.prior
+        # Of 2000 samples: the mean within 4.5 / sqrt 2000, the deviation within 4.5 / sqrt 4000.
         assert off.mean() == pytest.approx(0.0, abs=0.1)
         assert off.std() == pytest.approx(1.0, abs=0.07)
-    ratio = drawn[:, 2] / free[2].start
+    ratio = samples[:, 2] / free[2].start
     assert (ratio.min(), ratio.max()) == pytest.approx((0.5, 2.0), rel=0.01)
 
 
@@ -361,7 +363,7 @@ def test_every_start_is_told_by_its_label(disc: Problem, chip: Chip, monkeypatch
     assert listed["poor"].outcome.startswith("failed: NotEnriched: the reduced model is at")
     assert listed["poor"].rms == np.inf
     assert listed["impossible"].begin[0] > listed["impossible"].begin[1]
-    assert any(line.startswith("3 of 4 ways down reached the same optimum, 1 failed, the first of them: poor")
+    assert any(line.startswith("3 of 4 descents reached the same optimum, 1 failed, the first of them: poor")
                for line in found.findings)
     monkeypatch.setattr(Search, "descend", refusing)
     with pytest.raises(FitError, match="no start could be predicted: NotEnriched"):
@@ -379,7 +381,7 @@ def test_a_search_that_was_cut_off_says_so(disc: Problem, chip: Chip, monkeypatc
     def short(*arguments: Any, **named: Any) -> Any:
         return minimise(*arguments, **{**named, "limit": 1})
 
-    monkeypatch.setattr(joint, "minimise", short)
+    monkeypatch.setattr("workbench.fitting.search.minimise", short)
     found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False)
     assert not found.converged
     assert "The search did not converge: the limit of 1 steps was reached." in found.findings

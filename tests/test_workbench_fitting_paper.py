@@ -24,8 +24,9 @@ from workbench.fitting.paper import (
     fit_transducer,
     simplex,
 )
-from workbench.fitting.parameter import LOSS, POLYMER_FOUR, TRANSDUCER_TEN
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
 from workbench.operators import assemble
+from workbench.parameter_names import LOSS
 from workbench.problem import Problem
 from workbench.solve import solve_full
 from workbench.spectrum import Spectrum

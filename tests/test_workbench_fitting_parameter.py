@@ -107,7 +107,7 @@ def test_a_known_loss_starts_where_it_is_and_never_changes_sign(stack: Problem) 
     reach = CERAMIC_LOSS_REACH * whole.real
     assert (found.start, found.low, found.high) == (whole.imag, -reach, 0.0)
     assert found.prior == 0.5 * reach
-    assert (found.coefficient, found.material, found.is_loss) == (f"{PZT}.c11", PZT, True)
+    assert (found.parsed.key, found.parsed.owner, found.is_loss) == (f"{PZT}.c11", PZT, True)
 
 
 def test_an_unknown_loss_starts_at_a_thousandth_of_the_sign_that_loses(stack: Problem) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -32,22 +33,27 @@ SURFACE = {"workbench.cli", "workbench.__main__", *(name for name in FILES if na
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 
 
-def statements(body: list[ast.stmt], *, inside_functions: bool) -> Iterator[ast.Import | ast.ImportFrom]:
-    """Import statements that run, on loading the module or (`inside_functions`) ever; not those for type checkers."""
+def statements(
+    body: list[ast.stmt], *, inside_functions: bool, for_checkers: bool = False
+) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Import statements that run, on loading the module or (`inside_functions`) ever; those for type checkers too only
+    if `for_checkers`."""
     for node in body:
         match node:
             case ast.Import() | ast.ImportFrom():
                 yield node
             case ast.If(test=ast.Name(id="TYPE_CHECKING")):
-                yield from statements(node.orelse, inside_functions=inside_functions)
+                seen = [*node.body, *node.orelse] if for_checkers else node.orelse
+                yield from statements(seen, inside_functions=inside_functions, for_checkers=for_checkers)
             case ast.FunctionDef() | ast.AsyncFunctionDef():
                 if inside_functions:
-                    yield from statements(node.body, inside_functions=True)
+                    yield from statements(node.body, inside_functions=True, for_checkers=for_checkers)
             case _:
                 children = [child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt)]
                 handlers = [s for h in getattr(node, "handlers", []) for s in h.body]
                 cases = [s for c in getattr(node, "cases", []) for s in c.body]
-                yield from statements([*children, *handlers, *cases], inside_functions=inside_functions)
+                yield from statements([*children, *handlers, *cases], inside_functions=inside_functions,
+                                      for_checkers=for_checkers)
 
 
 def layer_of(module: str) -> str:
@@ -55,10 +61,10 @@ def layer_of(module: str) -> str:
     return "files" if module.startswith("workbench.files") else module.split(".")[0]
 
 
-def imported(module: str, *, inside_functions: bool) -> set[str]:
+def imported(module: str, *, inside_functions: bool, for_checkers: bool = False) -> set[str]:
     """Full names of the modules that a module imports, ours as far as they are modules."""
     found: set[str] = set()
-    for node in statements(TREES[module].body, inside_functions=inside_functions):
+    for node in statements(TREES[module].body, inside_functions=inside_functions, for_checkers=for_checkers):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         else:
@@ -99,9 +105,21 @@ def test_importing_every_module_loads_nothing_heavy() -> None:
 
 
 def test_imports_have_no_cycle() -> None:
-    # Those inside functions counted: a cycle hidden there is still a cycle. prepare() raises CycleError and names it.
-    graph = {module: imported(module, inside_functions=True) & set(FILES) - {module} for module in FILES}
+    # Those inside functions and for type checkers counted: a cycle hidden there is still one. prepare() raises
+    # CycleError and names it.
+    graph = {module: imported(module, inside_functions=True, for_checkers=True) & set(FILES) - {module}
+             for module in FILES}
     TopologicalSorter(graph).prepare()
+
+
+def test_a_fit_needs_no_simulation_of_fields_and_particles() -> None:
+    needed: set[str] = set()
+    waiting = [name for name in FILES if name.startswith("workbench.fitting")]
+    while waiting:
+        new = imported(waiting.pop(), inside_functions=True) & set(FILES) - needed
+        needed |= new
+        waiting += new
+    assert not needed & {"workbench.simulation", "workbench.particles", "workbench.report.simulations"}
 
 
 @pytest.mark.parametrize("module", [name for name in FILES if name.startswith("workbench.physics.")])
@@ -126,6 +144,25 @@ def test_a_library_neither_prints_nor_exits(module: str) -> None:
 @pytest.mark.parametrize("module", FILES)
 def test_modules_are_called_by_nouns(module: str) -> None:
     assert not set(module.split(".")) & {"utils", "util", "base", "helpers", "helper", "misc", "common"}
+
+
+def sizes() -> dict[str, int]:
+    """Lines of every function, by module and name."""
+    return {f"{module}.{node.name}, line {node.lineno}": (node.end_lineno or node.lineno) - node.lineno + 1
+            for module, tree in TREES.items() for node in ast.walk(tree)
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
+
+
+def test_a_module_has_the_length_of_one_subject() -> None:
+    lines = {module: len(path.read_text(encoding="utf-8").splitlines()) for module, path in FILES.items()}
+    assert statistics.median(lines.values()) <= 150
+    assert not {module: count for module, count in lines.items() if count > 500}
+
+
+def test_a_function_fits_on_a_screen() -> None:
+    lines = sizes()
+    assert statistics.median(lines.values()) <= 10
+    assert not {name: count for name, count in lines.items() if count > 80}
 
 
 def test_test_folders_are_not_packages() -> None:

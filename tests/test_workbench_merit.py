@@ -4,6 +4,7 @@ import json
 import math
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,16 +29,16 @@ CIRCUIT = {"motional_resistance": 5.905, "motional_inductance": 151.99e-6, "moti
 SWEEP = np.arange(910e3, 1155.1e3, 500.0)
 
 
-def sharp(q):
+def sharp(q: Any) -> Any:
     """A circuit with series resonance 1 MHz and quality factor `q`."""
     omega_s, inductance = 2.0 * np.pi * 1e6, 150e-6
     return {"motional_resistance": omega_s * inductance / q, "motional_inductance": inductance,
             "motional_capacitance": 1.0 / (omega_s**2 * inductance), "static_capacitance": 800e-12}
 
 
-def exact(circuit):
+def exact(circuit: Any) -> Any:
     """f0, Z_min, f1, f2 of a circuit from its formula, no interpolation."""
-    def magnitude(frequency):
+    def magnitude(frequency: Any) -> Any:
         return float(abs(bvd_impedance(np.array([frequency]), **circuit)[0]))
 
     f0 = minimize_scalar(magnitude, bounds=(0.97e6, 1.03e6), method="bounded", options={"xatol": 1e-6}).x
@@ -47,7 +48,7 @@ def exact(circuit):
 
 @pytest.mark.parametrize("q", [50, 100, 400, 600, 1500])
 @pytest.mark.parametrize("offset", [0.0, 100.0, 250.0])
-def test_figures_do_not_show_the_step(q, offset):
+def test_figures_do_not_show_the_step(q: Any, offset: Any) -> None:
     """500 Hz steps placed three ways. Tolerances: 0.01 Hz and 1e-6 of Q, a hundredth of what a bench resolves; the
     interpolant itself is good to 1e-7 at Q = 1500."""
     frequency = SWEEP + offset
@@ -60,7 +61,7 @@ def test_figures_do_not_show_the_step(q, offset):
     assert got.q_step_change < 1e-4
 
 
-def test_antiresonance_coupling_and_static_capacitance():
+def test_antiresonance_coupling_and_static_capacitance() -> None:
     """r = C1 / C0: (fp / fs)^2 = 1 + r. At Q = 160 the extrema of |Z| miss fs and fp by 1e-4, so r by 2e-3 of itself;
     the capacitance, divided by a bracket that vanishes at fp, is then good to one per cent, enough for an estimate."""
     got = figures(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT))).antiresonance
@@ -73,7 +74,7 @@ def test_antiresonance_coupling_and_static_capacitance():
     assert got.z_max == pytest.approx(peak, rel=1e-6)
 
 
-def test_coupling_formulas():
+def test_coupling_formulas() -> None:
     """kt solves fr: kt^2 = X / tan X with X = pi fr / (2 fa), the frequency equation of a lossless plate."""
     for ratio in (0.85, 0.9, 0.99):
         x = 0.5 * math.pi * ratio
@@ -92,7 +93,7 @@ TOLERANCES = {"chip_empty": (5e-5, 2e-4, 1e-3), "chip_filled": (5e-5, 2e-4, 2e-3
 
 
 @pytest.mark.parametrize("name", TOLERANCES)
-def test_figures_of_an_independent_solver(name):
+def test_figures_of_an_independent_solver(name: str) -> None:
     got = figures(read_recording(REFERENCE / f"{name}.csv").spectrum)
     printed = json.loads((REFERENCE / f"{name}.json").read_text())["figures"]
     frequency, impedance, q = TOLERANCES[name]
@@ -105,7 +106,7 @@ def test_figures_of_an_independent_solver(name):
 # ---- where there is no resonance
 
 
-def test_minimum_at_the_edge_is_refused_with_what_is_known():
+def test_minimum_at_the_edge_is_refused_with_what_is_known() -> None:
     frequency = np.linspace(0.9e6, 0.98e6, 100)
     impedance = bvd_impedance(frequency, **CIRCUIT)
     with pytest.raises(NoResonance, match="at an edge of the band 900000 to 980000 Hz, 980000 Hz") as caught:
@@ -117,7 +118,7 @@ def test_minimum_at_the_edge_is_refused_with_what_is_known():
     assert (again.frequency, str(again)) == (caught.value.frequency, str(caught.value))
 
 
-def test_half_power_outside_the_band_is_refused():
+def test_half_power_outside_the_band_is_refused() -> None:
     """f1, f2 of this circuit are 991.1 and 997.3 kHz."""
     spectrum = Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT))
     with pytest.raises(NoResonance, match="half-power point") as caught:
@@ -127,14 +128,14 @@ def test_half_power_outside_the_band_is_refused():
         figures(spectrum, band=(993e3, 1050e3), near=994e3)
 
 
-def two_modes():
+def two_modes() -> Any:
     """The circuit and, in parallel, a smaller branch at 1.05 MHz."""
     admittance = 1.0 / bvd_impedance(SWEEP, **CIRCUIT)
     omega, omega_s = 2.0 * np.pi * SWEEP, 2.0 * np.pi * 1.05e6
     return Spectrum(SWEEP, 1.0 / (admittance + 1.0 / (15.0 + 1j * 2e-3 * (omega - omega_s**2 / omega))))
 
 
-def test_choice_among_resonances():
+def test_choice_among_resonances() -> None:
     spectrum = two_modes()
     assert figures(spectrum).f0 == pytest.approx(994.0e3, abs=500.0)
     second = figures(spectrum, near=1.06e6)
@@ -148,7 +149,7 @@ def test_choice_among_resonances():
 # ---- fits
 
 
-def test_circuit_is_recovered_exactly():
+def test_circuit_is_recovered_exactly() -> None:
     fit = fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT, series_resistance=1.0)), "bvd",
                         series_resistance=True)
     expected = dict(zip(("R1", "L1", "C1", "C0"), CIRCUIT.values(), strict=True)) | {"Rs": 1.0}
@@ -161,7 +162,7 @@ def test_circuit_is_recovered_exactly():
     assert fit.frequency.value == pytest.approx(q * 5.905 / (2 * math.pi * 151.99e-6), rel=1e-9)
 
 
-def test_pole_of_a_circuit():
+def test_pole_of_a_circuit() -> None:
     """Y = j w C0 + j w / L1 / (w1^2 - w^2 + j w R1 / L1): its pole has |p| = ws and Q = Re p / 2 Im p. The straight
     background holds all but the mirror pole's curvature, (5 / 2 Q)^2 / 4 of 1 / 4 Q, 1e-6 here."""
     fit = fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **sharp(400))), "pole")
@@ -170,7 +171,7 @@ def test_pole_of_a_circuit():
     assert fit.model.frequency[0] == pytest.approx(1e6 - 5 * 2500.0, abs=501.0)
 
 
-def test_pole_is_not_misled_by_an_overtone():
+def test_pole_is_not_misled_by_an_overtone() -> None:
     """A mode 56 kHz away is background to the pole but breaks the one-mode circuit, and the residual says so."""
     spectrum = two_modes()
     pole, circuit = fit_resonance(spectrum, "pole", band=(985e3, 1003e3)), fit_resonance(spectrum, "bvd")
@@ -181,7 +182,7 @@ def test_pole_is_not_misled_by_an_overtone():
 
 @pytest.mark.parametrize("method", ["bvd", "pole"])
 @pytest.mark.parametrize("known", [True, False])
-def test_standard_errors_are_those_of_repeated_noise(method, known):
+def test_standard_errors_are_those_of_repeated_noise(method: Any, known: Any) -> None:
     """100 noisy copies: the spread of a standard deviation is 7 %, so 25 % is 3.5 sigma; a bias of the mean stays below
     0.4 of a standard error (4 sigma of the mean). Where the uncertainty is not told, the noise is the one each method
     then assumes: equal in ln Z for the circuit, equal in Y for the pole."""
@@ -207,7 +208,7 @@ def test_standard_errors_are_those_of_repeated_noise(method, known):
         assert chi == [None] * 100
 
 
-def test_stated_and_estimated_uncertainty_agree():
+def test_stated_and_estimated_uncertainty_agree() -> None:
     """Told the noise or left to judge it, the same fit: the errors differ by the root of the reduced chi-square alone
     (to the noise's own size, since one is of ln Z and the other of Z). Twice the uncertainty is twice the error."""
     generator = np.random.default_rng(4)
@@ -225,12 +226,12 @@ def test_stated_and_estimated_uncertainty_agree():
     ({"method": "circle"}, "'circle' is not one of bvd, pole"),
     ({"method": "pole", "series_resistance": True}, "belongs to the method bvd"),
 ])
-def test_fit_refuses(options, message):
+def test_fit_refuses(options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT)), **options)
 
 
-def test_too_few_points():
+def test_too_few_points() -> None:
     spectrum = Spectrum(SWEEP[158::6], bvd_impedance(SWEEP[158::6], **CIRCUIT))  # 989 kHz in steps of 3
     with pytest.raises(ValueError, match=r"4 points about .* do not determine a pole"):
         fit_resonance(spectrum, "pole", band=(989e3, 998e3))
@@ -239,7 +240,7 @@ def test_too_few_points():
 # ---- a recording
 
 
-def test_unibas_disc(shared):
+def test_unibas_disc(shared: Path) -> None:
     """Against the analyser's own circuit (R1 5.905 ohm, L1 151.99 uH, C1 168.61 pF, C0 792.06 pF).
 
     The disc has radial overtones at 1010 and 1057 kHz, so no one-mode circuit fits the whole band (residual 0.66) and
@@ -263,7 +264,7 @@ def test_unibas_disc(shared):
     assert pole.q.value == pytest.approx(got.q, rel=0.05)
 
 
-def test_stutts_close_modes(shared):
+def test_stutts_close_modes(shared: Path) -> None:
     """G peaks at 111.28 and 112.72 kHz, phase reversed in the file."""
     reading = read_recording(shared / "recordings" / "stutts-4294a" / "sampleadmittance.txt", correction="negate")
     pole = fit_resonance(reading.spectrum, "pole", near=112.72e3)

@@ -13,18 +13,14 @@ from scipy import sparse
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from workbench.coefficients import Coefficients
-from workbench.operators import (
-    FullOperators,
-    ModelError,
-    ReducedOperators,
-    assemble,
-)
+from workbench.operators import FullOperators, assemble
 from workbench.physics.electrodes import Electrodes
 from workbench.physics.fluid import Fluid, PressureRelease, SolidFluidContact
 from workbench.physics.piezoelectric import Piezoelectric
 from workbench.physics.solid import IsotropicSolid
-from workbench.physics.term import Integral, Monomial, Values
+from workbench.physics.term import Integral, ModelError, Monomial, Values
 from workbench.problem import Problem
+from workbench.reduced_operators import ReducedOperators
 
 PZT, ELECTRODES = Piezoelectric("transducer", "pzt"), Electrodes("electrode_live", "electrode_ground")
 
@@ -89,7 +85,7 @@ def test_projections_are_those_of_the_matrices(
 def test_reduced_operators_answer_like_the_full_ones(
     filled_operators: FullOperators, columns: NDArray[np.float64], monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
-    monkeypatch.setattr("workbench.operators.AT_ONCE", at_once)
+    monkeypatch.setattr("workbench.forms.AT_ONCE", at_once)
     reduced = ReducedOperators(filled_operators.integrals, filled_operators.coefficients,
                                filled_operators.project(columns), filled_operators.forms)
     assert (reduced.size, reduced.integrals) == (3, filled_operators.integrals)

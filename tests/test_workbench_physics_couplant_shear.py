@@ -14,16 +14,17 @@ from scipy.integrate import solve_ivp
 from skfem import Basis, ElementQuad2
 
 from geometry.chip import Chip
-from geometry.mesh import MeshSize, SectionMesh, mesh_section
+from geometry.mesh import SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
 from materials.kinds import Fluid, IsotropicSolid, Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, ModelError, assemble
+from workbench.operators import FullOperators, assemble
 from workbench.physics.absorption import BulkAbsorption
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.couplant_shear import ADMISSIBLE, CouplantShear
 from workbench.physics.loss_laws import KelvinVoigt
-from workbench.physics.term import Dispersion, Integral
+from workbench.physics.term import Dispersion, Integral, ModelError
 from workbench.problem import Problem, problem
 from workbench.reduction import reduce
 from workbench.solve import solve_full

@@ -14,8 +14,9 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
 from workbench.elements import Lagrange
-from workbench.operators import ModelError, assemble
+from workbench.operators import assemble
 from workbench.physics.depoled import DepoledRim
+from workbench.physics.term import ModelError
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geometry.chip import Chip, Dimension, ElectrodeDisc, Electrodes
+from geometry.chip import Chip, Dimension
 from geometry.mesh import SectionMesh
+from geometry.parts import ElectrodeDisc, Electrodes
 from materials.kinds import Material, Piezoelectric
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.operators import ModelError, assemble
+from workbench.operators import assemble
 from workbench.physics.partial_electrode import HALFWAY, SKIN, PartialElectrode
+from workbench.physics.term import ModelError
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 

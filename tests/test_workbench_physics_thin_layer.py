@@ -14,7 +14,8 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
-from workbench.operators import FullOperators, ModelError, assemble
+from workbench.operators import FullOperators, assemble
+from workbench.physics.term import ModelError
 from workbench.physics.thin_layer import ADMISSIBLE, SKIN, ImperfectBond
 from workbench.problem import Problem, problem
 from workbench.reduction import reduce

@@ -12,8 +12,8 @@ from geometry.chip import Chip, read_chip
 from materials.registry import Registry
 from workbench.discretisation import Discretisation
 from workbench.files.errors import InputError
-from workbench.fitting.parameter import placed
 from workbench.operators import assemble
+from workbench.parameter_names import placed
 from workbench.ranges import NotCovered, OutOfRange, RangeModel, compacted, load, range_model
 from workbench.solve import solve_full
 

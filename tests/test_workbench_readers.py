@@ -2,6 +2,7 @@
 
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ SEMICOLONS = ColumnMap("Frequenz", "R", "X", Quantity("impedance", "rectangular"
     ("workbench.csv", "workbench", 1e-11),
     ("table.txt", "table", 1e-9),
 ])
-def test_every_format_gives_the_same_circuit(name, format, tolerance):
+def test_every_format_gives_the_same_circuit(name: str, format: Any, tolerance: Any) -> None:
     assert detect(DATA / name) == format
     reading = read_recording(DATA / name)
     # scikit-rf multiplies the megahertz of a file by 1e6, which may round the last bit.
@@ -51,7 +52,7 @@ def test_every_format_gives_the_same_circuit(name, format, tolerance):
     np.testing.assert_array_equal(again.spectrum.impedance, reading.spectrum.impedance)
 
 
-def test_origin_of_the_analysers():
+def test_origin_of_the_analysers() -> None:
     origin = read_recording(DATA / "e4990a_z_theta.csv").spectrum.origin
     assert origin.kind == "measured"
     assert origin.instrument == "Keysight Technologies,E4990A,MY00000000,A.04.00"
@@ -62,7 +63,7 @@ def test_origin_of_the_analysers():
     assert read_recording(DATA / "workbench.csv").spectrum.origin.kind == "unknown"
 
 
-def test_touchstone_in_gigahertz_decibel_and_75_ohm(tmp_path):
+def test_touchstone_in_gigahertz_decibel_and_75_ohm(tmp_path: Path) -> None:
     """A reflection of one half is three times 75 ohm."""
     path = tmp_path / "a.s1p"
     path.write_text("# GHz S DB R 75\n0.001 -6.020599913279624 0 ! comment\n0.002 -6.020599913279624 180\n")
@@ -71,7 +72,7 @@ def test_touchstone_in_gigahertz_decibel_and_75_ohm(tmp_path):
     np.testing.assert_allclose(spectrum.impedance, [225.0, 25.0], rtol=1e-12, atol=1e-12)
 
 
-def test_columns_of_a_shunt_divider_and_a_spreadsheet():
+def test_columns_of_a_shunt_divider_and_a_spreadsheet() -> None:
     # Nine decimals of a decibel are 1e-10 of H; Z = R (1/H - 1) with |Z| / R down to 0.06 loses a factor of 20.
     spectrum = read_recording(DATA / "shunt_gain.csv", columns=SHUNT_COLUMNS).spectrum
     np.testing.assert_allclose(spectrum.frequency, FREQUENCY, rtol=1e-15)
@@ -89,13 +90,13 @@ def test_columns_of_a_shunt_divider_and_a_spreadsheet():
     (Quantity("gain", "rectangular", "1", reference_resistance=100.0), (0.2, -0.4)),  # 1 / (1 + 2j)
     (Quantity("gain", "rectangular", "1", reference_resistance=100.0, inverse=True), (1.0, 2.0)),
 ])
-def test_quantities(quantity, row):
+def test_quantities(quantity: Any, row: Any) -> None:
     """Each says Z = 200j ohm."""
     got = quantity.impedance(np.array([row[0]]), np.array([row[1]]))
     np.testing.assert_allclose(got, [200.0j], rtol=1e-13, atol=1e-11)
 
 
-def test_columns_by_number(tmp_path):
+def test_columns_by_number(tmp_path: Path) -> None:
     path = tmp_path / "plain.txt"
     path.write_text("some words\n# more\n1.5\t10\t-20\n\n2.5\t11\t-19\t\n")
     columns = ColumnMap(1, 2, 3, Quantity("impedance", "rectangular", "ohm"), frequency_unit="MHz", delimiter="\t")
@@ -117,12 +118,12 @@ def test_columns_by_number(tmp_path):
     (lambda: ColumnMap(1, 2, 3, SHUNT, delimiter=",", decimal=","), "decimal"),
     (lambda: ColumnMap(1, 2, 3, SHUNT, frequency_unit="rpm"), "frequency unit 'rpm'"),
 ])
-def test_column_maps_refuse(make, message):
+def test_column_maps_refuse(make: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def changed(tmp_path, name, old, new, count=1):
+def changed(tmp_path: Path, name: str, old: Any, new: Any, count: int = 1) -> Any:
     """A copy of a small file with one thing changed."""
     content = (DATA / name).read_bytes().decode("latin-1")
     assert old in content
@@ -158,7 +159,9 @@ def changed(tmp_path, name, old, new, count=1):
     ("4294a_admittance.txt", "0.000000e+00", "1.000000e+00", "line 22, column 3", "zero"),
     ("reflection.s1p", "0.992000", "0.980000", "line 4, column 1", "out of order"),
 ])
-def test_faults_are_named_with_their_place(tmp_path, name, old, new, field, expected):
+def test_faults_are_named_with_their_place(
+    tmp_path: Path, name: str, old: Any, new: Any, field: Any, expected: Any
+) -> None:
     with pytest.raises(InputError) as caught:
         read_recording(changed(tmp_path, name, old, new))
     assert caught.value.source == str(tmp_path / name)
@@ -166,7 +169,7 @@ def test_faults_are_named_with_their_place(tmp_path, name, old, new, field, expe
     assert expected in caught.value.expected
 
 
-def test_a_row_cut_short(tmp_path):
+def test_a_row_cut_short(tmp_path: Path) -> None:
     path = tmp_path / "cut.csv"
     path.write_bytes((DATA / "workbench.csv").read_bytes()[:-25])
     with pytest.raises(InputError, match=r"line 6: .*3 columns; this row has 2"):
@@ -179,7 +182,7 @@ def test_a_row_cut_short(tmp_path):
         read_recording(path, format="workbench")
 
 
-def test_trace_b_cut_short_or_on_other_frequencies(tmp_path):
+def test_trace_b_cut_short_or_on_other_frequencies(tmp_path: Path) -> None:
     content = (DATA / "4294a_impedance_memory.txt").read_text()
     path = tmp_path / "4294a.txt"
     path.write_text("\n".join(content.splitlines()[:-2]) + "\n")
@@ -198,14 +201,14 @@ def test_trace_b_cut_short_or_on_other_frequencies(tmp_path):
     ("990000\n995000\n", "3 columns; this row has 1"),
     ("990000;1;2\n995000;1;2\n", "semicolons"),
 ])
-def test_rows_that_make_no_spectrum(tmp_path, rows, expected):
+def test_rows_that_make_no_spectrum(tmp_path: Path, rows: Any, expected: Any) -> None:
     path = tmp_path / "rows.csv"
     path.write_text("frequency_hz,z_real_ohm,z_imag_ohm\n" + rows)
     with pytest.raises(InputError, match=expected):
         read_recording(path)
 
 
-def test_zero_admittance_and_open_circuit(tmp_path):
+def test_zero_admittance_and_open_circuit(tmp_path: Path) -> None:
     path = tmp_path / "y.csv"
     path.write_text("f,G,B\n1,1,1\n2,0,0\n")
     with pytest.raises(InputError, match="line 3"):
@@ -216,7 +219,7 @@ def test_zero_admittance_and_open_circuit(tmp_path):
         read_recording(path)
 
 
-def test_uncertainty_must_be_positive(tmp_path):
+def test_uncertainty_must_be_positive(tmp_path: Path) -> None:
     path = tmp_path / "u.csv"
     path.write_text("frequency_hz,z_real_ohm,z_imag_ohm,uncertainty_ohm\n1,1,1,0.1\n2,1,1,0\n")
     with pytest.raises(InputError, match="line 3, column 4"):
@@ -231,7 +234,7 @@ def test_uncertainty_must_be_positive(tmp_path):
     (b":WFMPRE:BYT_NR 2;:CURVE #10\x00\x01", "oscilloscope waveform"),
     (b"hello\nworld\n", r"received \['hello', 'world'\]; expected one of workbench .*e4990a .*4294a .*touchstone"),
 ])
-def test_files_that_are_no_recording(tmp_path, content, message):
+def test_files_that_are_no_recording(tmp_path: Path, content: Any, message: str) -> None:
     path = tmp_path / "file.csv"
     path.write_bytes(content)
     for attempt in (detect, read_recording):
@@ -239,13 +242,13 @@ def test_files_that_are_no_recording(tmp_path, content, message):
             attempt(path)
 
 
-def test_waveforms_are_named_even_with_columns():
+def test_waveforms_are_named_even_with_columns() -> None:
     for columns in (None, ColumnMap(4, 5, 1, SHUNT)):
         with pytest.raises(InputError, match="oscilloscope waveform"):
             read_recording(DATA / "waveform.csv", columns=columns)
 
 
-def test_missing_file_and_misspelt_arguments():
+def test_missing_file_and_misspelt_arguments() -> None:
     with pytest.raises(InputError, match=r"did you mean 'workbench.csv'"):
         read_recording(DATA / "workbnch.csv")
     with pytest.raises(InputError, match="did you mean 'e4990a'"):
@@ -259,7 +262,7 @@ def test_missing_file_and_misspelt_arguments():
         read_recording(DATA / "shunt_gain.csv", columns=ColumnMap(1, 2, 9, SHUNT))
 
 
-def test_headings_that_occur_twice_must_be_counted(tmp_path):
+def test_headings_that_occur_twice_must_be_counted(tmp_path: Path) -> None:
     path = tmp_path / "twice.csv"
     path.write_text("f,V,V\n1e6,1,2\n2e6,3,4\n")
     ohm = Quantity("impedance", "rectangular", "ohm")
@@ -268,7 +271,7 @@ def test_headings_that_occur_twice_must_be_counted(tmp_path):
     assert read_recording(path, columns=ColumnMap("f", 2, 3, ohm)).spectrum.impedance[1] == 3 + 4j
 
 
-def test_spreadsheet_copies_of_an_analyser_file(tmp_path):
+def test_spreadsheet_copies_of_an_analyser_file(tmp_path: Path) -> None:
     """Commas kept and cells padded: read. Semicolons and decimal commas: refused, with the reason."""
     content = (DATA / "e4990a_r_x.csv").read_text()
     padded = "\n".join(line if line.count(",") == 2 else line + ",," for line in content.splitlines())
@@ -285,7 +288,7 @@ def test_spreadsheet_copies_of_an_analyser_file(tmp_path):
                                                delimiter="\t"))
 
 
-def test_quoted_headings_and_byte_order_mark(tmp_path):
+def test_quoted_headings_and_byte_order_mark(tmp_path: Path) -> None:
     path = tmp_path / "quoted.csv"
     headings = b'\xef\xbb\xbf"frequency_hz", "z_real_ohm", "z_imag_ohm"\r\n'
     path.write_bytes(headings + b"+1.0e+006, 1, -2\r\n2e6 ,1,-2\t\r\n")
@@ -295,7 +298,7 @@ def test_quoted_headings_and_byte_order_mark(tmp_path):
 # ---- findings
 
 
-def codes(impedance, frequency=None, **options):
+def codes(impedance: Any, frequency: Any = None, **options: Any) -> Any:
     frequency = np.linspace(0.9e6, 1.1e6, len(impedance)) if frequency is None else frequency
     return [finding.code for finding in examine(Spectrum(frequency, np.asarray(impedance)), **options)]
 
@@ -309,19 +312,19 @@ WIDE = np.linspace(0.9e6, 1.1e6, 201)
     ("resonator", bvd_impedance(WIDE, motional_resistance=5.9, motional_inductance=152e-6,
                                 motional_capacitance=168.6e-12, static_capacitance=792e-12)),
 ])
-def test_signs(name, impedance):
+def test_signs(name: str, impedance: Any) -> None:
     assert codes(impedance) == []
     assert codes(np.conj(impedance)) == ["conjugated"]
     assert codes(-impedance) == ["negated"]
     assert codes(-impedance, shunt_gain=True) == ["inverse_ratio"]
 
 
-def test_noisy_resistor_is_not_accused():
+def test_noisy_resistor_is_not_accused() -> None:
     noise = np.random.default_rng(1).normal(size=(2, 201)) * 0.02
     assert codes(50.0 * (1.0 + noise[0] + 1j * noise[1])) == []
 
 
-def test_active_points_and_units():
+def test_active_points_and_units() -> None:
     impedance = 1.0 / (2j * np.pi * WIDE * 1e-9) + 0.1
     impedance[7] -= 0.2
     (finding,) = examine(Spectrum(WIDE, impedance))
@@ -332,7 +335,7 @@ def test_active_points_and_units():
     assert codes(np.full(201, 50.0 + 0j), WIDE / 1e6) == ["frequency"]
 
 
-def test_correction_is_asked_for_and_noted(tmp_path):
+def test_correction_is_asked_for_and_noted(tmp_path: Path) -> None:
     path = tmp_path / "reversed.csv"
     write_csv(Spectrum(FREQUENCY, -IMPEDANCE, origin=Origin("measured")), path)
     as_recorded = read_recording(path)
@@ -350,7 +353,7 @@ def test_correction_is_asked_for_and_noted(tmp_path):
 # ---- real recordings
 
 
-def test_unibas_disc(shared):
+def test_unibas_disc(shared: Path) -> None:
     """Figures of the recording's own description."""
     reading = read_recording(shared / "recordings" / "unibas-disc-20x2" / "MODULOFASEMODOTHICKNES.CSV")
     spectrum = reading.spectrum
@@ -375,7 +378,9 @@ def test_unibas_disc(shared):
     ("MD1.txt", 801, 28.124e3, 30.036e3, True),
     ("sampleadmittance.txt", 801, 112.72e3, 114.20e3, True),
 ])
-def test_4294a_recordings(shared, name, points, conductance_peak, resistance_peak, negated):
+def test_4294a_recordings(
+    shared: Path, name: str, points: Any, conductance_peak: Any, resistance_peak: Any, negated: Any
+) -> None:
     reading = read_recording(shared / "recordings" / "stutts-4294a" / name)
     assert [finding.code for finding in reading.findings] == (["negated"] if negated else [])
     if negated:
@@ -389,7 +394,7 @@ def test_4294a_recordings(shared, name, points, conductance_peak, resistance_pea
     assert spectrum.frequency[np.argmax(spectrum.impedance.real)] == pytest.approx(resistance_peak, rel=2e-3)
 
 
-def test_memory_trace_is_not_data(shared):
+def test_memory_trace_is_not_data(shared: Path) -> None:
     spectrum = read_recording(shared / "recordings" / "stutts-4294a" / "RB5100.txt").spectrum
     assert spectrum.magnitude[0] == pytest.approx(9.100274e2, rel=1e-12)
 
@@ -399,7 +404,7 @@ def test_memory_trace_is_not_data(shared):
     ("zfitpy_E4990A-example2.csv", 201, 115.529499568 * np.exp(1j * np.radians(87.8418431378))),
     ("ethz_4294A_impedance.txt", 534, None),
 ])
-def test_inductors_are_inductive_and_not_accused(shared, name, points, last):
+def test_inductors_are_inductive_and_not_accused(shared: Path, name: str, points: Any, last: Any) -> None:
     reading = read_recording(shared / "recordings" / "format-samples" / name)
     assert reading.findings == ()
     assert len(reading.spectrum.frequency) == points
@@ -409,7 +414,7 @@ def test_inductors_are_inductive_and_not_accused(shared, name, points, last):
     assert [finding.code for finding in reading.corrected("conjugate").findings] == ["conjugated"]
 
 
-def test_known_resistor_on_a_shunt(shared):
+def test_known_resistor_on_a_shunt(shared: Path) -> None:
     """47 ohm in series with 100 ohm, as the set's description computes it (two decimals)."""
     folder = shared / "recordings" / "format-samples"
     columns = ColumnMap("Frequency in Hz", "Gain in dB", "Phase in °", SHUNT)
@@ -430,7 +435,7 @@ def test_known_resistor_on_a_shunt(shared):
     assert reading.spectrum.impedance[0].real == pytest.approx(47.94, abs=0.01)
 
 
-def test_scope_waveforms_and_other_files_are_refused(shared):
+def test_scope_waveforms_and_other_files_are_refused(shared: Path) -> None:
     recordings = shared / "recordings"
     for path in (recordings / "nolicence-tds2024b-four-channel" / "F0001CH1.CSV",
                  recordings / "nolicence-tds1012b-rlc-two-channel" / "F0003CH1.CSV",
@@ -441,7 +446,7 @@ def test_scope_waveforms_and_other_files_are_refused(shared):
         read_recording(recordings / "unibas-disc-20x2" / "circuitoParametriConcentrati.txt")
 
 
-def test_reference_spectra_are_the_workbench_format():
+def test_reference_spectra_are_the_workbench_format() -> None:
     names = sorted(REFERENCE.glob("*.csv"))
     assert len(names) == 6
     for path in names:
@@ -451,7 +456,7 @@ def test_reference_spectra_are_the_workbench_format():
         assert reading.findings == ()
 
 
-def test_every_format_has_a_small_file():
+def test_every_format_has_a_small_file() -> None:
     assert {detect(path) for path in DATA.iterdir() if path.name not in (
         "shunt_gain.csv", "semicolons.csv", "waveform.csv")} == set(FORMATS)
     assert detect(DATA / "shunt_gain.csv") == detect(DATA / "semicolons.csv") == "table"

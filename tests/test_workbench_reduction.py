@@ -13,21 +13,17 @@ from scipy.sparse import csc_matrix
 
 from geometry.chip import Chip
 from materials.kinds import Material
+from workbench.energy_norm import PROJECTIONS, energy_matrix, random_probes
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
 from workbench.reduction import (
     DEPTH,
-    PROJECTIONS,
     NotEnriched,
     ReducedModel,
     covering,
-    energy_matrix,
     narrowed,
     reduce,
     smallest,
-)
-from workbench.reduction import (
-    test_vectors as probes,  # or pytest takes it for a test
 )
 from workbench.solve import NotConverged, System, solve_full
 
@@ -186,7 +182,7 @@ def test_the_projections_have_the_covariance_of_the_inverse_energy(
 ) -> None:
     system = System(filled_operators, filled.values)
     energy = energy_matrix(system, 350e3)
-    vectors = probes(energy, 350e3)
+    vectors = random_probes(energy, 350e3)
     size = energy.shape[0]
     assert vectors.shape == (size + 1, PROJECTIONS)
     assert not vectors[-1].any()

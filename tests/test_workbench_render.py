@@ -15,10 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.special import j0
+from support import FluidState
 
+from workbench.field_forces import particle_forces
 from workbench.nodal import NodalMesh, mesh_of, sample
-from workbench.particles import FluidState, Particle, TrapReport, find_traps, particle_forces
-from workbench.render import canvas, plots, sections, solids, vtu
+from workbench.particles import Particle
+from workbench.render import canvas, plots, profiles, sections, solids, vtu
+from workbench.traps import TrapReport, find_traps
 
 needs_graphics = pytest.mark.skipif(
     sys.platform == "linux" and not os.environ.get("DISPLAY") and ctypes.util.find_library("EGL") is None,
@@ -34,7 +37,9 @@ WATER = FluidState(density=997.0, sound_speed=1497.0, shear_viscosity=0.89e-3)
 
 
 def chip_mesh() -> NodalMesh:
-    low, high, region = [], [], []
+    low: list[Any] = []
+    high: list[Any] = []
+    region: list[int] = []
     for index, (_, left, right, bottom, top) in enumerate(LAYOUT):
         lines = (1e-3 * np.linspace(left, right, round(right - left) + 1),
                  1e-3 * np.linspace(bottom, top, max(1, round((top - bottom) / 0.35)) + 1))
@@ -223,7 +228,7 @@ def test_curves_are_drawn(suffix: str, report: TrapReport, tmp_path: Path) -> No
         "spectra": lambda path: plots.draw_spectra(names, path, measured=["measured"], title="empty"),
         "residuals": lambda path: plots.draw_residuals(np.linspace(1e6, 1.1e6, 9), {"fit": np.arange(9) - 4.0}, path,
                                                        label="residual / sigma", band=1.0),
-        "profiles": lambda path: plots.draw_potential_profiles(report, path),
+        "profiles": lambda path: profiles.draw_potential_profiles(report, path),
         "losses": lambda path: plots.draw_loss_budget({"substrate": 0.06, "transducer": 0.03}, path, title="losses"),
         "convergence": lambda path: plots.draw_convergence(np.array([4e-4, 2e-4]), {"u": np.array([1e-3, 6e-5])}, path,
                                                            title="convergence", order=4.0),
@@ -244,7 +249,7 @@ def test_what_cannot_be_drawn_is_refused(report: TrapReport, tmp_path: Path) -> 
     with pytest.raises(ValueError, match="no finite value to draw"):
         sections.at_largest(np.full(3, np.nan + 0j))
     with pytest.raises(ValueError, match="no trap in this field"):
-        plots.draw_potential_profiles(TrapReport(forces=report.forces, traps=()), tmp_path / "a.png")
+        profiles.draw_potential_profiles(TrapReport(forces=report.forces, traps=()), tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -340,7 +345,7 @@ def test_vtu_refuses_another_suffix(fields: Any, tmp_path: Path) -> None:
 def test_importing_render_loads_neither_vtk_nor_matplotlib() -> None:
     import subprocess
 
-    code = ("import sys; from workbench.render import canvas, plots, sections, solids, vtu; "
+    code = ("import sys; from workbench.render import canvas, plots, profiles, sections, solids, vtu; "
             "print([m for m in ('pyvista', 'vtk', 'vtkmodules', 'matplotlib') if m in sys.modules])")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
                           cwd=Path(__file__).resolve().parent.parent)

@@ -14,21 +14,16 @@ import pytest
 
 from workbench.comparison import compare
 from workbench.merit import figures, fit_resonance
-from workbench.report import (
+from workbench.report.figures import (
     FIGURE_COLUMNS,
-    Note,
-    Picture,
-    Table,
-    comparison_record,
     figures_record,
     figures_row,
     fit_record,
     measured_figures,
-    number,
     resonance_fits,
-    write_json,
-    write_report,
 )
+from workbench.report.page import Note, Picture, Table, number, write_json, write_report
+from workbench.report.simulations import comparison_record
 from workbench.spectrum import Spectrum
 
 #: A Butterworth-Van Dyke resonator: series resonance at 1 MHz, 10 ohm, Q = 100, beside 1 nF.

@@ -2,6 +2,8 @@
 
 import pickle
 import stat
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,21 +18,21 @@ FREQUENCY = np.array([1.0e6, 1.1e6, 1.2e6])
 IMPEDANCE = np.array([3.0 - 4.0j, 5.0 + 1.0j, 2.0 - 2.0j])
 
 
-def circuit(frequency, q):
+def circuit(frequency: Any, q: Any) -> Any:
     """A resonator of quality factor `q` at 1 MHz with the inductance and capacitance of a 20 mm disc."""
     omega_s, inductance = 2.0 * np.pi * 1.0e6, 150e-6
     return bvd_impedance(frequency, motional_resistance=omega_s * inductance / q, motional_inductance=inductance,
                          motional_capacitance=1.0 / (omega_s**2 * inductance), static_capacitance=800e-12)
 
 
-def test_properties():
+def test_properties() -> None:
     spectrum = Spectrum(FREQUENCY, IMPEDANCE)
     assert spectrum.magnitude[0] == 5.0
     assert spectrum.phase_deg[2] == pytest.approx(-45.0, rel=1e-15)
     np.testing.assert_allclose(spectrum.admittance * IMPEDANCE, 1.0, rtol=1e-15)
 
 
-def test_arrays_are_copies_and_read_only():
+def test_arrays_are_copies_and_read_only() -> None:
     frequency = FREQUENCY.copy()
     spectrum = Spectrum(frequency, IMPEDANCE, np.ones(3))
     frequency[0] = 0.0
@@ -54,12 +56,12 @@ def test_arrays_are_copies_and_read_only():
     ([1.0, 2.0], [1.0, 1.0], [1.0, 0.0], r"uncertainty\[1\] = 0.0 must be finite, positive"),
     ([1.0 + 1j, 2.0], [1.0, 1.0], None, "frequency must be real"),
 ])
-def test_refusals_name_the_index_and_the_value(frequency, impedance, uncertainty, message):
+def test_refusals_name_the_index_and_the_value(frequency: Any, impedance: Any, uncertainty: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Spectrum(np.array(frequency), np.array(impedance), None if uncertainty is None else np.array(uncertainty))
 
 
-def test_solver_sign_is_conjugated_once():
+def test_solver_sign_is_conjugated_once() -> None:
     """A capacitor C in e^{-iwt} is Z = +i / (w C); an engineer's capacitor is at -90 degrees."""
     omega = 2.0 * np.pi * FREQUENCY
     spectrum = Spectrum.from_solver(FREQUENCY, 1j / (omega * 1e-9))
@@ -67,7 +69,7 @@ def test_solver_sign_is_conjugated_once():
     assert spectrum.origin.kind == "simulated"
 
 
-def test_restricted():
+def test_restricted() -> None:
     spectrum = Spectrum(FREQUENCY, IMPEDANCE, np.array([1.0, 2.0, 3.0]), Origin("measured"))
     part = spectrum.restricted(1.05e6, 1.2e6)
     np.testing.assert_array_equal(part.impedance, IMPEDANCE[1:])
@@ -78,7 +80,7 @@ def test_restricted():
 
 
 @pytest.mark.parametrize(("q", "tolerance"), [(100, 1e-8), (600, 1e-7), (1500, 2e-7)])
-def test_interpolant_is_exact_enough_for_a_sharp_line(q, tolerance):
+def test_interpolant_is_exact_enough_for_a_sharp_line(q: Any, tolerance: Any) -> None:
     """500 Hz steps, where a line of Q = 600 is 3.3 steps wide; tolerances are five times what was found."""
     coarse = np.arange(910e3, 1155.1e3, 500.0)
     between = np.arange(910.05e3, 1154e3, 173.0)
@@ -86,7 +88,7 @@ def test_interpolant_is_exact_enough_for_a_sharp_line(q, tolerance):
     np.testing.assert_allclose(got.impedance, circuit(between, q), rtol=tolerance)
 
 
-def test_interpolant_passes_through_the_points_and_follows_reversed_polarity():
+def test_interpolant_passes_through_the_points_and_follows_reversed_polarity() -> None:
     frequency = np.arange(950e3, 1130e3, 500.0)
     between = np.arange(950.2e3, 1129e3, 777.0)
     spectrum = Spectrum(frequency, -circuit(frequency, 100))
@@ -94,9 +96,9 @@ def test_interpolant_passes_through_the_points_and_follows_reversed_polarity():
     np.testing.assert_allclose(spectrum.on(between).impedance, -circuit(between, 100), rtol=1e-7)
 
 
-def test_interpolant_of_a_reversed_matched_load():
+def test_interpolant_of_a_reversed_matched_load() -> Any:
     """-Z of R = 50 ohm, 5 uH, 5 nF passes by minus its own geometric mean, where the plain reflection has a pole."""
-    def load(frequency):
+    def load(frequency: Any) -> Any:
         omega = 2.0 * np.pi * frequency
         return -(50.0 + 1j * (omega * 5e-6 - 1.0 / (omega * 5e-9)))
 
@@ -106,17 +108,17 @@ def test_interpolant_of_a_reversed_matched_load():
 
 
 @pytest.mark.parametrize("outside", [0.999e6, 1.2000001e6])
-def test_never_extrapolates(outside):
+def test_never_extrapolates(outside: Any) -> None:
     with pytest.raises(ValueError, match="never extrapolated"):
         Spectrum(FREQUENCY, IMPEDANCE).on([1.0e6, outside] if outside > 1e6 else [outside, 1.1e6])
 
 
-def test_interpolated_uncertainty_is_linear():
+def test_interpolated_uncertainty_is_linear() -> None:
     got = Spectrum(FREQUENCY, IMPEDANCE, np.array([1.0, 2.0, 4.0])).on([1.05e6, 1.15e6])
     np.testing.assert_allclose(got.uncertainty, [1.5, 3.0], rtol=1e-12)
 
 
-def test_corrections_are_noted():
+def test_corrections_are_noted() -> None:
     spectrum = corrected(corrected(Spectrum(FREQUENCY, IMPEDANCE), "negate"), "conjugate")
     np.testing.assert_array_equal(spectrum.impedance, -np.conj(IMPEDANCE))
     assert spectrum.origin.settings == {"correction": "negate, conjugate"}
@@ -130,19 +132,19 @@ def test_corrections_are_noted():
     ({"date": " padded"}, "one line"),
     ({"settings": {"a:b": "c"}}, "colon"),
 ])
-def test_origin_refuses(arguments, message):
+def test_origin_refuses(arguments: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Origin(**arguments)
 
 
-def test_spectrum_survives_pickling():
+def test_spectrum_survives_pickling() -> None:
     spectrum = Spectrum(FREQUENCY, IMPEDANCE, origin=Origin("measured", settings={"level": "500 mV"}))
     again = pickle.loads(pickle.dumps(spectrum))
     np.testing.assert_array_equal(again.impedance, IMPEDANCE)
     assert again.origin == spectrum.origin
 
 
-def test_csv_round_trip_is_exact(tmp_path):
+def test_csv_round_trip_is_exact(tmp_path: Path) -> None:
     origin = Origin("measured", "recordings/a disc.csv", "ab" * 32, "Keysight Technologies,E4990A", "Mon Jan 05 2026",
                     {"columns": "Frequency(Hz), |Z|(Ohm)-data", "correction": "negate: yes, µ"})
     written = Spectrum(FREQUENCY / 3.0, IMPEDANCE * np.pi, np.array([0.1, 0.2, 1.0 / 3.0]), origin)
@@ -164,7 +166,7 @@ PART = st.floats(1e-12, 1e12) | st.floats(-1e12, -1e-12)
 @settings(max_examples=50, deadline=None)
 @given(values=st.lists(st.tuples(st.floats(1e-3, 1e12), PART, PART), min_size=2, max_size=5,
                        unique_by=lambda row: row[0]))
-def test_csv_round_trip_of_any_numbers(tmp_path_factory, values):
+def test_csv_round_trip_of_any_numbers(tmp_path_factory: Any, values: Any) -> None:
     frequency, real, imaginary = (np.array(column) for column in zip(*sorted(values), strict=True))
     written = Spectrum(frequency, real + 1j * imaginary)
     path = tmp_path_factory.mktemp("any") / "spectrum.csv"

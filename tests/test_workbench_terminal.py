@@ -9,7 +9,8 @@ from support import check_table
 from workbench.commands.fit import _columns_table, _devices_table
 from workbench.commands.terminal import print_table, table_lines
 from workbench.fitting.batch import Column
-from workbench.report import FIGURE_COLUMNS, Table
+from workbench.report.figures import FIGURE_COLUMNS
+from workbench.report.page import Table
 
 STATES = ("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")
 LABEL = "with stiffness_loss of pzt_mine/disc_1@2 and shear_modulus loss of glass/trial, held out"

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from workbench.comparison import compare as compare
     from workbench.diagnosis.campaign import Campaign as Campaign
     from workbench.diagnosis.campaign import read_campaign as read_campaign
+    from workbench.diagnosis.procedure import diagnose as diagnose
     from workbench.diagnosis.verdict import Diagnosis as Diagnosis
-    from workbench.diagnosis.verdict import diagnose as diagnose
     from workbench.drive import parse_drive as parse_drive
     from workbench.files.errors import InputError as InputError
     from workbench.fitting.recordings import MaterialFit as MaterialFit
@@ -68,7 +68,7 @@ PUBLIC = {
     "Snapshot": "workbench.simulation",
     "Spectrum": "workbench.spectrum",
     "compare": "workbench.comparison",
-    "diagnose": "workbench.diagnosis.verdict",
+    "diagnose": "workbench.diagnosis.procedure",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
     "figures": "workbench.merit",

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Not before: whoever asks for help, or mistypes an option, need not wait for the numerical libraries.
     from rich.console import Console
 
-    from workbench.operators import ModelError
+    from workbench.physics.term import ModelError
 
     command = importlib.import_module(f"workbench.commands.{options.command}")
     console = Console(stderr=True, soft_wrap=True, highlight=False)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from geometry.mesh import MeshSize
+from geometry.mesh_size import MeshSize
 from geometry.names import TRANSDUCER
 from geometry.section import Section
 from materials.kinds import Fluid, IsotropicSolid
@@ -27,7 +27,7 @@ class Discretisation:
     rule every element above and below. The wave along a film of fluid (:func:`film_speeds`) has ``film_finer`` times as
     many, that is fewer too: it takes little of the energy. With 10 um of gel below a printed disc 1.05 elements of
     order 4 a wavelength of it leave 0.29 % in Z, 1.36 leave 0.013 %; stress and velocity beside the gel need more
-    than Z does. The others as in `geometry.mesh.MeshSize`.
+    than Z does. The others as in `geometry.mesh_size.MeshSize`.
     """
 
     order: int
@@ -50,7 +50,7 @@ class Discretisation:
         self, section: Section, materials: Mapping[str, Material], frequency: float, *,
         skins: Mapping[str, float] | None = None,
     ) -> MeshSize:
-        """The size of the elements of a section at `frequency` (Hz); `skins` as in `geometry.mesh.MeshSize`."""
+        """The size of the elements of a section at `frequency` (Hz); `skins` as in `geometry.mesh_size.MeshSize`."""
         speeds = self.mesh_speeds(section.regions, materials)
         for region, speed in film_speeds(section, materials, frequency).items():
             speeds[region] = min(speeds[region], speed / self.film_finer)

@@ -26,8 +26,9 @@ from scipy import sparse
 from skfem import Dofs
 
 from workbench.elements import Lagrange, gauss_lobatto
-from workbench.operators import FullOperators, Place, assemble
+from workbench.operators import FullOperators, assemble
 from workbench.physics.term import Values
+from workbench.places import Place
 from workbench.reduction import ReducedModel
 from workbench.solve import System, factorise, one_thread
 

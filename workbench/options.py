@@ -183,7 +183,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
         found.add_argument("--start", action="append", default=[], metavar="MATERIAL",
                            help="a further start: the free parameters as this material has them (may be repeated)")
         found.add_argument("--tries", type=int, default=32, metavar="N",
-                           help="further ways down, at most, where the recording stays unexplained: from neighbours of "
+                           help="further descents, at most, where the recording stays unexplained: from neighbours of "
                                 "the best end, then from the prior (default 32)")
         found.add_argument("--force", action="store_true",
                            help="fit a recording that seems to be of another device, and save a fit that was not "

@@ -177,7 +177,7 @@ def build(
     """The problem of a chip in one of its states, meshed for `band` (Hz; the chip's own by default).
 
     The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` as in
-    `geometry.mesh.MeshSize`.
+    `geometry.mesh_size.MeshSize`.
 
     Raises:
         InputError: see :func:`chip_materials` and `workbench.discretisation.discretisation`.

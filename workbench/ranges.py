@@ -35,15 +35,17 @@ from materials.registry import Registry
 from workbench.coefficients import Coefficients
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
+from workbench.energy_norm import energy_matrix
 from workbench.files.errors import InputError, choose
 from workbench.files.writing import replacing
-from workbench.fitting.parameter import LOSS, part, placed
 from workbench.fitting.predict import Prediction
 from workbench.notebook import Shown, Summary
-from workbench.operators import FullOperators, ReducedOperators, assemble
+from workbench.operators import FullOperators, assemble
+from workbench.parameter_names import ParameterName, part, placed
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
 from workbench.problem import Problem, build
-from workbench.reduction import ReducedModel, covering, energy_matrix, smallest
+from workbench.reduced_operators import ReducedOperators
+from workbench.reduction import ReducedModel, covering, smallest
 from workbench.solve import System, one_thread
 from workbench.spectrum import Origin, Spectrum
 
@@ -129,10 +131,10 @@ class Response(Shown):
     def gradient(self, names: tuple[str, ...] | None = None) -> Complex:
         """d Z / d number (n, len(names)), ohm over the number's SI unit, by all that the model has if not named."""
         names = tuple(self.values) if names is None else names
-        keys = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in names))
+        parsed = [ParameterName.parse(name) for name in names]
+        keys = tuple(dict.fromkeys(name.key for name in parsed))
         slopes = np.conj(self.prediction.solution.parameter_gradient(self.prediction.values, keys))
-        columns = [slopes[:, keys.index(name.removesuffix(LOSS))] * (-1j if name.endswith(LOSS) else 1.0)
-                   for name in names]
+        columns = [slopes[:, keys.index(name.key)] * (-1j if name.is_loss else 1.0) for name in parsed]
         return np.stack(columns, axis=1)
 
 
@@ -182,7 +184,7 @@ class RangeModel:
     @cached_property
     def compact(self) -> ReducedModel:
         """The reduced model with what no parameter of the ranges moves summed up."""
-        return compacted(self.reduced, {name.removesuffix(LOSS) for name in self.ranges}, self.problem.values)
+        return compacted(self.reduced, _keys(self.ranges), self.problem.values)
 
     def grown(
         self, tolerance: float | None = None, *, limit: int = LIMIT, seed: int = 1, progress: Progress | None = None
@@ -243,8 +245,9 @@ def range_model(
     frequency = np.linspace(low, high, points)
     centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
     moves: dict[str, float] = {}
-    for key, (lowest, highest) in ranges.items():
-        moves[key.removesuffix(LOSS)] = max(moves.get(key.removesuffix(LOSS), 0.0), 0.5 * (highest - lowest))
+    for number, (lowest, highest) in ranges.items():
+        key = ParameterName.parse(number).key
+        moves[key] = max(moves.get(key, 0.0), 0.5 * (highest - lowest))
     operators = assemble(problem.mesh, problem.terms)
     first = covering(operators, frequency, centre, moves, tolerance=SLACK * tolerance, nodes=FIRST, depth=FIRST_DEPTH)
     model = RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
@@ -264,8 +267,9 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
     found: dict[str, tuple[float, float]] = {}
     for key, ends in ranges.items():
         known = first.get(key, key)
-        choose(known.removesuffix(LOSS), {*flexed.values, *lengths}, source=chip.file, field="range")
-        if known.removesuffix(LOSS) not in flexed.values:
+        value = ParameterName.parse(known).key
+        choose(value, {*flexed.values, *lengths}, source=chip.file, field="range")
+        if value not in flexed.values:
             raise InputError(chip.file, f"range of {key}", key, "a coefficient, or a length that the spectrum feels")
         low, high = map(float, ends)
         if not low < high:
@@ -277,6 +281,11 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
     return flexed, found
 
 
+def _keys(ranges: Ranges) -> set[str]:
+    """The complex values that numbers with `ranges` are parts of."""
+    return {ParameterName.parse(name).key for name in ranges}
+
+
 def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress | None) -> RangeModel:
     started = time.perf_counter()
     operators, reduced, ranges = model.reduced.full, model.reduced, model.ranges
@@ -284,7 +293,7 @@ def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress:
     sampler = qmc.Sobol(len(ranges), seed=seed)
     watched = np.linspace(model.frequency[0], model.frequency[-1], WATCHED)
     spent, error, first, share = 0, np.inf, 0.0, 0.0
-    moving = {name.removesuffix(LOSS) for name in ranges}
+    moving = _keys(ranges)
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(2, os.cpu_count() or 1))) as pool:
         while True:
             points = low + (high - low) * sampler.random(LOOKED_AT)

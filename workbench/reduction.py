@@ -26,30 +26,26 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from workbench.dense import chebyshev
-from workbench.operators import FullOperators, ReducedOperators, combined
+from workbench.energy_norm import energy_matrix, estimated_error, random_probes
+from workbench.forms import combined
+from workbench.operators import FullOperators
 from workbench.physics.term import Values
-from workbench.solve import NotConverged, Solution, System, one_thread, solve_reduced
+from workbench.reduced_basis import DEPENDENT, joined, needed, new_directions
+from workbench.reduced_operators import ReducedOperators
+from workbench.solve import Solution, System, one_thread, solve_reduced
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-#: Random projections of the residual: their mean square is below half of its norm's with a probability of 2 %.
-PROJECTIONS = 24
 
 #: Vectors taken from each factorisation (`System.krylov`): a back substitution costs a thirtieth of a factorisation.
 DEPTH = 12
 
 #: The same at other parameter values.
 CORNER_DEPTH = 3
-
-#: A new vector whose part outside the basis is smaller than this (relative) adds nothing but rounding.
-DEPENDENT = 1e-9
 
 #: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows; all
 #: of no more than the last number.
@@ -61,9 +57,6 @@ UNNEEDED, TIGHTER = 1.0, 0.3
 
 #: No parameter is about to move.
 NO_TANGENTS: Mapping[str, float] = MappingProxyType({})
-
-#: The estimate is this many times the squared norm of the residual: for the scatter of its random projections.
-SAFETY = 2.0
 
 
 class NotEnriched(RuntimeError):
@@ -126,14 +119,14 @@ class ReducedModel:
         directions are taken too that are larger than `unneeded` (:func:`smallest`). The basis goes on as it is: what
         this model says at any parameters the new one says at least as well.
         """
-        basis = _joined(self.basis, new_directions(self.basis, states, self.weights))
+        basis = joined(self.basis, new_directions(self.basis, states, self.weights))
         if changes is not None and changes.size:
             parts = np.column_stack([changes.real, changes.imag])
             inside = self.weights[:, None] ** 2 * basis[:, :-1]
             parts = parts - basis[:, :-1] @ (inside.T @ parts)
             sizes, vectors = np.linalg.eigh(parts[:-1].T @ (self.energy @ parts[:-1]))
             kept = sizes > unneeded**2
-            basis = _joined(basis, new_directions(basis, (parts @ vectors[:, kept]).astype(complex), self.weights))
+            basis = joined(basis, new_directions(basis, (parts @ vectors[:, kept]).astype(complex), self.weights))
         matrices, sketch = _extended(self.full, basis, self.test, self)
         return replace(self, operators=replace(self.operators, matrices=matrices), basis=basis, sketch=sketch)
 
@@ -313,7 +306,7 @@ def begun(system: System, frequencies: Real, state: Complex) -> ReducedModel:
     """
     middle = float(np.median(frequencies))
     weights, energy = np.sqrt(np.abs(system.matrix(middle).diagonal())), energy_matrix(system, middle)
-    test, basis = test_vectors(energy, middle), state.real[:, None].copy()
+    test, basis = random_probes(energy, middle), state.real[:, None].copy()
     matrices, sketch = _extended(system.operators, basis, test, None)
     full = system.operators
     inner = ReducedOperators(full.integrals, full.coefficients, matrices, full.forms)
@@ -339,78 +332,6 @@ def _extended(
     matrices[:, new[:, None], new], sketch[:, :, new] = own, seen
     matrices[:, old[:, None], new], matrices[:, new[:, None], old] = cross, cross.transpose(0, 2, 1)
     return matrices, sketch
-
-
-def new_directions(basis: Real, states: Complex, weights: Real, unneeded: float = DEPENDENT) -> Real:
-    """What `states` (size, n) add to a basis (size, r) with its lift last: (size, k).
-
-    Their real and imaginary parts without their share of the lift, orthonormal in the norm of `weights` (size,).
-    """
-    apart = states - np.outer(basis[:, -1], states[-1])
-    new = weights[:, None] * np.column_stack([apart.real, apart.imag])
-    length = np.linalg.norm(new, axis=0)
-    new = new[:, length > 0.0] / length[length > 0.0]
-    scaled = weights[:, None] * basis[:, :-1]
-    for _ in range(2):
-        new = new - scaled @ (scaled.T @ new)
-    new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True)
-    new = new[:, np.abs(np.diag(triangle)) > unneeded]
-    new[-1] = 0.0
-    return np.asarray(new / weights[:, None])
-
-
-def needed(states: Complex, tolerance: float) -> Real:
-    """The part of a basis that reduced `states` (r, n) need, in that basis: (r, k), its lift last.
-
-    Directions below `tolerance`, relative to the largest, are left out.
-    """
-    coordinates = np.column_stack([states[:-1].real, states[:-1].imag])
-    directions, sizes, _ = np.linalg.svd(coordinates, full_matrices=False)
-    directions = directions[:, sizes > tolerance * sizes[0]]
-    result = np.zeros((len(states), directions.shape[1] + 1))
-    result[:-1, :-1], result[-1, -1] = directions, 1.0
-    return result
-
-
-def test_vectors(energy: sparse.csr_matrix, frequency: float) -> Real:
-    """Random vectors t (size, PROJECTIONS), E |t^T r|^2 = r^H R^{-1} r with R the `energy` at a frequency.
-
-    Raises:
-        NotConverged: an unknown has no energy.
-    """
-    diagonal = energy.diagonal()
-    if not (diagonal > 0.0).all():  # an unknown that nothing stores energy in
-        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex))
-    scale = 1.0 / np.sqrt(diagonal)
-    scaled = sparse.csc_matrix(sparse.diags_array(scale) @ energy @ sparse.diags_array(scale))
-    factor = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    # R = L D L^T: the force L D^{1/2} w with white w has the covariance R, and what it moves R^{-1}.
-    white = np.random.default_rng(0).standard_normal((scale.size, PROJECTIONS))
-    force = factor.L @ (np.sqrt(np.abs(factor.U.diagonal()))[:, None] * white)
-    moved = scale[:, None] * factor.solve(force[factor.perm_r])
-    return np.vstack([moved, np.zeros((1, PROJECTIONS))])  # the row of the electrode is not an equation
-
-
-def energy_matrix(system: System, frequency: float) -> sparse.csr_matrix:
-    """R (size - 1, size - 1), real, symmetric, positive: all energies of `system`, counted positive, the voltage held.
-
-    Of the matrices of equal frequency dependence (stiffness, mass, compliance of fluids, ...) each is of one sign for
-    displacements, for potentials and for pressures. What couples these is left out.
-    """
-    factors = system.factors(np.array([frequency]))[:, 0]
-    pattern = system.operators.pattern
-    column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
-    entries = np.zeros(pattern.nnz)
-    for factor, matrix in zip(factors, system.group_matrices(), strict=True):
-        sign = np.sign((factor * matrix.diagonal()).real)
-        alike = sign[pattern.indices] == sign[column]
-        entries += np.where(alike, sign[column] * (factor * matrix.data).real, 0.0)
-    return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)[:-1, :-1]
-
-
-def estimated_error(residual: Complex, charge: Complex) -> Real:
-    """Estimated relative error (n,) of `charge` (n,) from projections (PROJECTIONS, n) of the full residual."""
-    return np.asarray(SAFETY * np.mean(np.abs(residual) ** 2, axis=0) / np.abs(charge))
 
 
 def narrowed(model: ReducedModel, states: Complex, tolerance: float) -> ReducedModel:
@@ -492,8 +413,3 @@ def _watched(frequencies: Real) -> Real:
     if frequencies.size <= FEW:
         return frequencies
     return frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]
-
-
-def _joined(basis: Real, new: Real) -> Real:
-    """`basis` with further columns before its last one, the lift."""
-    return np.column_stack([basis[:, :-1], new, basis[:, -1:]])

@@ -21,9 +21,9 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
-from workbench import particles
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
+from workbench.field_forces import particle_forces
 from workbench.fields import Fields, fields
 from workbench.files.errors import InputError
 from workbench.merit import Figures, NoResonance, figures
@@ -31,10 +31,12 @@ from workbench.mesh_error import MeshError
 from workbench.mesh_error import estimate as mesh_error
 from workbench.notebook import Shown, Summary
 from workbench.operators import FullOperators, assemble
+from workbench.particles import particle_from
 from workbench.problem import Problem, build
 from workbench.reduction import reduced
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
+from workbench.traps import TrapReport, find_traps
 
 if TYPE_CHECKING:
     import xarray
@@ -69,7 +71,7 @@ class Snapshot:
     fields: Fields
     losses: Mapping[str, float]
     closure: float
-    traps: particles.TrapReport | None
+    traps: TrapReport | None
     residual: float
 
 
@@ -195,17 +197,12 @@ def simulate(
         error = float(model.error(solution).max())
         lap("spectrum")
         of_mesh = mesh_error(model, frequencies, problem.values)
-        if isinstance(accuracy, float) and of_mesh.rms > accuracy:
-            warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * of_mesh.rms:.2g} % rms in Z, above "
-                          f"the {100.0 * accuracy:g} % asked for; ask for less", MeshTooCoarse, stacklevel=2)
+        _check_accuracy(problem, of_mesh, accuracy)
         lap("error of the mesh")
     spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, error, of_mesh))
     if full:
         lap("spectrum")
-    try:
-        merit, reason = figures(spectrum), ""
-    except NoResonance as missing:
-        merit, reason = None, missing.reason
+    merit, reason = _merit(spectrum)
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
     check_mesh(problem, frequency)
     progress("fields", 0.0)
@@ -217,6 +214,21 @@ def simulate(
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
         no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
     )
+
+
+def _check_accuracy(problem: Problem, error: MeshError, accuracy: float | Discretisation) -> None:
+    """Warn of a mesh whose estimated error is above the one asked for."""
+    if isinstance(accuracy, float) and error.rms > accuracy:
+        warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above "
+                      f"the {100.0 * accuracy:g} % asked for; ask for less", MeshTooCoarse, stacklevel=3)
+
+
+def _merit(spectrum: Spectrum) -> tuple[Figures | None, str]:
+    """The figures of a spectrum, or why there are none."""
+    try:
+        return figures(spectrum), ""
+    except NoResonance as missing:
+        return None, missing.reason
 
 
 def snapshot(
@@ -314,7 +326,7 @@ def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], f
 
 def _traps(
     chip: Chip, state: str, problem: Problem, found: Fields, registry: Registry
-) -> particles.TrapReport | None:
+) -> TrapReport | None:
     chosen = chip.state(state)
     fluid = problem.materials.get(CAVITY)
     if not isinstance(fluid, Fluid) or chosen.particle is None or chosen.particle_radius is None:
@@ -322,9 +334,9 @@ def _traps(
     material = registry.load(chosen.particle)
     if not isinstance(material, IsotropicSolid):
         raise InputError(chip.file, f"states.{state}.particle", chosen.particle, "an isotropic solid")
-    bead = particles.particle_from(material, chosen.particle_radius)
-    forces = particles.particle_forces(found, bead, fluid=fluid, region=CAVITY)
-    return particles.find_traps(forces)
+    bead = particle_from(material, chosen.particle_radius)
+    forces = particle_forces(found, bead, fluid=fluid, region=CAVITY)
+    return find_traps(forces)
 
 
 def _origin(chip: Chip, state: str, problem: Problem, error: float, of_mesh: MeshError | None) -> Origin:

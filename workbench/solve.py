@@ -22,8 +22,9 @@ from threadpoolctl import ThreadpoolController
 from workbench.coefficients import Groups, summed
 from workbench.dense import Span, solve_dense
 from workbench.factorisation import Factorisation, SuperLU
-from workbench.operators import FullOperators, Operators, ReducedOperators
+from workbench.operators import FullOperators, Operators
 from workbench.physics.term import Values
+from workbench.reduced_operators import ReducedOperators
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -23,12 +23,13 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.trial import make_trial  # noqa: E402
+from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
-from workbench.diagnosis.device import model  # noqa: E402
+from workbench.diagnosis.criteria import gain  # noqa: E402
+from workbench.diagnosis.procedure import diagnose  # noqa: E402
 from workbench.diagnosis.refit import refit  # noqa: E402
 from workbench.diagnosis.score import score  # noqa: E402
-from workbench.diagnosis.verdict import diagnose, gain  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
@@ -39,7 +40,13 @@ def main() -> None:
     parser.add_argument("--effects", nargs="+", default=["water_uptake", "gel_bubbles"])
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--points", type=int, default=25, help="full solves that are measured")
+    with_json(parser)
     options = parser.parse_args()
+    with measurements(options.json) as kept:
+        measure(options, kept)
+
+
+def measure(options: argparse.Namespace, kept: Measurements) -> None:
     with tempfile.TemporaryDirectory() as name, threadpool_limits(limits=1):
         folder = Path(name) / "trial"
         truth = make_trial(options.seed, tuple(options.effects), folder, points=481)
@@ -47,7 +54,7 @@ def main() -> None:
         campaign = read_campaign(folder / "campaign.toml")
         campaign = replace(campaign, states=tuple(s for s in campaign.states if s.name in ("empty", "filled")))
         started = time.perf_counter()
-        found = diagnose(model(campaign))
+        found = diagnose(campaign)
         whole = time.perf_counter() - started
         print(f"found: {found.verdict}, {' and '.join(e.name for e in found.effects) or 'no effect'}; "
               f"{len(found.model.effects)} hypotheses, {len(found.singles)} refitted alone, {len(found.pairs)} pairs")
@@ -70,6 +77,8 @@ def main() -> None:
         tangents = base.tangents()
         scores = [score(found.model, base.x, here, tangents, effect) for effect in found.model.effects]
         scored = time.perf_counter() - started
+        for name, value in (("diagnosis of two states", whole), ("full-order spectrum", full), ("scores", scored)):
+            kept.add(name, value, "s")
         started = time.perf_counter()
         refits = [(s.effect.name, refit(found.model, (s.effect,), base.x, [s])) for s in scores]
         refitted = time.perf_counter() - started

@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import hashlib
-import json
 import sys
 import time
 import warnings
@@ -27,7 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+
+from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, Dimension, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
@@ -106,8 +107,14 @@ def main() -> None:
     parser.add_argument("--held-out", action="store_true")
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--keep", type=Path, default=ROOT / "out" / "converged", help="folder of converged spectra")
+    with_json(parser)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
+    with measurements(arguments.json) as kept:
+        measure(arguments, kept)
+
+
+def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
     rows = {f"{100 * accuracy:g} %": ROWS[accuracy] for accuracy in arguments.accuracy or ROWS}
     if arguments.tried:
         rows = {" ".join(f"{x:g}" for x in one): Discretisation(int(one[0]), one[1], corner_refinement=one[2],
@@ -127,9 +134,11 @@ def main() -> None:
                 continue
             error_of = float(np.sqrt(np.mean(np.abs(np.log(found / exact)) ** 2)))
             worst = max(worst, error_of)
+            for figure, value, unit in (("error", error_of, "1"), ("unknowns", size, "1"), ("model", seconds, "s")):
+                kept.add(f"{label}, {name}, {figure}", value, unit)
             print(f"{name:44}{size:9d}{100 * error_of:9.4f}{100 * estimated:9.4f}{seconds:9.2f}{more:8.2f}", flush=True)
         print(f"{'worst':44}{'':9}{100 * worst:9.4f}", flush=True)
-        print(json.dumps({"row": label, "worst": worst}), file=sys.stderr)
+        kept.add(f"{label}, worst error", worst, "1")
 
 
 if __name__ == "__main__":

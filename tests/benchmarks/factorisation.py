@@ -31,7 +31,9 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+
+from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
@@ -141,8 +143,14 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=[10_000, 0, 50_000, 150_000],
                         help="unknowns, about; 0 is the default mesh")
     parser.add_argument("--repeat", type=int, default=2)
+    with_json(parser)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
+    with measurements(arguments.json) as kept:
+        measure(arguments, kept)
+
+
+def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
     kinds = {"COLAMD": Colamd, "SuperLU": KNOWN["superlu"]}
     if importlib.util.find_spec("rslab") is not None:
         kinds["rslab"] = KNOWN["rslab"]
@@ -154,6 +162,9 @@ def main() -> None:
         with one_thread():
             found = {name: measured(kind, matrices, arguments.repeat) for name, kind in kinds.items()
                      if name != "COLAMD" or operators.size < LARGEST_COLAMD}
+        for name, each in found.items():
+            kept.add(f"{operators.size} unknowns, {name}, first factorisation", each.first, "s")
+            kept.add(f"{operators.size} unknowns, {name}, further factorisation", each.second, "s")
         base = found["SuperLU"]
         print(f"{operators.size:8d}  {'SuperLU':8}{base.first:7.3f} s{base.second:7.3f} s{base.one:7.3f} s"
               f"{base.many:8.3f} s{base.entries:11d}{base.residual:11.1e}")

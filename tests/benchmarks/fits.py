@@ -25,16 +25,18 @@ from rich.progress import track
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
+from measurements import measurements, with_json  # noqa: E402
 from paper_algorithms import Case, cases, disc_of  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
-from workbench.fitting import certainty  # noqa: E402
 from workbench.fitting.gel import gel_study  # noqa: E402
-from workbench.fitting.joint import COARSE, FINE, FitResult, Search, fit, refine  # noqa: E402
+from workbench.fitting.joint import COARSE, FINE, FitResult, fit, reweighted_descent  # noqa: E402
 from workbench.fitting.objective import Objective  # noqa: E402
 from workbench.fitting.prepare import prepare  # noqa: E402
+from workbench.fitting.search import Search  # noqa: E402
+from workbench.fitting.uncertainty import estimate_uncertainty  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
@@ -64,6 +66,13 @@ def short(name: str) -> str:
     return name.split("/")[-1].split(".", 1)[-1]
 
 
+def keep(result: FitResult, label: str, arguments: argparse.Namespace) -> None:
+    """Figures of one fit for ``--json``."""
+    for name, value, unit in (("wall time", result.seconds, "s"), ("full solves", result.full_solves, "1"),
+                              ("MAPE", result.recordings[0].after.mape_percent, "%")):
+        arguments.kept.add(f"{label}, {name}", value, unit)
+
+
 def estimates(result: FitResult, case: Case) -> None:
     rows = [["parameter", "start", "fitted", "95 % interval", "truth", "off", "holds the truth", "remark"]]
     for found in result.estimates:
@@ -80,7 +89,7 @@ def estimates(result: FitResult, case: Case) -> None:
     for match in result.recordings:
         print(f"{match.name}: MAPE {match.before.mape_percent:.2f} % -> {match.after.mape_percent:.4f} %, rms of "
               f"|ln ratio| {100 * match.after.rms_log_residual:.4f} %")
-    print(f"{result.seconds:.1f} s, {result.full_solves} full solves, {len(result.starts)} ways down; reduced model "
+    print(f"{result.seconds:.1f} s, {result.full_solves} full solves, {len(result.starts)} descents; reduced model "
           f"{result.check[0]:.1e} off full solves")
     for finding in result.findings:
         print(" -", finding)
@@ -89,13 +98,16 @@ def estimates(result: FitResult, case: Case) -> None:
 def recovery(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["disc"]
     prepared = case.prepare()
-    estimates(fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse), case)
+    result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
+    keep(result, case.label, arguments)
+    estimates(result, case)
 
 
 def polymer(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["polymer"]
     prepared = case.prepare()
     result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
+    keep(result, case.label, arguments)
     estimates(result, case)
     study = gel_study(prepared, Registry(), numbers={e.parameter.name: e.value for e in result.estimates},
                       thicknesses=(5e-6, 20e-6, 50e-6), accuracy=arguments.accuracy)
@@ -128,9 +140,9 @@ def coverage(arguments: argparse.Namespace) -> None:
                              + 1j * random.standard_normal(exact.frequency.size))
             measured = Spectrum(exact.frequency, exact.impedance * np.exp(noise))
             search = Search(objective.measured_as([measured]))
-            minimum, found_noise = refine(search, optimum)
-            verdict = certainty.judge(search, minimum, found_noise, profiles=True, coarser=coarser)
-            for found in verdict.estimates:
+            minimum, found_noise = reweighted_descent(search, optimum)
+            estimated = estimate_uncertainty(search, minimum, found_noise, profiles=True, coarser=coarser)
+            for found in estimated.estimates:
                 name = found.parameter.name
                 truth = case.truth[short(name)]
                 inside[name] += found.low <= truth <= found.high
@@ -147,7 +159,7 @@ def starts(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["disc"]
     prepared = case.prepare()
     random = np.random.default_rng(arguments.seed)
-    rows = [["start", "MAPE at the start", "MAPE", "largest |off| of a real constant", "ways down", "last", "solves",
+    rows = [["start", "MAPE at the start", "MAPE", "largest |off| of a real constant", "descents", "last", "solves",
              "s"]]
     reached = 0
     for number in range(arguments.count):
@@ -170,13 +182,14 @@ def recording(arguments: argparse.Namespace) -> None:
     if arguments.recordings is None:
         sys.exit("--recordings: the folder that holds the real disc is needed")
     measured = read_recording(arguments.recordings / "unibas-disc-20x2/MODULOFASEMODOTHICKNES.CSV").spectrum
-    rows = [["data sheet", "MAPE at the start", "MAPE", "rms", "ways down", "s", *SIXTEEN]]
+    rows = [["data sheet", "MAPE at the start", "MAPE", "rms", "descents", "s", *SIXTEEN]]
     for sheet in arguments.sheets:
         chip = disc_of(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), sheet)
         prepared = prepare(chip, Registry(), kind="pzt", name="disc", measured=measured, free=SIXTEEN,
                            accuracy=arguments.accuracy)
         result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
         match = result.recordings[0]
+        keep(result, sheet, arguments)
         rows.append([sheet, f"{match.before.mape_percent:.0f} %", f"{match.after.mape_percent:.3f} %",
                      f"{100 * match.after.rms_log_residual:.3f} %", str(len(result.starts)), f"{result.seconds:.0f}",
                      *(f"{e.value:.4g}" for e in result.estimates)])
@@ -203,6 +216,7 @@ def speed(arguments: argparse.Namespace) -> None:
                      + (f" (from {chosen.size})" if chosen.size < frequency.size else ""), f"{full:.1f}", "1", ""])
         for bands, text in ((0, "intervals included"), (3, "and three bands left out and predicted")):
             result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=bands)
+            keep(result, f"{case.label}, {text}", arguments)
             rows.append([f"{case.label}: {parameters} parameters, {text}", f"{result.seconds:.1f}",
                          f"{result.seconds / full:.3f}", "" if bands else f"{PUBLISHED_HOURS[paper]:g} h"])
         print(f"{case.label}: MAPE {result.recordings[0].after.mape_percent:.4f} %, {result.full_solves} full solves")
@@ -221,9 +235,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=20, help="random starts of `starts`")
     parser.add_argument("--points", type=int, default=25, help="full solves that `speed` measures")
     parser.add_argument("--seed", type=int, default=0)
+    with_json(parser)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
-    works[arguments.work](arguments)
+    with measurements(arguments.json) as arguments.kept:
+        works[arguments.work](arguments)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,9 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+
+from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.names import AXIS, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER  # noqa: E402
@@ -396,7 +398,13 @@ def main() -> None:
     parser.add_argument("--ordering", default="MMD_AT_PLUS_A", choices=["MMD_AT_PLUS_A", "COLAMD"],
                         help="of SuperLU, which is told that the pattern is symmetric, or is left to its defaults")
     parser.add_argument("--no-workbench", action="store_true", help="NGSolve alone")
+    with_json(parser)
     options = parser.parse_args()
+    with measurements(options.json) as kept:
+        measure(options, kept)
+
+
+def measure(options: argparse.Namespace, kept: Measurements) -> None:
     settings = Settings(options.order, options.elements_per_wavelength, options.levels, options.factor, options.solves,
                         options.ordering)
     print("| state | program | unknowns | rms of ln(Z/Z_ref) | steps (s) | spectrum (s) | share of NGSolve's |")
@@ -408,6 +416,7 @@ def main() -> None:
             if not options.no_workbench:
                 runs["workbench"] = alone(by_workbench, chip, registry, state)
             for program, run in runs.items():
+                kept.add(f"{state}, {program}", run.total, "s")
                 steps = ", ".join(f"{step} {taken:.2f}" for step, taken in run.seconds.items())
                 print(f"| {state} | {program} ({run.note}) | {run.unknowns} | "
                       f"{100 * rms(run.spectrum, reference(state)):.3f} % | {steps} | {run.total:.2f} | "

@@ -34,13 +34,14 @@ from workbench.commands.terminal import Show, progress_bars  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.fitting.joint import fit  # noqa: E402
 from workbench.fitting.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
-from workbench.fitting.parameter import LOSS, POLYMER_FOUR, TRANSDUCER_TEN, part, started_at  # noqa: E402
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN, started_at  # noqa: E402
 from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa: E402
 from workbench.fitting.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
+from workbench.parameter_names import LOSS, part  # noqa: E402
 from workbench.problem import Problem, build  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.report import write_json  # noqa: E402
+from workbench.report.page import write_json  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
 

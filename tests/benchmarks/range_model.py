@@ -21,12 +21,14 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+
+from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.stretch import movable  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.fitting.parameter import placed  # noqa: E402
+from workbench.parameter_names import placed  # noqa: E402
 from workbench.problem import Problem, build  # noqa: E402
 from workbench.ranges import NotCovered, range_model  # noqa: E402
 from workbench.solve import System, one_thread  # noqa: E402
@@ -60,8 +62,14 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=float, default=default)
     parser.add_argument("--limit", type=int, default=400)
     parser.add_argument("--points", type=int, default=50)
+    with_json(parser)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
+    with measurements(arguments.json) as kept:
+        measure(arguments, kept)
+
+
+def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
     chip = read_chip(ROOT / "geometry/chips/reference_chip.toml")
     ranges = ranges_of(chip, build(chip, "filled", Registry()), arguments)
     started = time.perf_counter()
@@ -70,7 +78,11 @@ def main() -> None:
     except NotCovered as short:
         model = short.model
         print(short)
-    print(f"{len(ranges)} parameters: {time.perf_counter() - started:.0f} s, {model.reduced.solves} full solves of "
+    making = time.perf_counter() - started
+    for name, value, unit in (("making the model", making, "s"), ("rank", model.rank, "1"),
+                              ("full solves", model.reduced.solves, "1"), ("error where checked", model.error, "1")):
+        kept.add(name, value, unit)
+    print(f"{len(ranges)} parameters: {making:.0f} s, {model.reduced.solves} full solves of "
           f"{model.reduced.full.size} unknowns, rank {model.rank}, off by {100.0 * model.error:.2g} % where checked "
           "last")
     random = np.random.default_rng(2026)
@@ -89,6 +101,9 @@ def main() -> None:
         off.append(abs(found.prediction.solution.charge[index] / charge - 1.0))
         if number == 0:
             seconds.clear()  # what is summed up once is not counted
+    kept.add("spectrum and gradient", float(np.median(seconds)), "s")
+    for name, value in (("median", float(np.median(off))), ("largest", max(off))):
+        kept.add(f"off at random points, {name}", value, "1")
     print(f"a spectrum of {model.frequency.size} frequencies with its gradient by {len(twelve)}: median "
           f"{1e3 * float(np.median(seconds)):.0f} ms")
     print(f"off from full solves at {len(off)} random points: median {100 * float(np.median(off)):.2g} %, 90 % below "

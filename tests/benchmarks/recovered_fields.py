@@ -27,14 +27,16 @@ from geometry.names import CAVITY
 from geometry.section import Section, cut_section
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
-from workbench import particles
 from workbench.discretisation import ROWS, Discretisation
 from workbench.drive import VoltageDrive
+from workbench.field_forces import force_at, particle_forces
 from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
 from workbench.operators import assemble
+from workbench.particles import particle_from
 from workbench.problem import chip_materials, problem
 from workbench.solve import solve_full
+from workbench.traps import Trap, find_traps
 
 Real = NDArray[np.float64]
 
@@ -56,7 +58,7 @@ class Found:
     unknowns: int
     values: dict[tuple[str, str], NDArray[np.complex128]]
     energy: dict[str, float]
-    traps: tuple[particles.Trap, ...]
+    traps: tuple[Trap, ...]
 
 
 def points_of(section: Section, count: int = 1500) -> dict[str, Real]:
@@ -92,12 +94,12 @@ def solve(how: Discretisation) -> Found:
     fluid, bead = materials[CAVITY], registry.load("polystyrene")
     assert isinstance(fluid, Fluid)
     assert isinstance(bead, IsotropicSolid)
-    forces = particles.particle_forces(shown, particles.particle_from(bead, RADIUS), fluid=fluid, region=CAVITY)
+    forces = particle_forces(shown, particle_from(bead, RADIUS), fluid=fluid, region=CAVITY)
     values = sampled(shown, points_of(section))
-    values[CAVITY, "force"] = particles.force_at(forces, points_of(section)[CAVITY])
+    values[CAVITY, "force"] = force_at(forces, points_of(section)[CAVITY])
     values[CAVITY, "potential"] = sample(forces.mesh, forces.potential[:, None], points_of(section)[CAVITY], [CAVITY])
     energy = {name: float(integrate(shown.mesh, shown.energy_density, [name])) for name in section.regions}
-    return Found(operators.size, values, energy, particles.find_traps(forces).traps)
+    return Found(operators.size, values, energy, find_traps(forces).traps)
 
 
 def sampled(shown: Fields, points: dict[str, Real]) -> dict[tuple[str, str], NDArray[np.complex128]]:

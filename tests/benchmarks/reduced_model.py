@@ -28,7 +28,9 @@ import numpy as np
 from factorisation import factor_for, made
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+
+from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
@@ -52,7 +54,7 @@ def one(factor: float, what: str) -> dict[str, float]:
     problem, operators = made(factor)
     System(operators, problem.values)  # integrals are evaluated where they are first asked for
     between = time.perf_counter()
-    frequencies = np.linspace(*problem.band, 481)
+    frequencies = np.linspace(problem.band[0], problem.band[1], 481)
     if what == "full":
         solve_full(operators, frequencies[240:241], problem.values)
     else:
@@ -94,6 +96,7 @@ def main() -> None:
     parser.add_argument("--no-command", action="store_true", help="leave out the whole `workbench simulate`")
     parser.add_argument("--sizes", type=int, nargs="+", help="unknowns, about: how time and memory grow with them")
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
+    with_json(parser)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     if arguments.one:
@@ -102,6 +105,11 @@ def main() -> None:
     if arguments.sizes:
         growth(arguments.sizes)
         return
+    with measurements(arguments.json) as kept:
+        measure(arguments, kept)
+
+
+def measure(arguments: argparse.Namespace, figures: Measurements) -> None:
     chip = read_chip(arguments.chip)
     frequencies = np.linspace(*chip.band, 481)
 
@@ -152,6 +160,7 @@ def main() -> None:
           f"largest memory {reduced_memory:.0f} MiB reduced, {memory():.0f} MiB in all\n")
     print("| | wall time (s) | ratio | largest relative error of Z |\n| --- | ---: | ---: | ---: |")
     for name, seconds, accuracy in rows:
+        figures.add(name, seconds, "s")
         print(f"| {name} | {seconds:.3g} | {full_order / seconds:.3g} | {accuracy} |")
 
 

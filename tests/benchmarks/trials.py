@@ -40,10 +40,9 @@ from concealed.device import GEL, PLA, PZT, REFERENCE_TEMPERATURE, WATER, water 
 from concealed.mechanisms import CATALOGUED, NONE, OUTSIDE  # noqa: E402
 from concealed.trial import make_trial  # noqa: E402
 
-from workbench.commands.diagnose import record  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
-from workbench.diagnosis.device import model  # noqa: E402
-from workbench.diagnosis.verdict import diagnose  # noqa: E402
+from workbench.diagnosis.procedure import diagnose  # noqa: E402
+from workbench.diagnosis.record import record  # noqa: E402
 from workbench.files.writing import write_atomic  # noqa: E402
 from workbench.fitting.parameter import BENCH_ELEMENTS  # noqa: E402
 
@@ -94,7 +93,7 @@ def run(folder: Path) -> None:
         started = time.process_time()
         with threadpool_limits(limits=1):
             campaign = read_campaign(trial / "campaign.toml")
-            found = diagnose(model(campaign))
+            found = diagnose(campaign)
         said = {**record(found), "cpu_seconds": time.process_time() - started, "commit": commit}
         write_atomic(result, json.dumps(said, indent=1) + "\n")
         print(f"{trial.name} {found.verdict} {' and '.join(e.name for e in found.effects)} "

@@ -28,7 +28,7 @@ REFUSED = {
 }
 
 
-def test_impedance_against_the_simulated_devices_truth(tmp_path):
+def test_impedance_against_the_simulated_devices_truth(tmp_path: Path) -> None:
     """Acceptance: MAPE at most 1 % over +-12 % with compensation, intervals that hold 90 to 98 % of points, and
     without compensation the cable visible and flagged."""
     found = []
@@ -46,7 +46,7 @@ def test_impedance_against_the_simulated_devices_truth(tmp_path):
         assert any("the cable was not compensated" in flag for flag in run.flags)
 
 
-def test_adaptive_sweep_against_481_points(tmp_path):
+def test_adaptive_sweep_against_481_points(tmp_path: Path) -> None:
     linear, adaptive = ([campaign.sweep_error(tmp_path, kind=kind, seed=0)] for kind in ("linear", "adaptive"))
     assert all(error.points == 481 for error in linear)
     assert all(error.points <= 100 for error in adaptive)
@@ -57,7 +57,7 @@ def test_adaptive_sweep_against_481_points(tmp_path):
         assert worst["adaptive"] <= max(2.0 * worst["linear"], small), (name, worst)
 
 
-def test_faults_lose_nothing_and_spoil_nothing(tmp_path):
+def test_faults_lose_nothing_and_spoil_nothing(tmp_path: Path) -> None:
     found = campaign.faults(tmp_path, count=60, seed=1)
     assert len(found.struck) >= 12
     assert (found.lost, found.left_on) == (0, 0)
@@ -65,20 +65,20 @@ def test_faults_lose_nothing_and_spoil_nothing(tmp_path):
     assert found.furthest < 5.0
 
 
-def test_kills_lose_nothing_and_the_next_owner_makes_it_safe(tmp_path):
+def test_kills_lose_nothing_and_the_next_owner_makes_it_safe(tmp_path: Path) -> None:
     found = campaign.kills(tmp_path, count=4, seed=2)
     assert found.struck.total() == 4
     assert (found.lost, found.left_on) == (0, 0)
     assert found.furthest < 5.0
 
 
-def test_real_two_channel_captures_have_the_phases_of_theory(shared):
+def test_real_two_channel_captures_have_the_phases_of_theory(shared: Path) -> None:
     frequency, errors = campaign.resonant_circuit(shared / "recordings")
     assert len(frequency) == 15
     assert np.max(np.abs(errors)) < 1.5
 
 
-def test_real_shunt_measurements_give_the_resistor(shared):
+def test_real_shunt_measurements_give_the_resistor(shared: Path) -> None:
     for raw, compensated in campaign.shunt(shared / "recordings").values():
         assert abs(raw) > 47.0 * 1.02
         assert abs(np.degrees(np.angle(raw))) > 5.0
@@ -86,7 +86,7 @@ def test_real_shunt_measurements_give_the_resistor(shared):
         assert abs(np.degrees(np.angle(compensated))) < 1.0
 
 
-def test_every_sample_file_is_read_or_refused_with_the_reason(shared):
+def test_every_sample_file_is_read_or_refused_with_the_reason(shared: Path) -> None:
     counted = 0
     for folder, _, names in os.walk(shared / "recordings"):
         for name in names:

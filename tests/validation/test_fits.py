@@ -14,8 +14,9 @@ import pytest
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
 from workbench.fitting.joint import FitResult, fit
-from workbench.fitting.parameter import part, started_at
+from workbench.fitting.parameter import started_at
 from workbench.fitting.prepare import material_starts, prepare
+from workbench.parameter_names import part
 from workbench.readers import read_recording
 
 # pzt4/acevedo_2026_fitted is a hair outside passivity, and says so when it is loaded.

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support import moved_onto
 
 from geometry.chip import Chip
-from geometry.mesh import MeshSize, SectionMesh, mesh_section
+from geometry.mesh import SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
-from geometry.stretch import stretch
 from materials.kinds import Fluid, Material
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem, problem
@@ -237,7 +238,7 @@ def test_a_stretched_chip_is_the_remeshed_one_where_the_divisions_agree(
     # So coarse that only the least number of elements counts, which is the same for both chips.
     size = MeshSize(dict.fromkeys(small_chip.regions, 1e6), 400e3, 10.0, 2, minimum_through_thickness=3)
     chip = _longer(small_chip)
-    moved = stretch(mesh_section(cut_section(small_chip), size), chip)
+    moved = moved_onto(mesh_section(cut_section(small_chip), size), chip)
     remeshed = mesh_section(cut_section(chip), size)
     one, other = (impedance(_made(mesh, filled_materials, chip)) for mesh in (moved, remeshed))
     # Coordinates agree to rounding.
@@ -251,7 +252,7 @@ def test_a_stretched_chip_is_the_remeshed_one_within_the_error_of_the_mesh(
 ) -> None:
     chip = _longer(small_chip)
     start = meshed(small_chip, filled_materials, elements_per_wavelength=8.0)
-    stretched = _made(stretch(start.mesh, chip), filled_materials, chip)
+    stretched = _made(moved_onto(start.mesh, chip), filled_materials, chip)
     remeshed = meshed(chip, filled_materials, elements_per_wavelength=9.0)
     fine = impedance(meshed(chip, filled_materials, elements_per_wavelength=16.0, thickness=4))
     error = float(np.abs(impedance(remeshed) / fine - 1.0).max())

@@ -38,14 +38,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import read_toml, refuse_unknown_keys
+from workbench.files.tables import Table
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
 
 #: What the generator can be set to: hertz and volt peak to peak.
@@ -166,74 +165,38 @@ _TABLES = ("generator", "oscilloscope", "reference", "sweep", "drive", "limits",
 _METADATA = ("name", "state", "temperature", "gel", "operator", "note")
 
 
-class _Table:
-    """One table of the file, read key by key; every complaint names the file and the field."""
+def _positive(table: Table, key: str, dimension: str, default: float | None = None) -> float:
+    if default is None and key not in table:
+        raise table.error(key, "to be given")
+    value = table.quantity(key, dimension, default)
+    if value <= 0.0:
+        raise table.error(key, f"{'a current' if dimension == 'current' else 'a value'} above zero")
+    return value
 
-    def __init__(self, content: Mapping[str, Any], name: str, source: str, keys: tuple[str, ...]) -> None:
-        found = content.get(name, {})
-        if not isinstance(found, dict):
-            raise InputError(source, name, found, f"a table, [{name}]")
-        refuse_unknown_keys(found, keys, source=source, field=name)
-        self.values: dict[str, Any] = found
-        self.name, self.source = name, source
 
-    def error(self, key: str, expected: str) -> InputError:
-        return InputError(self.source, f"{self.name}.{key}", self.values.get(key), expected)
+def _fraction(table: Table, key: str, default: float) -> float:
+    value = table.quantity(key, "dimensionless", default)
+    if not 0.0 <= value < 1.0:
+        raise table.error(key, 'from "0 %" to less than "100 %"')
+    return value
 
-    def quantity(self, key: str, dimension: str, default: float | None = None) -> float:
-        if key not in self.values:
-            return self._default(key, default)
-        return parse_quantity(self.values[key], dimension, source=self.source, field=f"{self.name}.{key}")
 
-    def positive(self, key: str, dimension: str, default: float | None = None) -> float:
-        value = self.quantity(key, dimension, default)
-        if value <= 0.0:
-            raise self.error(key, "a value above zero")
-        return value
+def _seconds(table: Table, key: str, default: float) -> float:
+    value = table.quantity(key, "time", default)
+    if value < 0.0:
+        raise table.error(key, "a time not below zero")
+    return value
 
-    def fraction(self, key: str, default: float) -> float:
-        value = self.quantity(key, "dimensionless", default)
-        if not 0.0 <= value < 1.0:
-            raise self.error(key, 'from "0 %" to less than "100 %"')
-        return value
 
-    def seconds(self, key: str, default: float) -> float:
-        value = self.quantity(key, "time", default)
-        if value < 0.0:
-            raise self.error(key, "a time not below zero")
-        return value
+def _line(table: Table, key: str, default: str | None = None) -> str:
+    text = table.text(key, default, expected="one line of text").strip()
+    if not text or len(text.splitlines()) > 1:
+        raise table.error(key, "one line of text")
+    return text
 
-    def ampere(self, key: str, default: float) -> float:
-        """A current above zero."""
-        if key not in self.values:
-            return default
-        value = self.quantity(key, "current", default)
-        if value <= 0.0:
-            raise self.error(key, "a current above zero")
-        return value
 
-    def whole(self, key: str, default: int, *, low: int, high: int) -> int:
-        value = self.values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self.error(key, f"a whole number from {low} to {high}")
-        return value
-
-    def text(self, key: str, default: str | None = None) -> str:
-        value = self.values.get(key, default)
-        if not isinstance(value, str) or not value.strip() or len(value.splitlines()) > 1:
-            raise self.error(key, "one line of text")
-        return value.strip()
-
-    def one_of(self, key: str, default: str, known: tuple[str, ...]) -> str:
-        return choose(self.values.get(key, default), known, source=self.source, field=f"{self.name}.{key}")
-
-    def path(self, key: str, folder: Path) -> Path | None:
-        return folder / self.text(key) if key in self.values else None
-
-    def _default(self, key: str, default: float | None) -> float:
-        if default is None:
-            raise self.error(key, "to be given")
-        return default
+def _path(table: Table, key: str, folder: Path) -> Path | None:
+    return folder / _line(table, key) if key in table else None
 
 
 def read_bench(path: Path) -> BenchSetup:
@@ -243,11 +206,10 @@ def read_bench(path: Path) -> BenchSetup:
         InputError: anything missing, unknown, or not what an instrument can do.
     """
     path = Path(path)
-    content, source = read_toml(path), str(path)
-    refuse_unknown_keys(content, _TABLES, source=source, field="")
+    root = Table.read(path).only(_TABLES)
 
-    def table(name: str, keys: tuple[str, ...]) -> _Table:
-        return _Table(content, name, source, keys)
+    def table(name: str, keys: tuple[str, ...]) -> Table:
+        return root.table(name, expected=f"a table, [{name}]").only(keys)
 
     sweep = _sweep(table("sweep", ("centre", "span", "from", "to", "kind", "step", "points", "resolution", "direction",
                                    "repeats")))
@@ -260,37 +222,37 @@ def read_bench(path: Path) -> BenchSetup:
     default = Acquisition()
     device = table("device", _METADATA)
     return BenchSetup(
-        path=source, text=path.read_text(encoding="utf-8"),
+        path=root.source, text=path.read_text(encoding="utf-8"),
         generator=_generator(table("generator", tuple(f.name for f in fields(GeneratorSettings)))),
         oscilloscope=_oscilloscope(table("oscilloscope", tuple(f.name for f in fields(OscilloscopeSettings)))),
-        reference=ReferenceResistor(reference.positive("resistance", "resistance"),
-                                    reference.fraction("tolerance", 0.0)),
+        reference=ReferenceResistor(_positive(reference, "resistance", "resistance"),
+                                    _fraction(reference, "tolerance", 0.0)),
         sweep=sweep, levels=_levels(table("drive", ("amplitude",))),
-        limits=Limits(limits.positive("device_voltage", "peak-to-peak voltage", Limits.device_voltage),
-                      limits.ampere("device_current", Limits.device_current)),
+        limits=Limits(_positive(limits, "device_voltage", "peak-to-peak voltage", Limits.device_voltage),
+                      _positive(limits, "device_current", "current", Limits.device_current)),
         acquisition=Acquisition(
             averages=averages, captures=acquisition.whole("captures", default.captures, low=1, high=1000),
             periods=acquisition.whole("periods", default.periods, low=2, high=250),
-            settle=acquisition.seconds("settle", default.settle),
+            settle=_seconds(acquisition, "settle", default.settle),
             attempts=acquisition.whole("attempts", default.attempts, low=1, high=100),
-            gain_accuracy=acquisition.fraction("gain_accuracy", default.gain_accuracy),
+            gain_accuracy=_fraction(acquisition, "gain_accuracy", default.gain_accuracy),
         ),
         standards=_standards(table("compensation", tuple(f.name for f in fields(Standards))), path.parent),
-        metadata={key: device.text(key) for key in device.values},
+        metadata={key: _line(device, key) for key in device},
     )
 
 
-def _generator(table: _Table) -> GeneratorSettings:
+def _generator(table: Table) -> GeneratorSettings:
     default = {f.name: f.default for f in fields(GeneratorSettings) if f.default is not MISSING}
     return GeneratorSettings(
-        port=table.text("port"), model=table.text("model", str(default["model"])),
+        port=_line(table, "port"), model=_line(table, "model", str(default["model"])),
         baud=table.whole("baud", GeneratorSettings.baud, low=1, high=10_000_000),
-        timeout=table.seconds("timeout", GeneratorSettings.timeout),
-        pause=table.seconds("pause", GeneratorSettings.pause),
+        timeout=_seconds(table, "timeout", GeneratorSettings.timeout),
+        pause=_seconds(table, "pause", GeneratorSettings.pause),
     )
 
 
-def _oscilloscope(table: _Table) -> OscilloscopeSettings:
+def _oscilloscope(table: Table) -> OscilloscopeSettings:
     channels = {key: table.whole(key, default, low=1, high=4)
                 for key, default in (("channel_total", 1), ("channel_reference", 2))}
     if channels["channel_total"] == channels["channel_reference"]:
@@ -300,37 +262,37 @@ def _oscilloscope(table: _Table) -> OscilloscopeSettings:
         if factor not in (1, 10):
             raise table.error(key, "1 or 10")
     return OscilloscopeSettings(
-        port=table.text("port"), model=table.text("model", OscilloscopeSettings.model),
+        port=_line(table, "port"), model=_line(table, "model", OscilloscopeSettings.model),
         baud=table.whole("baud", OscilloscopeSettings.baud, low=1, high=10_000_000), **channels, **probes,
-        trigger=table.one_of("trigger", "CH1", ("CH1", "CH2", "CH3", "CH4", "EXT")),
-        timeout=table.seconds("timeout", OscilloscopeSettings.timeout),
-        acquisition_timeout=table.seconds("acquisition_timeout", OscilloscopeSettings.acquisition_timeout),
+        trigger=table.choice("trigger", ("CH1", "CH2", "CH3", "CH4", "EXT"), "CH1"),
+        timeout=_seconds(table, "timeout", OscilloscopeSettings.timeout),
+        acquisition_timeout=_seconds(table, "acquisition_timeout", OscilloscopeSettings.acquisition_timeout),
     )
 
 
-def _sweep(table: _Table) -> Sweep:
-    given = {key for key in ("centre", "span", "from", "to") if key in table.values}
+def _sweep(table: Table) -> Sweep:
+    given = {key for key in ("centre", "span", "from", "to") if key in table}
     if given == {"from", "to"}:
-        low, high = table.positive("from", "frequency"), table.positive("to", "frequency")
+        low, high = _positive(table, "from", "frequency"), _positive(table, "to", "frequency")
     elif given in ({"centre"}, {"centre", "span"}):
-        centre, span = table.positive("centre", "frequency"), table.fraction("span", 0.12)
+        centre, span = _positive(table, "centre", "frequency"), _fraction(table, "span", 0.12)
         low, high = centre * (1.0 - span), centre * (1.0 + span)
     else:
         raise InputError(table.source, "sweep", sorted(given), "centre (and span), or from and to")
     low, high = (round(f / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION for f in (low, high))
-    step = table.positive("step", "frequency", Sweep.step)
+    step = _positive(table, "step", "frequency", Sweep.step)
     if not high - low >= step:
         raise InputError(table.source, "sweep", f"{low:g} Hz to {high:g} Hz", f"a rising band of {step:g} Hz or more")
     return Sweep(
-        low, high, kind=table.one_of("kind", "linear", KINDS), step=step,
+        low, high, kind=table.choice("kind", KINDS, "linear"), step=step,
         points=table.whole("points", Sweep.points, low=16, high=10_000),
-        resolution=table.fraction("resolution", Sweep.resolution),
-        direction=table.one_of("direction", "up", DIRECTIONS), repeats=table.whole("repeats", 1, low=1, high=1000),
+        resolution=_fraction(table, "resolution", Sweep.resolution),
+        direction=table.choice("direction", DIRECTIONS, "up"), repeats=table.whole("repeats", 1, low=1, high=1000),
     )
 
 
-def _levels(table: _Table) -> tuple[float, ...]:
-    given = table.values.get("amplitude")
+def _levels(table: Table) -> tuple[float, ...]:
+    given = table.content.get("amplitude")
     listed = given if isinstance(given, list) else [given]
     levels = []
     for text in listed:
@@ -344,11 +306,11 @@ def _levels(table: _Table) -> tuple[float, ...]:
     return tuple(levels)
 
 
-def _standards(table: _Table, folder: Path) -> Standards:
+def _standards(table: Table, folder: Path) -> Standards:
     found = Standards(
-        open=table.path("open", folder), short=table.path("short", folder), load=table.path("load", folder),
-        load_resistance=table.positive("load_resistance", "resistance") if "load_resistance" in table.values else None,
-        load_tolerance=table.fraction("load_tolerance", 0.0), columns=table.path("columns", folder),
+        open=_path(table, "open", folder), short=_path(table, "short", folder), load=_path(table, "load", folder),
+        load_resistance=_positive(table, "load_resistance", "resistance") if "load_resistance" in table else None,
+        load_tolerance=_fraction(table, "load_tolerance", 0.0), columns=_path(table, "columns", folder),
     )
     if (found.load is None) != (found.load_resistance is None):
         raise table.error("load_resistance", "to be given with load, and only with it")

@@ -33,7 +33,7 @@ from workbench.instruments.simulated_oscilloscope import Errors
 from workbench.operators import assemble
 from workbench.problem import build, with_boundary_layers
 from workbench.reduction import reduce
-from workbench.report import Table
+from workbench.report.page import Table
 from workbench.simulation import frequency_grid, state_name
 from workbench.spectrum import Spectrum
 

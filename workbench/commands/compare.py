@@ -15,19 +15,9 @@ from workbench.commands.states import run_state
 from workbench.commands.tables import model_table, origin_table
 from workbench.commands.terminal import print_table, progress_bars
 from workbench.files.errors import InputError
-from workbench.report import (
-    Block,
-    Note,
-    Picture,
-    Table,
-    comparison_record,
-    figures_record,
-    measured_figures,
-    number,
-    simulation_record,
-    write_json,
-    write_report,
-)
+from workbench.report.figures import figures_record, measured_figures
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.simulations import comparison_record, simulation_record
 from workbench.spectrum import write_csv
 
 if TYPE_CHECKING:

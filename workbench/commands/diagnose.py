@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,17 +14,18 @@ from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
 from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.comparison import compare
-from workbench.diagnosis.campaign import DeviceState, read_campaign
-from workbench.diagnosis.device import model
+from workbench.diagnosis.campaign import read_campaign
+from workbench.diagnosis.criteria import gain
 from workbench.diagnosis.element_map import element_map, largest
-from workbench.diagnosis.refit import StateFit
-from workbench.diagnosis.verdict import Diagnosis, detection_limits, diagnose, gain, intervals, known_physics
+from workbench.diagnosis.procedure import diagnose
+from workbench.diagnosis.record import Contribution, contributions, record, spectrum_of
+from workbench.diagnosis.verdict import Diagnosis
 from workbench.fitting.objective import log_ratio
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.merit import Figures
 from workbench.readers import READ_AS
-from workbench.report import Block, Note, Picture, Table, measured_figures, number, write_json, write_report
-from workbench.spectrum import Origin, Spectrum
+from workbench.report.figures import measured_figures
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,9 +42,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     for state in campaign.states:
         say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
     with progress_bars(console) as show:
-        device = model(campaign, accuracy=accuracy, cache=user_cache(),
-                       progress=lambda share: show(campaign.name, "meshing", 0.05 * share))
-        found = diagnose(device, progress=lambda text, share: show(campaign.name, text, 0.05 + 0.95 * share))
+        found = diagnose(campaign, accuracy=accuracy, cache=user_cache(),
+                         progress=lambda text, share: show(campaign.name, text, share))
         show(campaign.name, "done", 1.0)
     known = contributions(found)
     write_json(folder / "diagnosis.json", {**record(found), "known_physics": [row._asdict() for row in known]})
@@ -55,56 +55,6 @@ def run(options: argparse.Namespace, console: Console) -> int:
         print_line(found.next_measurement)
     print_table("before and after", states_table(found))
     return 0
-
-
-def record(found: Diagnosis) -> dict[str, Any]:
-    """The content of ``diagnosis.json``."""
-    estimates = intervals(found.best)
-    parameters = {p.name: p for p in found.model.parameters}
-    return {
-        "campaign": found.campaign.name,
-        "verdict": found.verdict,
-        "effects": [
-            {"name": e.name, "region": e.region, "kind": e.kind, "admissible": found.admissible,
-             "parameters": {n: {"value": estimates[n][0], "low": estimates[n][1], "high": estimates[n][2],
-                                "unit": parameters[n].unit} for n in e.names}}
-            for e in found.effects],
-        "moved_parameters": [
-            {"name": p.name, "from": p.start, "to": float(found.best.x[i]), "unit": p.unit,
-             "sigmas": found.best.shifts[p.name]}
-            for i, p in enumerate(found.model.parameters[:found.model.known]) if p.name in found.best.shifts],
-        "rivals": [{"effects": [e.name for e in r.refit.effects], "behind": r.behind,
-                    "parameters": {n: list(v) for n, v in intervals(r.refit).items()}} for r in found.rivals],
-        "location": [place._asdict() for place in found.location],
-        "before": {s.name: _state(s, state) for s, state in zip(found.nominal, found.campaign.fitted, strict=True)},
-        "known_parameters_only": {
-            s.name: _state(s, state) for s, state in zip(found.base.states, found.campaign.fitted, strict=True)},
-        "after": {s.name: _state(s, state) for s, state in zip(found.best.states, found.campaign.fitted, strict=True)},
-        "held_out": {
-            before.name: {"before": _state(before, state), "after": _state(after, state)}
-            for before, after, state in zip(found.held_before, found.held_after, found.campaign.held_out, strict=True)},
-        "next_measurement": found.next_measurement,
-        "detection_limits": detection_limits(found),
-        "scores": [{"effect": s.effect.name, "region": s.effect.region, "gain": s.gain, "sigmas": s.sigmas,
-                    "evidence": s.evidence} for s in found.scores],
-        "refits": [{"effects": [e.name for e in f.effects], "evidence": gain(found.base, f),
-                    "reduced_chi_square": f.reduced} for f in (*found.singles, *found.pairs)],
-        "findings": list(found.findings),
-        "seconds": found.seconds,
-        "full_solves": found.full_solves,
-    }
-
-
-def _state(fit: StateFit, state: DeviceState) -> dict[str, Any]:
-    spectrum = _spectrum(fit, state)
-    figures, _ = measured_figures(spectrum)
-    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
-            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
-            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
-
-
-def _spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
-    return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
 
 
 def states_table(found: Diagnosis) -> Table:
@@ -123,7 +73,7 @@ def states_table(found: Diagnosis) -> Table:
         for label, fits, states in stages:
             for fit, of in zip(fits, states, strict=True):
                 if of is state:
-                    spectrum = _spectrum(fit, state)
+                    spectrum = spectrum_of(fit, state)
                     merit, _ = measured_figures(spectrum)
                     rows.append((state.name, label, *_figures(merit),
                                  number(compare(state.measured, spectrum).mape_percent, 3), number(100 * fit.rms, 3),
@@ -135,27 +85,6 @@ def _figures(merit: Figures | None) -> tuple[str, str, str]:
     if merit is None:
         return "none", "none", "none"
     return f"{merit.f0 / 1e3:.3f}", number(merit.z_min), number(merit.q)
-
-
-class Contribution(NamedTuple):
-    """What an effect with known constants changes in a state: f0 (Hz) and Q (None: no resonance), and ln Z, rms."""
-
-    effect: str
-    state: str
-    f0_change: float | None
-    q_change: float | None
-    rms_log_change: float
-
-
-def contributions(found: Diagnosis) -> list[Contribution]:
-    """What every effect with known constants changes in every fitted state."""
-    rows = []
-    for effect, state, there, without in known_physics(found):
-        (one, _), (other, _) = measured_figures(there), measured_figures(without)
-        f0, q = (None, None) if one is None or other is None else (one.f0 - other.f0, one.q - other.q)
-        rms = float(np.sqrt(np.mean(np.abs(np.log(there.impedance / without.impedance)) ** 2)))
-        rows.append(Contribution(effect, state, f0, q, rms))
-    return rows
 
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> None:
@@ -180,8 +109,8 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         for i, p in enumerate(found.model.parameters[:found.model.known])))
     pictures = []
     for fit, before, state in zip(found.best.states, found.nominal, found.campaign.fitted, strict=True):
-        spectra = {"measured": state.measured, "as stated": _spectrum(before, state),
-                   "diagnosed": _spectrum(fit, state)}
+        spectra = {"measured": state.measured, "as stated": spectrum_of(before, state),
+                   "diagnosed": spectrum_of(fit, state)}
         pictures.append(Picture(draw_spectra(spectra, folder / f"state_{state.name}.png", measured=("measured",),
                                              title=state.name),
                                 f"{state.name}: as recorded, as stated and as diagnosed"))

@@ -41,7 +41,7 @@ from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import DEFAULT
 from workbench.fitting.record import refusals
 from workbench.readers import READ_AS
-from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -21,7 +21,6 @@ from workbench.commands.tables import origin_table
 from workbench.files.errors import InputError
 from workbench.fitting import paper
 from workbench.fitting.batch import Job, Member, Settings, content_key, finished
-from workbench.fitting.certainty import Fitted
 from workbench.fitting.gel import PUBLISHED, GelCase, gel_study, with_gel
 from workbench.fitting.joint import FitResult, fit
 from workbench.fitting.parameter import shown_factor, shown_unit
@@ -36,9 +35,10 @@ from workbench.fitting.record import (
     registry_entry,
     source,
 )
+from workbench.fitting.uncertainty import ParameterEstimate
 from workbench.problem import chip_materials
 from workbench.readers import read_column_map, read_recording
-from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.spectrum import write_csv
 
 #: Called with what is being done and the share of it that is done.
@@ -156,7 +156,7 @@ def _as_published(prepared: Prepared, starts: Mapping[str, Any], progress: Progr
         raise InputError("fit", "start", ", ".join(starts), "one start: the paper's algorithms take no more")
     begin = None
     for vector in starts.values():
-        begin = {p.name.removeprefix(f"{prepared.material.name}."): float(x)
+        begin = {p.parsed.within(prepared.material.name): float(x)
                  for p, x in zip(prepared.parameters, vector, strict=True)}
 
     def show(text: str, _cost: float) -> None:
@@ -189,10 +189,10 @@ def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[st
     return shown(value, unit, digits=digits), f"{shown(low, unit, digits=digits)} to {shown(high, unit, digits=digits)}"
 
 
-def short_name(estimate: Fitted, prepared: Prepared) -> str:
+def short_name(estimate: ParameterEstimate, prepared: Prepared) -> str:
     """The name of a parameter: without the freed material's, with the recording if it is its own."""
     p = estimate.parameter
-    text = p.name.removeprefix(f"{prepared.material.name}.")
+    text = p.parsed.within(prepared.material.name)
     return f"{text} ({', '.join(p.recordings)})" if p.recordings else text
 
 

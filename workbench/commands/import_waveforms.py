@@ -17,7 +17,7 @@ from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_atomic
-from workbench.report import Table
+from workbench.report.page import Table
 from workbench.spectrum import Origin, Spectrum, write_csv
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from workbench.commands.asked import saving_folder
 from workbench.commands.terminal import print_line, print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
-from workbench.report import Table
+from workbench.report.page import Table
 
 if TYPE_CHECKING:
     from rich.console import Console

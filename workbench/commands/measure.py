@@ -24,17 +24,8 @@ from workbench.bench.sweep import Progress, measure
 from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
-from workbench.report import (
-    FIGURE_COLUMNS,
-    Block,
-    Note,
-    Picture,
-    Table,
-    figures_row,
-    measured_figures,
-    number,
-    write_report,
-)
+from workbench.report.figures import FIGURE_COLUMNS, figures_row, measured_figures
+from workbench.report.page import Block, Note, Picture, Table, number, write_report
 from workbench.spectrum import write_csv
 
 if TYPE_CHECKING:

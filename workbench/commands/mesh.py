@@ -20,7 +20,7 @@ from workbench.commands.terminal import Show, print_line, print_table, progress_
 from workbench.discretisation import ROWS, discretisation
 from workbench.files.errors import InputError
 from workbench.problem import build
-from workbench.report import Block, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Picture, Table, number, write_json, write_report
 from workbench.simulation import Simulation, state_name
 
 Real = NDArray[np.float64]

@@ -16,7 +16,6 @@ from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
-from workbench.fitting.parameter import LOSS
 from workbench.fitting.sensitivity import (
     LOSS_THRESHOLD,
     REAL_THRESHOLD,
@@ -25,8 +24,9 @@ from workbench.fitting.sensitivity import (
     Sensitivity,
     sensitivity,
 )
+from workbench.parameter_names import ParameterName
 from workbench.problem import Problem, build
-from workbench.report import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.simulation import state_name
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     with progress_bars(console) as show:
         found = sensitivity(
             problem, np.linspace(*asked.band, options.points), baseline=baseline, scalings=options.scalings,
-            progress=lambda part, share: show(state, part.split(".", 1)[1], share))
+            progress=lambda part, share: show(state, _short(part), share))
         show(state, "done", 1.0)
     table = _ranking_table(found)
     print_table(f"{chip.name}, {problem.materials[TRANSDUCER].name}", table)
@@ -91,8 +91,9 @@ def _baseline(problem: Problem, share: float) -> dict[str, complex]:
         raise InputError("command line", "--loss", share, "a share of the real part, from 0 to below 1")
     material, result = problem.materials[TRANSDUCER].name, {}
     for name in TABLE_ONE:
-        if name.endswith(LOSS):
-            key = f"{material}.{name.removesuffix(LOSS)}"
+        parsed = ParameterName.parse(f"{material}.{name}")
+        if parsed.is_loss:
+            key = parsed.key
             value = complex(problem.values[key])
             if value.imag == 0.0 and share:
                 # A permittivity loses with a positive imaginary part, a stiffness with a negative one.
@@ -106,7 +107,7 @@ def _near(found: Sensitivity) -> float:
 
 
 def _short(name: str) -> str:
-    return name.split(".", 1)[1]
+    return ParameterName.parse(name).local
 
 
 def _ranking_table(found: Sensitivity) -> Table:
@@ -130,7 +131,7 @@ def _write(path: Path, chip: Chip, found: Sensitivity, table: Table) -> None:
     kinds = []
     for loss in (False, True):
         kinds.append([(_short(r.name), r.slope, TABLE_TWO.get(_short(r.name))) for r in found.ranking()
-                      if r.name.endswith(LOSS) == loss and r.name not in found.undetermined])
+                      if ParameterName.parse(r.name).is_loss == loss and r.name not in found.undetermined])
     blocks: list[Block] = []
     if found.undetermined:
         blocks.append(Note(f"Zero in the baseline, so that no scaling moves them: "
@@ -146,7 +147,7 @@ def _write(path: Path, chip: Chip, found: Sensitivity, table: Table) -> None:
     ]
     for loss, label in ((False, "real parts"), (True, "imaginary parts")):
         costs = {_short(name): row for name, row in zip(found.names, found.costs, strict=True)
-                 if name.endswith(LOSS) == loss and name not in found.undetermined}
+                 if ParameterName.parse(name).is_loss == loss and name not in found.undetermined}
         if costs:
             file = path.parent / f"costs_{'imaginary' if loss else 'real'}.png"
             blocks.append(Picture(fits.draw_costs(found.scalings, costs, file, title=label), f"costs of the {label}"))

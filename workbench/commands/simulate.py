@@ -17,22 +17,13 @@ from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
 from workbench.commands.terminal import Show, print_table, progress_bars
-from workbench.particles import TrapReport, focus_time
 from workbench.problem import chip_materials
-from workbench.report import (
-    FIGURE_COLUMNS,
-    Block,
-    Note,
-    Picture,
-    Table,
-    figures_row,
-    number,
-    simulation_record,
-    write_json,
-    write_report,
-)
+from workbench.report.figures import FIGURE_COLUMNS, figures_row
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.simulations import simulation_record
 from workbench.simulation import Simulation
 from workbench.spectrum import write_csv
+from workbench.traps import TrapReport, focus_time
 
 if TYPE_CHECKING:
     from rich.console import Console

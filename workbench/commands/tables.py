@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from workbench.report import Table
+from workbench.report.page import Table
 from workbench.simulation import Simulation
 from workbench.spectrum import Origin
 

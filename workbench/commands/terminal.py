@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from workbench.report import Table
+from workbench.report.page import Table
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -39,9 +39,10 @@ from materials.kinds import Fluid, Material
 from materials.registry import Registry, user_registry
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import read_toml, refuse_unknown_keys
-from workbench.fitting.parameter import BENCH, BENCH_ELEMENTS, LENGTHS, LOSS, UNITS
+from workbench.files.tables import Table
+from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
 from workbench.fitting.prepare import check_device, in_band
+from workbench.parameter_names import BENCH, Kind, ParameterName
 from workbench.problem import chip_materials
 from workbench.readers import read_column_map, read_recording
 from workbench.spectrum import Spectrum
@@ -124,83 +125,59 @@ def read_campaign(path: Path, *, materials: Sequence[Path] = ()) -> Campaign:
         InputError: a mistake in one of the files, a recording that cannot be of this device, a name that no state has,
             or two statements about one thing that contradict each other.
     """
-    source = str(path)
-    table = read_toml(path)
-    refuse_unknown_keys(table, ("campaign", "states", "known", "fixed"), source=source, field="")
-    head = _table(table, "campaign", source, needed=False)
-    refuse_unknown_keys(head, ("name", "materials"), source=source, field="campaign")
+    table = Table.read(path).only(("campaign", "states", "known", "fixed"))
+    source = table.source
+    head = table.table("campaign", expected="a table [campaign]").only(("name", "materials"))
     folders = list(materials)
     if "materials" in head:
-        folder = path.parent / str(head["materials"])
+        said = str(head.content["materials"])
+        folder = path.parent / said
         if not folder.is_dir():
-            raise InputError(source, "campaign.materials", str(head["materials"]), "a folder of materials beside the "
-                             "campaign's file")
+            raise InputError(source, head.at("materials"), said, "a folder of materials beside the campaign's file")
         folders.append(folder)
     registry = user_registry(folders)
-    states = tuple(_state(name, entry, path, registry) for name, entry in _table(table, "states", source).items())
+    listed = table.table("states", expected="a table [states]")
+    if not listed.content:
+        raise table.error("states", "a table [states]")
+    states = tuple(_state(name, listed.table(name, expected=f"a table [states.{name}]"), path.parent, registry)
+                   for name in listed)
     if not any(not state.held_out for state in states):
         raise InputError(source, "states", ", ".join(s.name for s in states) or "none",
                          "at least one state with a recording that is not held out")
     _check_one_device(states, source)
-    known = _known(_table(table, "known", source, needed=False), states, source)
-    fixed = tuple(_fixed(_table(table, "fixed", source, needed=False), known, states, source))
-    return Campaign(str(head.get("name", path.stem)), source, states, known, fixed, registry)
+    known = _known(table.table("known", expected="a table [known]").content, states, source)
+    fixed = tuple(_fixed(table.table("fixed", expected="a table [fixed]"), known, states))
+    return Campaign(str(head.content.get("name", path.stem)), source, states, known, fixed, registry)
 
 
-def _table(table: Mapping[str, Any], key: str, source: str, *, needed: bool = True) -> Mapping[str, Any]:
-    if key not in table and not needed:
-        return {}
-    found = table.get(key)
-    if not isinstance(found, Mapping) or (needed and not found):
-        raise InputError(source, key, found, f"a table [{key}]")
-    return found
-
-
-def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceState:
-    source, field = str(path), f"states.{name}"
-    if not isinstance(entry, Mapping):
-        raise InputError(source, field, entry, f"a table [{field}]")
-    refuse_unknown_keys(entry, STATE_KEYS, source=source, field=field)
-
-    def text(key: str) -> str:
-        value = entry.get(key)
-        if not isinstance(value, str) or not value:
-            raise InputError(source, f"{field}.{key}", value, f"a {key}, as text")
-        return value
-
-    def quantity(key: str, dimension: str) -> float | None:
-        return None if key not in entry else parse_quantity(
-            entry[key], dimension, source=source, field=f"{field}.{key}")
-
-    chip = read_chip(path.parent / text("chip"))
-    if "state" in entry:
-        state = chip.state(text("state"))
+def _state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceState:
+    table.only(STATE_KEYS)
+    chip = read_chip(_path(table, "chip", folder))
+    if "state" in table:
+        state = chip.state(table.text("state", expected="a state, as text"))
     elif len(chip.states) == 1:
         state = chip.states[0]
     else:
-        raise InputError(source, f"{field}.state", "nothing", "one of the chip's states: "
+        raise InputError(table.source, table.at("state"), "nothing", "one of the chip's states: "
                          + ", ".join(s.name for s in chip.states))
-    held_out = entry.get("held_out", False)
-    if not isinstance(held_out, bool):
-        raise InputError(source, f"{field}.held_out", held_out, "true or false")
-    temperature = quantity("temperature", "temperature")
+    held_out = table.flag("held_out")
+    temperature = table.optional_quantity("temperature", "temperature")
     if temperature is not None and state.cavity is not None:
         if state.temperature is not None and abs(state.temperature - temperature) > 0.5:
-            raise InputError(source, f"{field}.temperature", entry["temperature"],
-                             f"the {state.temperature - 273.15:.1f} degC that {chip.file} gives its state "
-                             f"{state.name!r}, or none there")
+            raise table.error("temperature", f"the {state.temperature - 273.15:.1f} degC that {chip.file} gives its "
+                              f"state {state.name!r}, or none there")
         state = replace(state, temperature=temperature)
         chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
     filling = chip_materials(chip, state.name, registry)
-    recording = path.parent / text("recording")
-    band = _band(entry.get("band"), source, f"{field}.band")
-    columns = read_column_map(path.parent / text("columns")) if "columns" in entry else None
+    recording = _path(table, "recording", folder)
+    band = _band(table) if "band" in table else None
+    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
     whole = read_recording(recording, columns=columns).spectrum
     measured = in_band(whole, chip, band, name=str(recording))
-    noise, stated = _noise(measured, quantity("noise", "dimensionless"), source, field)
-    drive = quantity("drive", "peak-to-peak voltage")
+    noise, stated = _noise(measured, table)
+    drive = table.optional_quantity("drive", "peak-to-peak voltage")
     if drive is not None and not drive > 0.0:
-        raise InputError(source, f"{field}.drive", entry["drive"], "a voltage above zero")
+        raise table.error("drive", "a voltage above zero")
     found = DeviceState(name, chip, state.name, measured, filling, noise, stated,
                         None if drive is None else 0.5 * drive, temperature, held_out)
     if set(filling) == {TRANSDUCER}:
@@ -209,26 +186,26 @@ def _state(name: str, entry: object, path: Path, registry: Registry) -> DeviceSt
     return found
 
 
-def _band(entry: object, source: str, field: str) -> tuple[float, float] | None:
-    if entry is None:
-        return None
-    if not isinstance(entry, list) or len(entry) != 2:
-        raise InputError(source, field, entry, "two frequencies")
-    low, high = (parse_quantity(each, "frequency", source=source, field=field) for each in entry)
+def _path(table: Table, key: str, folder: Path) -> Path:
+    return folder / table.text(key, expected=f"a {key}, as text")
+
+
+def _band(table: Table) -> tuple[float, float]:
+    low, high = table.quantities("band", "frequency", expected="two frequencies")
     if not low < high:
-        raise InputError(source, field, entry, "a lower and a higher frequency")
+        raise table.error("band", "a lower and a higher frequency")
     return low, high
 
 
-def _noise(
-    measured: Spectrum, stated: float | None, source: str, field: str
-) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
+def _noise(measured: Spectrum, table: Table) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
     """Relative standard deviation of every point, and whether anybody stated it."""
+    stated = table.optional_quantity("noise", "dimensionless")
     if stated is not None and not stated > 0.0:
-        raise InputError(source, f"{field}.noise", stated, "a relative deviation above zero")
+        raise InputError(table.source, table.at("noise"), stated, "a relative deviation above zero")
     if measured.uncertainty is not None:
         if stated is not None:
-            raise InputError(source, f"{field}.noise", stated, "nothing: the recording brings its own uncertainties")
+            raise InputError(table.source, table.at("noise"), stated,
+                             "nothing: the recording brings its own uncertainties")
         return np.asarray(measured.uncertainty / measured.magnitude), True
     if stated is not None:
         return np.full(measured.frequency.size, stated), True
@@ -265,7 +242,7 @@ def _pairs(states: Sequence[DeviceState]) -> Iterator[tuple[str, DeviceState, De
     for state in states:
         for name in state.chip.dimensions():
             # The gel below a sample and that below a chip are two layers, whatever they are called.
-            if name.startswith(f"{TRANSDUCER}.") or _same_stack(first.get(name, state), state):
+            if ParameterName.parse(name).owner == TRANSDUCER or _same_stack(first.get(name, state), state):
                 if name in first:
                     yield name, first[name], state
                 first.setdefault(name, state)
@@ -277,28 +254,28 @@ def _same_stack(one: DeviceState, other: DeviceState) -> bool:
 
 def unit_of(name: str, states: Sequence[DeviceState]) -> str:
     """SI unit of a parameter; empty if there is no such parameter."""
-    if name.startswith(BENCH):
-        element = BENCH_ELEMENTS.get(name.removeprefix(BENCH))
+    parsed = ParameterName.parse(name)
+    if parsed.kind is Kind.BENCH:
+        element = BENCH_ELEMENTS.get(parsed.coefficient)
         return "" if element is None else element.unit
-    if name.rpartition(".")[2] in LENGTHS:
+    if parsed.kind is Kind.DIMENSION:
         return "m" if any(name in s.chip.dimensions() for s in states) else ""
-    material, _, coefficient = name.removesuffix(LOSS).rpartition(".")
-    if any(m.name == material and coefficient in m.parameters() for s in states for m in s.materials.values()):
-        return UNITS.get(coefficient, "1")
+    materials = [m for s in states for m in s.materials.values()]
+    if any(m.name == parsed.owner and parsed.coefficient in m.parameters() for m in materials):
+        return UNITS.get(parsed.coefficient, "1")
     return ""
 
 
 def value_of(name: str, states: Sequence[DeviceState]) -> float:
     """The value that the chip files and materials give a parameter, SI; zero for a bench element."""
+    parsed = ParameterName.parse(name)
     for state in states:
         known = state.chip.dimensions()
         if name in known:
             return known[name].value
-        material, _, coefficient = name.removesuffix(LOSS).rpartition(".")
         for found in state.materials.values():
-            if found.name == material:
-                value = found.parameters()[coefficient]
-                return value.imag if name.endswith(LOSS) else value.real
+            if found.name == parsed.owner:
+                return parsed.part_of(found.parameters()[parsed.coefficient])
     return 0.0
 
 
@@ -310,7 +287,7 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
         field = f"known.{written}"
         own = _full_name(written, states)
         name = first.get(own, own)
-        unit = unit_of(name, states)
+        unit, kind = unit_of(name, states), ParameterName.parse(name).kind
         if not unit:
             raise InputError(source, field, written, "the name of a material's coefficient, a dimension of a chip or a "
                              "bench element that a state has", nearest_names(written, names(states)))
@@ -320,7 +297,7 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
         if isinstance(entry, str) and entry.strip().endswith("%"):
             share = parse_quantity(entry, "dimensionless", source=source, field=field)
             size = abs(value_of(name, states))
-            if size == 0.0 and name.startswith(BENCH):
+            if size == 0.0 and kind is Kind.BENCH:
                 size = 1.0 if unit in ("1", "rad") else 0.0
             if size == 0.0:
                 raise InputError(source, field, entry, f"an uncertainty in {unit}: {name} is zero, so a percentage of "
@@ -334,7 +311,7 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
         stated[name] = written
         if not result[name] > 0.0:
             raise InputError(source, field, entry, "a standard uncertainty above zero; what is exact is left out")
-        if name.rpartition(".")[2] in LENGTHS:
+        if kind is Kind.DIMENSION:
             for state in states:
                 for each, length in state.chip.dimensions().items():
                     if first.get(each, each) == name and length.tolerance == 0.0:
@@ -345,9 +322,9 @@ def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str)
 
 def _full_name(written: str, states: Sequence[DeviceState]) -> str:
     """The name with the material's full name, ``water.sound_speed`` for ``water/iapws_2011.sound_speed``."""
-    material, dot, rest = written.partition(".")
-    full = {m.name for s in states for m in s.materials.values() if m.name.split("/")[0] == material}
-    return f"{full.pop()}{dot}{rest}" if len(full) == 1 and "/" not in material else written
+    parsed = ParameterName.parse(written)
+    full = {m.name for s in states for m in s.materials.values() if m.name.split("/")[0] == parsed.owner}
+    return f"{full.pop()}.{parsed.local}" if len(full) == 1 and "/" not in parsed.owner else written
 
 
 def names(states: Sequence[DeviceState]) -> tuple[str, ...]:
@@ -360,19 +337,14 @@ def names(states: Sequence[DeviceState]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _fixed(
-    table: Mapping[str, Any], known: Mapping[str, float], states: Sequence[DeviceState], source: str
-) -> Iterator[str]:
-    refuse_unknown_keys(table, ("names",), source=source, field="fixed")
-    listed = table.get("names", [])
-    if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
-        raise InputError(source, "fixed.names", listed, "a list of names")
-    for written in listed:
-        region, _, rest = written.partition(".")
-        material = next((s.materials[region].name for s in states if region in s.materials), None)
+def _fixed(table: Table, known: Mapping[str, float], states: Sequence[DeviceState]) -> Iterator[str]:
+    source = table.source
+    for written in table.only(("names",)).texts("names", (), expected="a list of names"):
+        parsed = ParameterName.parse(written)
+        material = next((s.materials[parsed.owner].name for s in states if parsed.owner in s.materials), None)
         name = _full_name(written, states)
         name = tied(*(state.chip for state in states)).get(name, name)
-        if rest == "density" and material is not None:
+        if parsed.local == "density" and material is not None:
             name = f"{material}.density"
         if not unit_of(name, states):
             raise InputError(source, "fixed.names", written, "the name of a parameter that a state has",

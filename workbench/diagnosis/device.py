@@ -14,19 +14,18 @@ from geometry.mesh import SectionMesh
 from geometry.section import Section
 from materials.kinds import Fluid
 from workbench.diagnosis.campaign import Campaign, unit_of, value_of
-from workbench.diagnosis.catalogue import Device, Effect, effects, mistaken_length
+from workbench.diagnosis.catalogue import effects, mistaken_length
+from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import (
-    BENCH,
-    LENGTHS,
-    LOSS,
     Parameter,
     bench_parameter,
     material_parameter,
     stretchable,
 )
+from workbench.parameter_names import Kind, ParameterName
 from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
@@ -98,7 +97,7 @@ def model(
     for state, problem in zip(campaign.states, problems, strict=True):
         lengths = state.chip.dimensions()
         radii = {name: (p.low, p.high) for p in parameters if p.is_dimension
-                 for name in p.names if name.endswith("radius") and name in lengths}
+                 for name in p.names if ParameterName.parse(name).is_radius and name in lengths}
         problem = flexible(problem, state.chip, radii)
         # One mesh for states of one chip, so that they share what is solved on it.
         problem = replace(problem, mesh=meshes.setdefault(problem.mesh.section, problem.mesh))
@@ -114,27 +113,21 @@ def model(
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
     """A parameter that may move within what is known of it, and further only where a hypothesis lifts that."""
     value, unit = value_of(name, campaign.states), unit_of(name, campaign.states)
-    if name.startswith(BENCH):
+    parsed = ParameterName.parse(name)
+    if parsed.kind is Kind.BENCH:
         found = bench_parameter(name)
         return Parameter(found.name, 0.0, found.low, found.high, error, unit)
-    if name.rpartition(".")[2] in LENGTHS:
+    if parsed.kind is Kind.DIMENSION:
         limit = mistaken_length(name, value)
         low, high = min(limit.lowest, value - 5.0 * error), max(limit.highest, value + 5.0 * error)
         others = campaign.tied.get(name, ())
         for each in (name, *others):
             low, high = stretchable([s.chip for s in campaign.states], each, low, high)
         return Parameter(name, value, low, high, error, unit, tied=others)
-    material = name.removesuffix(LOSS).rpartition(".")[0]
-    problem = next(p for p in problems if f"{material}.{_coefficient(name)}" in p.values)
-    if any(isinstance(m, Fluid) and m.name == material for m in problem.materials.values()):
+    problem = next(p for p in problems if parsed.key in p.values)
+    if any(isinstance(m, Fluid) and m.name == parsed.owner for m in problem.materials.values()):
         reach = max(0.1, 5.0 * error / value)
         return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, error / value, "1", relative=True)
-    found = material_parameter(problem, material, name.removeprefix(f"{material}."))
+    found = material_parameter(problem, parsed.owner, parsed.local)
     return Parameter(name, found.start, min(found.low, found.start - 5.0 * error) if not found.is_loss else found.low,
                      max(found.high, found.start + 5.0 * error) if not found.is_loss else found.high, error, unit)
-
-
-def _coefficient(name: str) -> str:
-    return name.removesuffix(LOSS).rpartition(".")[2]
-
-

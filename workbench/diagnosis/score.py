@@ -15,11 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from workbench.diagnosis.catalogue import Effect
 from workbench.diagnosis.device import Model
-from workbench.fitting.joint import Search, Weighted
+from workbench.diagnosis.hypothesis import Effect
+from workbench.fitting.search import Search, Weighted
 
 Real = NDArray[np.float64]
+
+#: A hypothesis promises much where it promises more than this share of what any does.
+WORTH = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +123,12 @@ def scores_at(model: Model, search: Search, x: Real, here: Weighted, effects: Se
     tangents = Tangents.at(search, here)
     found = [score(model, x, here, tangents, effect) for effect in (model.effects if effects is None else effects)]
     return sorted(found, key=lambda s: -s.evidence)
+
+
+def promising(scores: Sequence[Score], count: int, least: float = 0.0) -> list[Score]:
+    """The first `count` of those that promise a fall of chi-square above `least`, and much of what any does."""
+    enough = max(least, WORTH * max((scored.gain for scored in scores), default=0.0))
+    return [scored for scored in scores if scored.gain > enough][:count]
 
 
 def confusion(first: Score, second: Score) -> float:

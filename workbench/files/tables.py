@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from workbench.files.errors import InputError, nearest_names
+from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.quantities import parse_quantity
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -28,10 +31,147 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(str(path), "TOML syntax", str(error), "valid TOML") from None
 
 
-def refuse_unknown_keys(table: Mapping[str, object], allowed: Iterable[str], *, source: str, field: str) -> None:
-    """Raise an :class:`InputError` at the first key of `table` that is not in `allowed`."""
-    names = sorted(allowed)
-    for key in table:
-        if key not in names:
-            raise InputError(source, f"{field}.{key}" if field else key, key, "one of " + ", ".join(names),
-                             nearest_names(key, names))
+@dataclass(frozen=True)
+class Table:
+    """A table of a file and its place there, from which keys are taken one by one.
+
+    ``source`` is the file, ``field`` the dotted name of the table in it (empty: the whole file). Every method that
+    takes a key raises an :class:`InputError` with file, field, value and expectation where its value will not do; a
+    default stands in for a key that is not there, and without one the key must be.
+    """
+
+    source: str
+    field: str
+    content: Mapping[str, Any]
+
+    @classmethod
+    def read(cls, path: Path) -> Table:
+        """The table that a TOML file is.
+
+        Raises:
+            InputError: as :func:`read_toml`.
+        """
+        return cls(str(path), "", read_toml(path))
+
+    @classmethod
+    def of(cls, content: object, *, source: str, field: str, expected: str = "a table") -> Table:
+        """`content` as a table.
+
+        Raises:
+            InputError: it is none.
+        """
+        if not isinstance(content, Mapping):
+            raise InputError(source, field, content, expected)
+        return cls(source, field, content)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.content
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.content)
+
+    def at(self, key: str) -> str:
+        """The dotted name of a key of the table."""
+        return f"{self.field}.{key}" if self.field else key
+
+    def error(self, key: str, expected: str, nearest: tuple[str, ...] = ()) -> InputError:
+        """The error that says what was `expected` in place of the value of `key`."""
+        return InputError(self.source, self.at(key), self.content.get(key), expected, nearest)
+
+    def only(self, keys: Iterable[str]) -> Table:
+        """The table itself, of whose keys all are in `keys`.
+
+        Raises:
+            InputError: the first key that is not.
+        """
+        known = sorted(keys)
+        for key in self.content:
+            if key not in known:
+                raise InputError(self.source, self.at(key), key, "one of " + ", ".join(known),
+                                 nearest_names(key, known))
+        return self
+
+    def required(self, key: str, expected: str) -> Any:
+        """The value of a key, whatever it is."""
+        if key not in self.content:
+            raise self.error(key, expected, nearest_names(key, self.content))
+        return self.content[key]
+
+    def text(self, key: str, default: str | None = None, *, expected: str = "a text") -> str:
+        """A text; an empty one only where there is a default."""
+        value = self.content.get(key, default)
+        if not isinstance(value, str) or (default is None and not value):
+            raise self.error(key, expected)
+        return value
+
+    def optional_text(self, key: str) -> str | None:
+        """A text that is not empty, or None where there is no such key."""
+        return self.text(key) if key in self else None
+
+    def texts(self, key: str, default: tuple[str, ...] | None = None, *, expected: str = "a list of texts"
+              ) -> tuple[str, ...]:
+        """A list of texts, empty ones included."""
+        if key not in self and default is not None:
+            return default
+        value = self.content.get(key)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise self.error(key, expected)
+        return tuple(value)
+
+    def quantity(self, key: str, dimension: str, default: float | None = None) -> float:
+        """A quantity with its unit, in SI; `dimension` is a key of `workbench.files.quantities.UNITS`."""
+        if key not in self and default is not None:
+            return default
+        return parse_quantity(self.content.get(key), dimension, source=self.source, field=self.at(key))
+
+    def optional_quantity(self, key: str, dimension: str) -> float | None:
+        """A quantity as of :meth:`quantity`, or None where there is no such key."""
+        return self.quantity(key, dimension) if key in self else None
+
+    def quantities(self, key: str, dimension: str, *, expected: str, numbered: bool = False) -> tuple[float, float]:
+        """Two quantities with their units, in SI; mistakes are placed in ``key[0]`` or ``key[1]`` where `numbered`."""
+        value = self.content.get(key)
+        if not isinstance(value, list) or len(value) != 2:
+            raise self.error(key, expected)
+        first, second = (parse_quantity(each, dimension, source=self.source,
+                                        field=f"{self.at(key)}[{index}]" if numbered else self.at(key))
+                         for index, each in enumerate(value))
+        return first, second
+
+    def optional_number(self, key: str) -> float | None:
+        """A finite number without unit, or None where there is no such key."""
+        if key not in self:
+            return None
+        value = self.content[key]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self.error(key, "a finite number")
+        return float(value)
+
+    def whole(self, key: str, default: int | None = None, *, low: int, high: int) -> int:
+        """A whole number from `low` to `high`."""
+        value = self.content.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self.error(key, f"a whole number from {low} to {high}")
+        return value
+
+    def flag(self, key: str, *, default: bool = False) -> bool:
+        """True or false."""
+        value = self.content.get(key, default)
+        if not isinstance(value, bool):
+            raise self.error(key, "true or false")
+        return value
+
+    def choice(self, key: str, known: Iterable[str], default: str | None = None) -> str:
+        """One of the names in `known`."""
+        return choose(self.content.get(key, default), known, source=self.source, field=self.at(key))
+
+    def table(self, key: str, *, expected: str = "a table") -> Table:
+        """The table under a key; an empty one where there is no such key."""
+        return Table.of(self.content.get(key, {}), source=self.source, field=self.at(key), expected=expected)
+
+    def tables(self, key: str, *, expected: str) -> tuple[Table, ...]:
+        """The tables listed under a key; none where there is no such key."""
+        rows = self.content.get(key, [])
+        if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
+            raise self.error(key, expected)
+        return tuple(Table(self.source, f"{self.at(key)}[{index}]", row) for index, row in enumerate(rows))

@@ -12,7 +12,8 @@ from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.fitting.constrained import Inequality
-from workbench.fitting.parameter import LOSS, Parameter
+from workbench.fitting.parameter import Parameter
+from workbench.parameter_names import LOSS
 from workbench.problem import Problem
 
 Real = NDArray[np.float64]

@@ -47,10 +47,10 @@ from numpy.typing import NDArray
 
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
-from workbench.files.tables import read_toml, refuse_unknown_keys
+from workbench.files.tables import Table
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
+from workbench.parameter_names import Kind, ParameterName
 
 Real = NDArray[np.float64]
 
@@ -127,109 +127,68 @@ def read_batch(path: Path) -> Batch:
     Raises:
         InputError: the file is not as the module says; file, field, value and remedy.
     """
-    table, source = read_toml(path), str(path)
-    refuse_unknown_keys(table, ("batch", "recordings", "joint"), source=source, field="")
-    head = table.get("batch", {})
-    if not isinstance(head, Mapping):
-        raise InputError(source, "batch", head, "a table [batch]")
-    refuse_unknown_keys(head, ("name",), source=source, field="batch")
-    name = _text(head, "name", path.stem, source=source, field="batch")
+    table = Table.read(path).only(("batch", "recordings", "joint"))
+    head = table.table("batch", expected="a table [batch]").only(("name",))
+    name = head.text("name") if "name" in head else path.stem
     members: dict[str, Member] = {}
     saves: dict[str, str | None] = {}
-    for index, row in enumerate(_tables(table, "recordings", source=source)):
-        field = f"recordings[{index}]"
-        refuse_unknown_keys(row, _RECORDING_KEYS, source=source, field=field)
-        member = _member(row, path.parent, source=source, field=field)
+    for row in table.tables("recordings", expected="tables [[recordings]]"):
+        member = _member(row.only(_RECORDING_KEYS), path.parent)
         if member.name in members:
-            raise InputError(source, f"{field}.name", member.name, "a name of its own")
+            raise row.error("name", "a name of its own")
         members[member.name] = member
-        saves[member.name] = _optional(row, "save", source=source, field=field)
+        saves[member.name] = row.optional_text("save")
     if not members:
-        raise InputError(source, "recordings", "none", "at least one table [[recordings]]")
+        raise InputError(table.source, "recordings", "none", "at least one table [[recordings]]")
     groups: list[Job] = []
     grouped: set[str] = set()
-    for index, row in enumerate(_tables(table, "joint", source=source)):
-        field = f"joint[{index}]"
-        refuse_unknown_keys(row, ("name", "recordings", "own", "save"), source=source, field=field)
-        wanted = _texts(row, "recordings", (), source=source, field=field)
+    for row in table.tables("joint", expected="tables [[joint]]"):
+        wanted = row.only(("name", "recordings", "own", "save")).texts("recordings", ())
         for one in wanted:
-            choose(one, members, source=source, field=f"{field}.recordings")
+            choose(one, members, source=row.source, field=row.at("recordings"))
             if one in grouped:
-                raise InputError(source, f"{field}.recordings", one, "each recording in one group only")
+                raise InputError(row.source, row.at("recordings"), one, "each recording in one group only")
             grouped.add(one)
         if len(wanted) < 2:
-            raise InputError(source, f"{field}.recordings", list(wanted), "two recordings or more")
-        groups.append(Job(_name(row, source=source, field=field), tuple(members[one] for one in wanted),
-                          _texts(row, "own", (), source=source, field=field),
-                          _optional(row, "save", source=source, field=field)))
+            raise InputError(row.source, row.at("recordings"), list(wanted), "two recordings or more")
+        groups.append(Job(_name(row), tuple(members[one] for one in wanted), row.texts("own", ()),
+                          row.optional_text("save")))
     jobs = [Job(member.name, (member,), save=saves[member.name]) for member in members.values()
             if member.name not in grouped] + groups
     for job in jobs:
         if [other.name for other in jobs].count(job.name) > 1:
-            raise InputError(source, "joint.name", job.name, "a name that no recording has")
+            raise InputError(table.source, "joint.name", job.name, "a name that no recording has")
     return Batch(name, tuple(jobs))
 
 
-def _tables(table: Mapping[str, Any], key: str, *, source: str) -> list[Mapping[str, Any]]:
-    rows = table.get(key, [])
-    if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
-        raise InputError(source, key, rows, f"tables [[{key}]]")
-    return rows
-
-
-def _member(row: Mapping[str, Any], folder: Path, *, source: str, field: str) -> Member:
-    def path(key: str) -> Path:
-        found = folder / _text(row, key, None, source=source, field=field)
-        if not found.is_file():
-            raise InputError(source, f"{field}.{key}", str(found), "an existing file")
-        return found
-
+def _member(row: Table, folder: Path) -> Member:
     band: tuple[float | None, float | None] = (None, None)
     if "band" in row:
-        ends = row["band"]
-        if not isinstance(ends, list) or len(ends) != 2:
-            raise InputError(source, f"{field}.band", ends, 'two frequencies, for example ["910 kHz", "1155 kHz"]')
-        low, high = (parse_quantity(end, "frequency", source=source, field=f"{field}.band") for end in ends)
+        low, high = row.quantities("band", "frequency",
+                                   expected='two frequencies, for example ["910 kHz", "1155 kHz"]')
         if not 0.0 < low < high:
-            raise InputError(source, f"{field}.band", ends, "two rising frequencies")
+            raise row.error("band", "two rising frequencies")
         band = low, high
-    correction = _optional(row, "correction", source=source, field=field)
+    correction = row.optional_text("correction")
     return Member(
-        _name(row, source=source, field=field), path("file"), path("chip"),
-        choose(row.get("kind"), KINDS, source=source, field=f"{field}.kind"),
-        _optional(row, "state", source=source, field=field), _optional(row, "material", source=source, field=field),
-        _optional(row, "region", source=source, field=field),
-        _texts(row, "free", (DEFAULT,), source=source, field=field), band,
-        path("columns") if "columns" in row else None, _optional(row, "format", source=source, field=field),
-        None if correction is None else choose(correction, ("negate", "conjugate"), source=source,
-                                               field=f"{field}.correction"),
+        _name(row), _path(row, "file", folder), _path(row, "chip", folder), row.choice("kind", KINDS),
+        row.optional_text("state"), row.optional_text("material"), row.optional_text("region"),
+        row.texts("free", (DEFAULT,)), band, _path(row, "columns", folder) if "columns" in row else None,
+        row.optional_text("format"), None if correction is None else row.choice("correction", ("negate", "conjugate")),
     )
 
 
-def _text(row: Mapping[str, Any], key: str, default: str | None, *, source: str, field: str) -> str:
-    found = row.get(key, default)
-    if not isinstance(found, str) or not found:
-        raise InputError(source, f"{field}.{key}", found, "a text")
+def _path(row: Table, key: str, folder: Path) -> Path:
+    found = folder / row.text(key)
+    if not found.is_file():
+        raise InputError(row.source, row.at(key), str(found), "an existing file")
     return found
 
 
-def _optional(row: Mapping[str, Any], key: str, *, source: str, field: str) -> str | None:
-    return _text(row, key, None, source=source, field=field) if key in row else None
-
-
-def _texts(
-    row: Mapping[str, Any], key: str, default: tuple[str, ...], *, source: str, field: str
-) -> tuple[str, ...]:
-    found = row.get(key, list(default))
-    if not isinstance(found, list) or not all(isinstance(item, str) for item in found):
-        raise InputError(source, f"{field}.{key}", found, "a list of texts")
-    return tuple(found)
-
-
-def _name(row: Mapping[str, Any], *, source: str, field: str) -> str:
-    found = _text(row, "name", None, source=source, field=field)
+def _name(row: Table) -> str:
+    found = row.text("name")
     if _NAME.fullmatch(found) is None:
-        raise InputError(source, f"{field}.name", found, "letters, digits, blanks and . + - _, as it names a folder")
+        raise row.error("name", "letters, digits, blanks and . + - _, as it names a folder")
     return found
 
 
@@ -355,7 +314,7 @@ def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
 
     for device, record in records.items():
         shown = [p["name"] for p in record["parameters"] if not p["recordings"]]
-        short = {name: name.split(".", 1)[1] if "/" in name else name for name in shown}
+        short = {name: _short(name) for name in shown}
         # A free disc and a sample fitted together: both have a density.
         short = {name: text if list(short.values()).count(text) == 1 else name for name, text in short.items()}
         for parameter in record["parameters"]:
@@ -371,6 +330,12 @@ def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
         for quantity in record.get("derived", []):
             add(quantity["name"], quantity["unit"], device, quantity)
     return tuple(_column(name, units[name], rows) for name, rows in found.items() if len(rows) > 1)
+
+
+def _short(name: str) -> str:
+    """The name of a parameter without its material: c33 of one disc beside c33 of another."""
+    parsed = ParameterName.parse(name)
+    return parsed.local if parsed.kind is Kind.MATERIAL else name
 
 
 def _column(name: str, unit: str, rows: Mapping[str, tuple[float, ...]]) -> Column:

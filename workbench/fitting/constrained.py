@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,10 @@ class LeastSquares(Protocol):
     def jacobian(self) -> Real: ...
 
 
+#: The residuals that are minimised, and come back with the minimum.
+Residuals = TypeVar("Residuals", bound=LeastSquares)
+
+
 @dataclass(frozen=True, eq=False)
 class Inequality:
     """constant + sum_i x_i slopes[i] is positive semidefinite: ``constant`` (k, k), ``slopes`` (p, k, k)."""
@@ -66,7 +70,7 @@ class Inequality:
 
 
 @dataclass(frozen=True, eq=False)
-class Minimum:
+class Minimum(Generic[Residuals]):
     """Where the search ended.
 
     ``x`` (p,), ``residual`` there; ``cost`` half the sum of squares; ``converged`` whether no step promised a further
@@ -75,7 +79,7 @@ class Minimum:
     """
 
     x: Real
-    residual: LeastSquares
+    residual: Residuals
     cost: float
     converged: bool
     iterations: int
@@ -84,7 +88,7 @@ class Minimum:
 
 
 def minimise(
-    function: Callable[[Real], LeastSquares],
+    function: Callable[[Real], Residuals],
     start: Real,
     *,
     low: Real,
@@ -95,7 +99,7 @@ def minimise(
     tolerance: float = 1e-6,
     limit: int = 50,
     refused: tuple[type[Exception], ...] = (),
-) -> Minimum:
+) -> Minimum[Residuals]:
     """The least sum of squares near `start` (p,), strictly inside the bounds and inequalities at every step.
 
     Steps are measured in `scale` (p,); the first is no longer than `radius`. An exception of a type in `refused` means

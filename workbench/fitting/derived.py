@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from materials import conversions
-from workbench.fitting.certainty import DEVIATIONS
 from workbench.fitting.parameter import POLYMER_FOUR
+from workbench.fitting.uncertainty import DEVIATIONS
+from workbench.parameter_names import part
 
 Real = NDArray[np.float64]
 
@@ -101,8 +102,7 @@ def moduli_of(
             chosen[row, column] = 1.0
             moduli[short] = float(values[column])
         else:
-            number = complex(fixed[name.removesuffix(".loss")])
-            moduli[short] = number.imag if name.endswith(".loss") else number.real
+            moduli[short] = part(fixed, name)
     return moduli, chosen @ covariance @ chosen.T
 
 

@@ -17,9 +17,9 @@ from workbench.comparison import Comparison, compare
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.files.errors import InputError
 from workbench.fitting.objective import through_bench
-from workbench.fitting.parameter import placed
 from workbench.fitting.prepare import Prepared
 from workbench.operators import assemble
+from workbench.parameter_names import placed
 from workbench.problem import build
 from workbench.reduction import reduce
 from workbench.spectrum import Origin, Spectrum

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.stretch import tied
 from workbench.dimensions import flexible
-from workbench.fitting.parameter import BENCH, LOSS, Parameter, part, placed
+from workbench.fitting.parameter import Parameter
 from workbench.fitting.predict import Prediction, Predictor
+from workbench.parameter_names import BENCH, LOSS, ParameterName, part, placed
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
 
@@ -273,8 +274,8 @@ def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: 
         return recording
     lengths = chip.dimensions()
     named = [(next((name for name in p.names if name in lengths), ""), p) for p in lacking]
-    radii = {name: (p.low, p.high) for name, p in named if name.endswith("radius")}
-    if not radii and not any(name.endswith("thickness") for name, _ in named):
+    radii = {name: (p.low, p.high) for name, p in named if ParameterName.parse(name).is_radius}
+    if not radii and not any(ParameterName.parse(name).is_thickness for name, _ in named):
         return recording
     key = id(problem.mesh), problem.terms, tuple(radii.items())
     if key not in known:
@@ -290,7 +291,7 @@ def _moves(parameter: Parameter, recording: Recording) -> str | None:
     if parameter.is_bench:
         return None
     if not parameter.is_dimension:
-        return parameter.coefficient if parameter.coefficient in values else None
+        return parameter.parsed.key if parameter.parsed.key in values else None
     known = {} if recording.chip is None else tied(recording.chip)
     return next((key for name in parameter.names for key in (name, known.get(name, name)) if key in values), None)
 

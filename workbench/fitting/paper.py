@@ -40,8 +40,9 @@ from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.admissible import POISSON_RATIO, inequalities
 from workbench.fitting.objective import Recording
-from workbench.fitting.parameter import CERAMIC_LOSS, LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters, placed
+from workbench.fitting.parameter import CERAMIC_LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters
 from workbench.fitting.predict import Predictor
+from workbench.parameter_names import LOSS, ParameterName, placed
 from workbench.problem import Problem
 from workbench.reduction import NotEnriched
 from workbench.solve import NotConverged
@@ -124,7 +125,7 @@ class PaperFit:
     @property
     def strayed(self) -> tuple[str, ...]:
         """Real parts that ended more than :data:`STRAYED` from their start."""
-        return tuple(name for name, value in self.values.items() if not name.endswith(LOSS)
+        return tuple(name for name, value in self.values.items() if not ParameterName.parse(name).is_loss
                      and abs(value - self.start[name]) > STRAYED * abs(self.start[name]))
 
 
@@ -166,7 +167,7 @@ def fit_transducer(
     if begin[coupling + LOSS] == 0.0:
         # `parameter` knows no sign for it.
         begin[coupling + LOSS] = CERAMIC_LOSS * begin[coupling]
-    losses = [p for p in free if p.name.endswith(LOSS)]
+    losses = [p for p in free if p.is_loss]
     search = _Search(recording, lossless, begin, _passive(lossless, losses), tolerance, progress)
     costs: list[float] = []
     changes: list[float] = []
@@ -244,7 +245,7 @@ def fit_polymer(
 
 def _started(free: Sequence[Parameter], material: str, start: Mapping[str, float]) -> dict[str, float]:
     """Where every parameter starts, by full name."""
-    known = {p.name.removeprefix(f"{material}."): p for p in free}
+    known = {p.parsed.within(material): p for p in free}
     for name, value in start.items():
         if name not in known:
             raise InputError("fit", "start", name, f"one of {', '.join(known)}", nearest_names(name, known))
@@ -270,9 +271,11 @@ def _realistic(material: str, poisson: tuple[float, float]) -> Broken:
 
     def broken(values: Mapping[str, float]) -> str:
         for name in names:
-            if not (values[name] < 0.0 if name.endswith(LOSS) else values[name] > 0.0):
-                return f"{name} {'below' if name.endswith(LOSS) else 'above'} zero"
-        bulk, shear = (complex(values[name], values[name + LOSS]) for name in names if not name.endswith(LOSS))
+            is_loss = ParameterName.parse(name).is_loss
+            if not (values[name] < 0.0 if is_loss else values[name] > 0.0):
+                return f"{name} {'below' if is_loss else 'above'} zero"
+        bulk, shear = (complex(values[f"{material}.{name}"], values[f"{material}.{name}{LOSS}"])
+                       for name in ("bulk_modulus", "shear_modulus"))
         ratio = young_and_poisson(bulk, shear)[1].real
         if ratio < poisson[0]:
             return f"Poisson's ratio above {poisson[0]:g}"
@@ -320,7 +323,7 @@ class _Search:
             if frequency.size < len(self.start):
                 raise InputError("fit", "recording", f"{frequency.size} points within {100.0 * window:g} % of "
                                  f"{self.resonance:.6g} Hz", f"at least as many as parameters, {len(self.start)}")
-            moved = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in self.start))
+            moved = tuple(dict.fromkeys(ParameterName.parse(name).key for name in self.start))
             self._models[window] = Predictor(self.problem, frequency, tangents=moved, tolerance=self.tolerance)
 
     @property

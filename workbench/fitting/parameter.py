@@ -1,17 +1,13 @@
 """What a fit may move: real numbers with a start, bounds and what was known of them before.
 
-Names say what they are:
-
-    pzt4/acevedo_2026_initial.c33        real part of a material's coefficient, SI
-    pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
-    transducer.thickness                 a dimension of the chip, metres
-    bench.series_resistance              an element between the electrodes and the instrument
+Their names are those of `workbench.parameter_names`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,13 +16,8 @@ from geometry.stretch import movable, tied
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError, nearest_names
+from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName
 from workbench.problem import Problem
-
-LOSS = ".loss"
-BENCH = "bench."
-
-#: How the name of a dimension of a chip ends (`geometry.chip.Chip.dimensions`).
-LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
 
 #: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
 #: sheets of one class of ceramic differ from each other (the entries pic255, pzt5a, pzt5h of the registry do so).
@@ -114,17 +105,21 @@ class Parameter:
         if self.prior is not None and not self.prior > 0.0:
             raise ValueError(f"{self.name}: prior {self.prior!r} must be a positive standard uncertainty")
 
+    @cached_property
+    def parsed(self) -> ParameterName:
+        return ParameterName.parse(self.name)
+
     @property
     def is_bench(self) -> bool:
-        return self.name.startswith(BENCH)
+        return self.parsed.kind is Kind.BENCH
 
     @property
     def is_material(self) -> bool:
-        return "/" in self.name
+        return self.parsed.kind is Kind.MATERIAL
 
     @property
     def is_dimension(self) -> bool:
-        return self.name.rpartition(".")[2] in LENGTHS
+        return self.parsed.kind is Kind.DIMENSION
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,16 +128,7 @@ class Parameter:
 
     @property
     def is_loss(self) -> bool:
-        return self.name.endswith(LOSS)
-
-    @property
-    def coefficient(self) -> str:
-        """The complex coefficient of a material parameter: the name without ``.loss``."""
-        return self.name.removesuffix(LOSS)
-
-    @property
-    def material(self) -> str:
-        return self.name.split(".")[0]
+        return self.parsed.is_loss
 
     @property
     def scale(self) -> float:
@@ -166,8 +152,9 @@ def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
     Raises:
         InputError: the material has no such coefficient, or it cannot have a loss.
     """
-    known = [key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")]
-    coefficient = name.removesuffix(LOSS)
+    known = coefficients_of(problem, material)
+    parsed = ParameterName.parse(name)
+    coefficient = parsed.key
     if coefficient not in known:
         raise InputError("fit", "free", name, f"a coefficient of {material}: {', '.join(known)}, each also with "
                          f"{LOSS!r}", nearest_names(coefficient, known))
@@ -175,7 +162,7 @@ def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
     value = complex(problem.values[f"{material}.{coefficient}"])
     full = f"{material}.{name}"
     unit = UNITS.get(coefficient, "")
-    if name.endswith(LOSS):
+    if parsed.is_loss:
         return _loss(full, coefficient, value, found, unit)
     known_value = found.values.get(coefficient)
     prior = known_value.uncertainty if known_value is not None else None
@@ -187,6 +174,11 @@ def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
                        "shear_modulus"):
         low = max(low, 0.05 * value.real)
     return Parameter(full, value.real, low, high, prior, unit)
+
+
+def coefficients_of(problem: Problem, material: str) -> list[str]:
+    """What the values of a problem hold of a `material`, without its name."""
+    return [key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")]
 
 
 def _data_sheet(coefficient: str) -> float:
@@ -241,7 +233,7 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
     reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value)
     wanted = found.value - reach, found.value + reach
     low, high = stretchable([chip], first, *wanted)
-    beyond = BEYOND if first.endswith("radius") and (low, high) != wanted else ""
+    beyond = BEYOND if ParameterName.parse(first).is_radius and (low, high) != wanted else ""
     return Parameter(first, found.value, low, high, float(prior), "m", beyond=beyond, tied=others)
 
 
@@ -259,7 +251,8 @@ def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
     Raises:
         InputError: no such element.
     """
-    element = name.removeprefix(BENCH)
+    parsed = ParameterName.parse(name)
+    element = parsed.coefficient if parsed.kind is Kind.BENCH else name
     if element not in BENCH_ELEMENTS:
         raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
                          nearest_names(element, BENCH_ELEMENTS))
@@ -277,14 +270,14 @@ def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequen
     """
     result: list[Parameter] = []
     for name in names:
-        if name.startswith(BENCH):
+        parsed = ParameterName.parse(name)
+        if parsed.kind is Kind.BENCH:
             found = bench_parameter(name)
-        elif "/" in name:
-            owner = next((m.name for m in problem.materials.values() if name.startswith(f"{m.name}.")), None)
-            if owner is None:
+        elif parsed.kind is Kind.MATERIAL:
+            if parsed.owner not in {m.name for m in problem.materials.values()}:
                 raise InputError("fit", "free", name, "a coefficient of one of "
                                  + ", ".join(sorted({m.name for m in problem.materials.values()})))
-            found = material_parameter(problem, owner, name.removeprefix(f"{owner}."))
+            found = material_parameter(problem, parsed.owner, parsed.local)
         elif chip is not None and name in chip.dimensions():
             found = dimension_parameter(chip, name)
         else:
@@ -296,30 +289,14 @@ def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequen
 
 
 def _own_or_none(problem: Problem, chip: Chip | None, material: str, name: str) -> Parameter:
-    own = {key.removeprefix(f"{material}.") for key in problem.values if key.startswith(f"{material}.")}
-    if name.removesuffix(LOSS) in own:
+    own = set(coefficients_of(problem, material))
+    if ParameterName.parse(name).key in own:
         return material_parameter(problem, material, name)
     dimensions = [] if chip is None else list(chip.dimensions())
     known = [*sorted(own), *(f"{key}{LOSS}" for key in sorted(own)), *dimensions,
              *(BENCH + key for key in BENCH_ELEMENTS)]
     raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
                      f"{', '.join(known)}", nearest_names(name, known))
-
-
-def part(values: Mapping[str, complex], name: str) -> float:
-    """The number called `name` among complex `values`: a real part, or with ``.loss`` an imaginary one."""
-    value = complex(values[name.removesuffix(LOSS)])
-    return value.imag if name.endswith(LOSS) else value.real
-
-
-def placed(values: Mapping[str, complex], numbers: Mapping[str, float]) -> dict[str, complex]:
-    """Complex `values` with real `numbers`, by parameter name, in the place of the parts they are."""
-    result = dict(values)
-    for name, number in numbers.items():
-        key = name.removesuffix(LOSS)
-        old = complex(result[key])
-        result[key] = complex(old.real, number) if name.endswith(LOSS) else complex(number, old.imag)
-    return result
 
 
 def shown_unit(unit: str) -> str:

@@ -33,6 +33,7 @@ from workbench.fitting.parameter import (
     parameters,
 )
 from workbench.merit import Antiresonance, Figures, NoResonance, figures, fit_resonance
+from workbench.parameter_names import Kind, ParameterName
 from workbench.problem import build, chip_materials
 from workbench.spectrum import Spectrum
 
@@ -196,9 +197,9 @@ def material_starts(prepared: Prepared, registry: Registry, names: Sequence[str]
         beside = replace(prepared.recordings[0].problem, values=values, materials={TRANSDUCER: other})
         vector = []
         for parameter in prepared.parameters:
-            own = parameter.name.removeprefix(f"{prepared.material.name}.")
+            own = parameter.parsed.local
             # A weighed density belongs to the part, not to the data sheet.
-            moves = parameter.is_material and own != parameter.name and own != "density"
+            moves = (parameter.is_material and parameter.parsed.owner == prepared.material.name and own != "density")
             vector.append(material_parameter(beside, other.name, own).start if moves else parameter.start)
         result[other.name] = np.array(vector)
     return result
@@ -220,8 +221,8 @@ def together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> Prepared:
     found: dict[tuple[str, tuple[str, ...]], Parameter] = {}
     for prepared in group:
         label = (prepared.recordings[0].name,)
-        extra = [bench_parameter(name) if name.startswith("bench.") else dimension_parameter(prepared.chip, name)
-                 for name in own]
+        extra = [bench_parameter(name) if ParameterName.parse(name).kind is Kind.BENCH
+                 else dimension_parameter(prepared.chip, name) for name in own]
         for parameter in (*prepared.parameters, *extra):
             separate = parameter.is_bench or parameter.name in own
             key = (parameter.name, label if separate else ())

@@ -23,16 +23,17 @@ from materials.kinds import IsotropicSolid, Material
 from materials.saving import fitted
 from materials.value import Value
 from workbench.comparison import compare
-from workbench.fitting.certainty import CONFIDENCE, Fitted, Noise
 from workbench.fitting.derived import Derived, derived, moduli_of
-from workbench.fitting.joint import FitResult, Match, Start
+from workbench.fitting.joint import FitResult, Match
+from workbench.fitting.multistart import Start
 from workbench.fitting.paper import PaperFit
-from workbench.fitting.parameter import LOSS, placed
 from workbench.fitting.prepare import Prepared
+from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.merit import NoResonance, figures
 from workbench.operators import assemble
+from workbench.parameter_names import LOSS, ParameterName, placed
 from workbench.reduction import reduce
-from workbench.report import figures_record, measured_figures
+from workbench.report.figures import figures_record, measured_figures
 from workbench.spectrum import Origin, Spectrum
 
 #: A fit that leaves this rms of |ln(Z_fit / Z_measured)| or more has not explained the recording. (The published fits
@@ -87,7 +88,7 @@ def paper_result(found: PaperFit, prepared: Prepared) -> FitResult:
     before, after = compare(measured, start), compare(measured, fitted_spectrum)
     free = [next(p for p in prepared.parameters if p.name == name) for name in found.values]
     estimates = tuple(
-        Fitted(p, found.values[p.name], math.nan, math.nan, math.nan, math.nan, "none", "", True, math.nan)
+        ParameterEstimate(p, found.values[p.name], math.nan, math.nan, math.nan, math.nan, "none", "", True, math.nan)
         for p in free)
     vectors = [np.array([numbers[p.name] for p in free]) for numbers in (found.start, found.values)]
     findings = [f"{'Ended' if found.converged else 'Not converged'}: {found.reason}.",
@@ -186,7 +187,7 @@ def fit_record(
     }
 
 
-def parameter_record(estimate: Fitted) -> dict[str, Any]:
+def parameter_record(estimate: ParameterEstimate) -> dict[str, Any]:
     """One row of the parameter table."""
     p = estimate.parameter
     return {
@@ -245,8 +246,8 @@ def registry_entry(
         temperature: of the recording, K.
     """
     material = prepared.material
-    own = {e.parameter.name.removeprefix(f"{material.name}."): e for e in result.estimates
-           if e.parameter.is_material and e.parameter.material == material.name}
+    own = {e.parameter.parsed.local: e for e in result.estimates
+           if e.parameter.is_material and e.parameter.parsed.owner == material.name}
     estimates: dict[str, Value] = {}
     for field, number in material.parameters().items():
         value, loss = own.get(field), own.get(field + LOSS)
@@ -262,14 +263,14 @@ def registry_entry(
             status=_status(value), loss_status=_status(loss) if loss else "")
     band = (min(float(m.measured.frequency[0]) for m in result.recordings),
             max(float(m.measured.frequency[-1]) for m in result.recordings))
-    free = tuple(name.replace(LOSS, " loss") for name in own)
+    free = tuple(_with_loss_apart(name) for name in own)
     determined = [i for i, e in enumerate(result.estimates) if e.determined and e in own.values()]
     correlation = None
     if len(determined) > 1 and np.isfinite(result.covariance).all():
         matrix = result.correlation[np.ix_(determined, determined)]
         matrix = np.clip(0.5 * (matrix + matrix.T), -1.0, 1.0)
         np.fill_diagonal(matrix, 1.0)
-        names = {id(e): name.replace(LOSS, " loss") for name, e in own.items()}
+        names = {id(e): _with_loss_apart(name) for name, e in own.items()}
         correlation = Correlation(tuple(names[id(result.estimates[i])] for i in determined),
                                   tuple(tuple(float(x) for x in row) for row in matrix))
     fixed = tuple(field for field in material.parameters() if field not in own)
@@ -283,11 +284,17 @@ def registry_entry(
         notes=(*refusals(result), *result.findings), forced=forced))
 
 
-def _note(part: str, estimate: Fitted | None) -> str:
+def _with_loss_apart(name: str) -> str:
+    """The name of a coefficient as registry entries have it: "c33 loss"."""
+    parsed = ParameterName.parse(name)
+    return f"{parsed.key} loss" if parsed.is_loss else parsed.key
+
+
+def _note(part: str, estimate: ParameterEstimate | None) -> str:
     return "" if estimate is None or not estimate.at_bound else f"{part}held by {estimate.at_bound}"
 
 
-def _status(estimate: Fitted | None) -> str:
+def _status(estimate: ParameterEstimate | None) -> str:
     if estimate is None:
         return "fixed"
     if not estimate.determined:

@@ -33,8 +33,9 @@ from numpy.typing import NDArray
 from geometry.names import TRANSDUCER
 from materials.kinds import Piezoelectric
 from workbench.files.errors import InputError, nearest_names
-from workbench.fitting.parameter import LOSS, part, placed
+from workbench.fitting.parameter import coefficients_of
 from workbench.fitting.predict import Predictor
+from workbench.parameter_names import LOSS, ParameterName, part, placed
 from workbench.problem import Problem
 from workbench.solve import one_thread
 
@@ -87,7 +88,7 @@ class Sensitivity:
 
     @property
     def is_loss(self) -> NDArray[np.bool_]:
-        return np.array([name.endswith(LOSS) for name in self.names])
+        return np.array([ParameterName.parse(name).is_loss for name in self.names])
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -123,7 +124,7 @@ class Sensitivity:
         slopes = self.normalised(self.slopes(reach=reach))
         rows = [Rank(name, float(slope), bool(slope >= (loss_threshold if loss else real_threshold)))
                 for name, slope, loss in zip(self.names, slopes, self.is_loss, strict=True)]
-        return tuple(sorted(rows, key=lambda row: (row.name.endswith(LOSS), -row.slope)))
+        return tuple(sorted(rows, key=lambda row: (ParameterName.parse(row.name).is_loss, -row.slope)))
 
     def kept(self, *, reach: float = np.inf) -> tuple[str, ...]:
         """The parts above the printed thresholds, in the order of the ranking."""
@@ -173,7 +174,7 @@ def sensitivity(
     reference = nominal.at(frequencies, 0.2 * tolerance)
     baseline_spectrum = reference(values)
     solves, error = reference.solves, float(baseline_spectrum.error.max())
-    coefficients = tuple(dict.fromkeys(name.removesuffix(LOSS) for name in full_names))
+    coefficients = tuple(dict.fromkeys(ParameterName.parse(name).key for name in full_names))
     gradient = baseline_spectrum.logarithmic_gradient(coefficients)
     parts = np.array([part(values, name) for name in full_names])
     local = np.zeros(parts.size)
@@ -182,9 +183,10 @@ def sensitivity(
     for i, name in enumerate(full_names):
         if progress is not None:
             progress(name, i / len(full_names))
-        slope = gradient[:, coefficients.index(name.removesuffix(LOSS))]
+        parsed = ParameterName.parse(name)
+        slope = gradient[:, coefficients.index(parsed.key)]
         # By the imaginary part d ln Z is i times that by the coefficient, and ln|Z| is the real part of ln Z.
-        local[i] = float(np.linalg.norm(parts[i] * (1j * slope if name.endswith(LOSS) else slope).real))
+        local[i] = float(np.linalg.norm(parts[i] * (1j * slope if parsed.is_loss else slope).real))
         spectra = reference.at(frequencies, tolerance)
         # From the ends inwards: what a model holds at both it mostly holds in between.
         for j in sorted(range(scalings), key=lambda j: -abs(scaling[j] - 1.0)):
@@ -201,14 +203,15 @@ def _full_names(problem: Problem, names: Sequence[str]) -> tuple[str, ...]:
     material = problem.materials.get(TRANSDUCER)
     if not isinstance(material, Piezoelectric):
         raise InputError("sensitivity", "problem", problem.name, "a problem with a transducer")
-    known = [key.removeprefix(f"{material.name}.") for key in problem.values if key.startswith(f"{material.name}.")]
+    known = coefficients_of(problem, material.name)
     if not names:
         raise InputError("sensitivity", "names", "none", f"at least one of {', '.join(known)}")
     for name in names:
-        if name.removesuffix(LOSS) not in known:
+        coefficient = ParameterName.parse(name).key
+        if coefficient not in known:
             raise InputError("sensitivity", "names", name,
                              f"a coefficient of {material.name}: {', '.join(known)}, each also with {LOSS!r}",
-                             nearest_names(name.removesuffix(LOSS), known))
+                             nearest_names(coefficient, known))
         if list(names).count(name) > 1:
             raise InputError("sensitivity", "names", name, "each part once")
     return tuple(f"{material.name}.{name}" for name in names)

@@ -37,7 +37,7 @@ class PartialElectrode(Term):
     the skin does the same: field leaves its edge at an angle. The rings, one in the other, begin at the shares `beyond`
     of the region's radius, in rising order; c is what those leave that hold a point. An edge between the beginnings of
     two rings is a part, 0 < f < 1, of the wider one and all of the other. The mesh must have the skin
-    (`geometry.mesh.MeshSize.skins`): the upper one or the lower one. Parameters ``<ring>.bare_fraction`` f (see
+    (`geometry.mesh_size.MeshSize.skins`): the upper one or the lower one. Parameters ``<ring>.bare_fraction`` f (see
     :data:`ADMISSIBLE`), ``<material>.e31``, ``.e33`` and ``.eps33``.
     """
 

@@ -19,6 +19,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+
+class ModelError(ValueError):
+    """The terms do not make a solvable model (a missing unknown, electrode or boundary)."""
+
+
 #: The scalar unknowns: displacement (m), electric potential (V), pressure (Pa).
 COMPONENTS = ("u_r", "u_z", "phi", "p")
 
@@ -302,7 +307,7 @@ class Integral:
     taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` restricts a region to
     radii larger than that share of its outer one, also within an element. ``skin`` restricts it to the row of elements
     that takes so much of its thickness at its upper face, or, where it is negative, at its lower one; the mesh must
-    have that row (`geometry.mesh.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz.
+    have that row (`geometry.mesh_size.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz.
     """
 
     coefficient: Coefficient

@@ -39,9 +39,9 @@ class ImperfectBond(Term):
     sigma_rz = 2 G eps_rz, c33 = K + 4 G / 3, c13 = K - 2 G / 3. Together they are a skin of c33 / (1 + c33 s_n / d),
     c13 / (1 + c33 s_n / d) and G / (1 + G s_t / d): stress is the same in skin and springs, strains add up (Backus
     1962, J. Geophys. Res. 67, 4427; springs for bonds: Baik and Thompson 1984). The springs lose: s is the compliance
-    stated times 1 + i eta, e^{-i w t}. The mesh must have the skin (`geometry.mesh.MeshSize.skins`). `name` tells bonds
-    apart: parameters ``<name>.normal_compliance``, ``.tangential_compliance`` (m/Pa) and ``.loss_factor`` eta (see
-    :data:`ADMISSIBLE`), ``<region>.thickness`` (m); ``<material>.bulk_modulus`` and ``.shear_modulus``.
+    stated times 1 + i eta, e^{-i w t}. The mesh must have the skin (`geometry.mesh_size.MeshSize.skins`). `name` tells
+    bonds apart: parameters ``<name>.normal_compliance``, ``.tangential_compliance`` (m/Pa) and ``.loss_factor`` eta
+    (see :data:`ADMISSIBLE`), ``<region>.thickness`` (m); ``<material>.bulk_modulus`` and ``.shear_modulus``.
     """
 
     region: str

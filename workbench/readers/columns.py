@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
-from workbench.files.tables import read_toml, refuse_unknown_keys
+from workbench.files.tables import Table
 from workbench.readers.quantities import Quantity
 from workbench.readers.text import RecordingText, Rows, cells, check_frequencies, check_impedance, numbers
 from workbench.spectrum import Origin, Spectrum
@@ -82,17 +82,16 @@ def read_column_map(path: Path) -> ColumnMap:
     Raises:
         InputError: a missing or unknown key, or a value that ColumnMap or Quantity refuse.
     """
-    table = read_toml(path)
-    quantity = table.get("quantity")
-    if not isinstance(quantity, dict):
-        raise InputError(str(path), "quantity", quantity, "a table with kind, form and unit")
-    for content, kind, place in ((table, ColumnMap, ""), (quantity, Quantity, "quantity")):
-        refuse_unknown_keys(content, [f.name for f in fields(kind)], source=str(path), field=place)
+    table = Table.read(path)
+    quantity = Table.of(table.content.get("quantity"), source=table.source, field="quantity",
+                        expected="a table with kind, form and unit")
+    for each, kind in ((table, ColumnMap), (quantity, Quantity)):
+        each.only([f.name for f in fields(kind)])
         for required in (f.name for f in fields(kind) if f.default is MISSING):
-            if required not in content:
-                raise InputError(str(path), f"{place}.{required}".lstrip("."), None, "to be given")
+            if required not in each:
+                raise each.error(required, "to be given")
     try:
-        return ColumnMap(**{**table, "quantity": Quantity(**quantity)})
+        return ColumnMap(**{**table.content, "quantity": Quantity(**quantity.content)})
     except (TypeError, ValueError) as error:
         expected = f"a map such as\n\n{map_text(*EXAMPLE, {})}\n"
         raise InputError(str(path), "column map", str(error), expected) from error

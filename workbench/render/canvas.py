@@ -20,7 +20,7 @@ from workbench.files.writing import replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from workbench.particles import Excitation
+    from workbench.field_forces import Excitation
 
 #: For quantities with a sign, zero in the middle; and for the others, equal steps looking equal.
 SIGNED_COLOURS = "RdBu_r"

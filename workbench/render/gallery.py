@@ -10,7 +10,7 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.names import CAVITY
 from workbench.files.errors import InputError
-from workbench.report import Picture
+from workbench.report.page import Picture
 from workbench.simulation import Snapshot
 
 #: Fields that can be asked for by name.
@@ -67,14 +67,14 @@ def _pressure(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
 
 
 def _gorkov(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
-    from workbench.render import plots, sections
+    from workbench.render import profiles, sections
 
     if shot.traps is None:
         return [], "the state has no particle in a fluid-filled cavity"
     path = sections.draw_gorkov_potential(shot.traps, folder / f"gorkov_{shot.state}.png")
     pictures = [Picture(path, f"{shot.state}: Gor'kov potential, traps marked; {shot.traps.excitation}")]
     if shot.traps.traps:
-        path = plots.draw_potential_profiles(shot.traps, folder / f"profiles_{shot.state}.png")
+        path = profiles.draw_potential_profiles(shot.traps, folder / f"profiles_{shot.state}.png")
         pictures.append(Picture(path, f"{shot.state}: Gor'kov potential along the axis and along the radius, both "
                                 "through the deepest trap"))
     return pictures, ""

@@ -1,4 +1,4 @@
-"""Curves: impedance spectra and their residuals, potential along lines, loss budget, mesh convergence. PNG or SVG."""
+"""Curves: impedance spectra and their residuals, loss budget, mesh convergence. PNG or SVG."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.nodal import FloatArray, sample
-from workbench.particles import Trap, TrapReport
-from workbench.render.canvas import new_figure, prefixed, role_colour, save, typeset
+from workbench.render.canvas import new_figure, prefixed, role_colour, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -94,51 +92,6 @@ def draw_residuals(
     axes.set_title(title)
     axes.legend(frameon=False)
     tidy(axes)
-    figure.tight_layout()
-    return save(figure, path)
-
-
-def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None = None) -> Path:
-    """Gor'kov potential along the axis and, at the height of `trap` (the deepest unless given), along the radius.
-
-    As in Fig. 9b of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
-
-    Raises:
-        ValueError: there is no trap.
-    """
-    if trap is None:
-        if not report.traps:
-            raise ValueError("no trap in this field: name the trap whose profiles to draw")
-        trap = report.traps[0]
-    forces = report.forces
-    nodes = forces.mesh.points[forces.mesh.nodes_of([forces.region])]
-    height = np.linspace(nodes[:, 1].min(), nodes[:, 1].max(), 400)
-    radius = np.linspace(0.0, nodes[:, 0].max(), 400)
-
-    def along(points: list[FloatArray]) -> FloatArray:
-        values: FloatArray = sample(forces.mesh, forces.potential, np.stack(points, axis=1), [forces.region])
-        return values
-
-    axial = along([np.full_like(height, trap.radius), height])
-    radial = along([radius, np.full_like(radius, trap.height)])
-    factor, unit = prefixed(float(np.nanmax(np.abs(np.concatenate([axial, radial])))), "J")
-    figure = new_figure(9.5, 4.4)
-    left, right = figure.subplots(1, 2)
-    left.plot(height * 1e3, axial * factor, color=LINE_COLOURS[0])
-    left.set_xlabel("z (mm)")
-    left.set_title(f"along r = {trap.radius * 1e3:.3g} mm", fontsize=10)
-    # The other half is the mirror image.
-    right.plot(np.concatenate([-radius[::-1], radius]) * 1e3, np.concatenate([radial[::-1], radial]) * factor,
-               color=LINE_COLOURS[1])
-    right.set_xlabel("r (mm)")
-    right.set_title(f"along z = {trap.height * 1e3:.3f} mm", fontsize=10)
-    left.axvline(trap.height * 1e3, color="#888888", linewidth=0.8, linestyle=":")
-    right.axvline(trap.radius * 1e3, color="#888888", linewidth=0.8, linestyle=":")
-    for axes in (left, right):
-        axes.set_ylabel(f"Gor'kov potential $U$ ({unit})")
-        tidy(axes)
-    particle = f"{2e6 * forces.particle.radius:.3g} µm {forces.particle.name}"
-    figure.suptitle(f"{particle}\n{typeset(forces.excitation)}", fontsize=9)
     figure.tight_layout()
     return save(figure, path)
 

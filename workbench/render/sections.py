@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.nodal import FloatArray, NodalMesh, borders, cell_raster, edge_nodes, raster
-from workbench.particles import TrapReport
 from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, new_figure, prefixed, role_colour, save, typeset
+from workbench.traps import TrapReport
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -105,6 +105,8 @@ def _shortest(medium: Medium, frequency: float) -> float:
             w = np.array([2.0 * np.pi * frequency])
             kappa = complex(np.asarray(medium.coefficients(w)["compressibility"]).ravel()[0])
             return 1.0 / math.sqrt(abs(kappa) * abs(medium.density)) / frequency
+        case _:
+            raise TypeError(f"received {medium!r}; expected a solid, a ceramic or a liquid")
 
 
 def grid(body: Body, frequency: float, *, per_wavelength: float | None = None,

@@ -13,25 +13,26 @@ from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
 from workbench.comparison import compare
 from workbench.dimensions import flexible
-from workbench.fitting.certainty import (
+from workbench.fitting.joint import FINE, reweighted_descent
+from workbench.fitting.objective import Objective, Recording, Residual, log_ratio
+from workbench.fitting.parameter import Parameter, parameters
+from workbench.fitting.predict import Predictor
+from workbench.fitting.search import Search
+from workbench.fitting.uncertainty import (
     CHI_SQUARE,
     DEVIATIONS,
+    FitUncertainty,
     Noise,
-    Verdict,
     check,
     correlation_length,
     deviations,
-    judge,
+    estimate_uncertainty,
     leave_bands_out,
     noise,
     noise_shape,
     profile,
     residual_findings,
 )
-from workbench.fitting.joint import FINE, Search, refine
-from workbench.fitting.objective import Objective, Recording, Residual, log_ratio
-from workbench.fitting.parameter import Parameter, parameters
-from workbench.fitting.predict import Predictor
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
 
@@ -148,9 +149,9 @@ def test_correlated_points_count_for_fewer(small_disc: Problem) -> None:
 # Intervals
 
 
-def fitted(search: Search, start: Real) -> Verdict:
-    minimum, found = refine(search, start)
-    return judge(search, minimum, found, profiles=True)
+def fitted(search: Search, start: Real) -> FitUncertainty:
+    minimum, found = reweighted_descent(search, start)
+    return estimate_uncertainty(search, minimum, found, profiles=True)
 
 
 #: Draws, and how far off the share of hits may be: four standard deviations of a binomial law of 95 %.
@@ -165,10 +166,10 @@ def test_intervals_hold_the_truth_as_often_as_they_say(small_disc: Problem, rho:
     hits, errors, estimates = np.zeros(3), [], []
     for _ in range(DRAWS):
         measured = bench(truth, size)[0] + level * autoregressive(random, rho, size)
-        verdict = fitted(made(small_disc, lambda x: bench(x, size), measured, THREE), np.zeros(3))
-        hits += [e.low < number < e.high for e, number in zip(verdict.estimates, truth, strict=True)]
-        errors.append([e.standard_error for e in verdict.estimates])
-        estimates.append([e.value for e in verdict.estimates])
+        estimated = fitted(made(small_disc, lambda x: bench(x, size), measured, THREE), np.zeros(3))
+        hits += [e.low < number < e.high for e, number in zip(estimated.estimates, truth, strict=True)]
+        errors.append([e.standard_error for e in estimated.estimates])
+        estimates.append([e.value for e in estimated.estimates])
     print(f"rho {rho}: {hits / DRAWS}")
     assert (np.abs(hits / DRAWS - 0.95) < SHARE).all()
     u, length = np.linspace(-1.0, 1.0, size), (1.0 + rho) / (1.0 - rho)
@@ -185,18 +186,18 @@ def test_the_prior_adds_its_information(small_disc: Problem) -> None:
     weak = (free("gain", prior=data), free("phase", prior=0.1 * data), free("delay"))
     search = made(small_disc, bench, np.zeros(GRID.size, dtype=complex), weak)
     minimum = search.minimise(np.zeros(3), [level])
-    verdict = judge(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False)
-    gain, phase, delay = verdict.estimates
+    estimated = estimate_uncertainty(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False)
+    gain, phase, delay = estimated.estimates
     assert gain.standard_error == pytest.approx(data / np.sqrt(2.0), rel=1e-6)
     assert phase.standard_error == pytest.approx(0.1 * data / np.sqrt(1.01), rel=1e-6)
     # A determined parameter is one whose prior was narrowed to a half.
-    assert [e.determined for e in verdict.estimates] == [False, False, True]
+    assert [e.determined for e in estimated.estimates] == [False, False, True]
     assert phase.narrowing == pytest.approx(1.0 / np.sqrt(1.01), rel=1e-6)
     assert gain.high - gain.low == pytest.approx(2.0 * DEVIATIONS * gain.standard_error, rel=1e-9)
     assert delay.method == "quadratic"
     assert "bench.phase is not determined by these data: its interval is that of the prior narrowed to 100 %." in \
-        verdict.findings
-    assert {d.shares[0][0] for d in verdict.undetermined} == {"bench.gain", "bench.phase"}
+        estimated.findings
+    assert {d.shares[0][0] for d in estimated.undetermined} == {"bench.gain", "bench.phase"}
 
 
 #: Two shapes over the band that are not orthogonal.
@@ -228,15 +229,15 @@ def test_a_profile_finds_the_ends_that_the_quadratic_misses(small_disc: Problem,
     print(f"{low:.4f} to {high:.4f}, exact {exact}")
     # Ends are looked for until they are known to 5 %.
     assert [low, high] == pytest.approx(exact.tolist(), abs=0.05 * np.abs(exact - 1.0).max())
-    verdict = judge(search, minimum, levels, profiles=True)
-    found, linear = verdict.estimates
+    estimated = estimate_uncertainty(search, minimum, levels, profiles=True)
+    found, linear = estimated.estimates
     assert found.standard_error == pytest.approx(error, rel=1e-4)
     # The quadratic is left alone as long as chi-square at its ends is right to 30 %. It is (1 + d / 2)^2 and
     # (1 - d / 2)^2 of what is promised, d = 0.19, 0.39 and 0.58 the half width.
     assert found.method == ("quadratic" if level == 0.1 else "profile")
     if level > 0.1:
         assert (found.low, found.high) == pytest.approx((low, high), rel=1e-6)  # from an error found numerically
-        plain = judge(search, minimum, levels, profiles=False).estimates[0]
+        plain = estimate_uncertainty(search, minimum, levels, profiles=False).estimates[0]
         assert plain.method == "quadratic"
         assert max(abs(plain.low - exact[0]), abs(plain.high - exact[1])) > 0.1 * np.abs(exact - 1.0).max()
     assert linear.method == "quadratic"
@@ -246,11 +247,11 @@ def test_the_profile_of_a_linear_parameter_is_the_quadratic(small_disc: Problem)
     level = 0.1
     measured = level * white(np.random.default_rng(5))
     search = made(small_disc, bench, measured, THREE)
-    minimum, _ = refine(search, np.zeros(3))
+    minimum, _ = reweighted_descent(search, np.zeros(3))
     levels = [Noise(level, 1.0, False, 1.0)]
-    verdict = judge(search, minimum, levels, profiles=True)
-    assert [e.method for e in verdict.estimates] == ["quadratic"] * 3
-    for index, found in enumerate(verdict.estimates):
+    estimated = estimate_uncertainty(search, minimum, levels, profiles=True)
+    assert [e.method for e in estimated.estimates] == ["quadratic"] * 3
+    for index, found in enumerate(estimated.estimates):
         ends = profile(search, minimum, index, found.standard_error, deviations(search, levels))
         assert ends == pytest.approx((found.low, found.high), abs=0.05 * (found.high - found.low))
 
@@ -261,7 +262,7 @@ def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem) -> None
     held = (replace(free("gain", high=0.01), beyond="short of another"), free("phase"), free("delay"))
     search = made(small_disc, bench, bench(np.array([0.03, 0.0, 0.0]))[0], held)
     minimum = search.minimise(np.array([-0.5, 0.0, 0.0]), [level], tolerance=1e-10)
-    gain, phase, _ = judge(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=True).estimates
+    gain, phase, _ = estimate_uncertainty(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=True).estimates
     assert gain.at_bound == "upper bound 0.01"
     assert phase.at_bound == ""
     assert gain.high == pytest.approx(0.01, abs=1e-4)
@@ -269,7 +270,7 @@ def test_a_value_at_its_bound_is_named_and_profiled(small_disc: Problem) -> None
     # chi-square = 60 (g - 0.03)^2 / level^2 has risen by 3.84 from what it is at the bound.
     exact = 0.03 - np.sqrt(CHI_SQUARE * level**2 / 60.0 + 0.02**2)
     assert gain.low == pytest.approx(exact, abs=0.05 * (0.01 - exact))
-    findings = judge(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False).findings
+    findings = estimate_uncertainty(search, minimum, [Noise(level, 1.0, False, 1.0)], profiles=False).findings
     assert "bench.gain is held by upper bound 0.01, short of another." in findings
 
 
@@ -281,18 +282,18 @@ def test_what_only_their_sum_changes_is_a_direction(small_disc: Problem) -> None
     two = (free("gain", prior=1.0), free("phase", prior=2.0))
     search = made(small_disc, summed, np.zeros(GRID.size, dtype=complex), two)
     minimum = search.minimise(np.zeros(2), [0.01])
-    verdict = judge(search, minimum, [Noise(0.01, 1.0, False, 1.0)], profiles=False)
-    (direction,) = verdict.undetermined
+    estimated = estimate_uncertainty(search, minimum, [Noise(0.01, 1.0, False, 1.0)], profiles=False)
+    (direction,) = estimated.undetermined
     names, shares = zip(*direction.shares, strict=True)
     assert names == ("bench.gain", "bench.phase")
     assert np.array(shares) * np.sign(shares[0]) == pytest.approx(np.array([2.0, -1.0]) / np.sqrt(5.0), abs=1e-6)
     assert direction.narrowing == pytest.approx(1.0, abs=1e-6)
     assert direction.symmetry == ""
     # The difference stays as uncertain as the priors together; each takes its share.
-    assert np.sqrt(np.diag(verdict.covariance)) == pytest.approx([2.0 / np.sqrt(5.0)] * 2, rel=1e-3)
+    assert np.sqrt(np.diag(estimated.covariance)) == pytest.approx([2.0 / np.sqrt(5.0)] * 2, rel=1e-3)
     # 0.89 of a prior of one, 0.45 of a prior of two, which is more than halved.
-    assert [e.determined for e in verdict.estimates] == [False, True]
-    assert any(line.startswith("Not determined: the combination") for line in verdict.findings)
+    assert [e.determined for e in estimated.estimates] == [False, True]
+    assert any(line.startswith("Not determined: the combination") for line in estimated.findings)
 
 
 def test_what_nothing_is_known_of_is_not_determined(small_disc: Problem) -> None:
@@ -301,9 +302,10 @@ def test_what_nothing_is_known_of_is_not_determined(small_disc: Problem) -> None
 
     two = (free("gain"), free("phase", prior=None))
     search = made(small_disc, blind, np.zeros(GRID.size, dtype=complex), two)
-    verdict = judge(search, search.minimise(np.zeros(2), [0.01]), [Noise(0.01, 1.0, False, 1.0)], profiles=False)
-    assert not verdict.estimates[1].determined
-    assert verdict.estimates[1].high - verdict.estimates[1].low > 1.0
+    minimum = search.minimise(np.zeros(2), [0.01])
+    estimated = estimate_uncertainty(search, minimum, [Noise(0.01, 1.0, False, 1.0)], profiles=False)
+    assert not estimated.estimates[1].determined
+    assert estimated.estimates[1].high - estimated.estimates[1].low > 1.0
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -399,8 +401,8 @@ def test_intervals_of_a_ceramic_hold_the_truth(disc: Problem, chip: Chip) -> Non
         noisy = Spectrum(GRID, clean.measured.impedance * np.exp(level * white(random)))
         # The same reduced model for every draw.
         objective.recordings = (replace(clean, measured=noisy),)
-        minimum, found = refine(search, truth)
-        estimates = judge(search, minimum, found, profiles=False).estimates
+        minimum, found = reweighted_descent(search, truth)
+        estimates = estimate_uncertainty(search, minimum, found, profiles=False).estimates
         hits += [e.low < number < e.high for e, number in zip(estimates, truth, strict=True)]
     print(f"of {draws}: {hits}")
     # Four standard deviations of a binomial law for each of 40, five for all together as if they were independent.
@@ -435,8 +437,8 @@ def test_a_free_density_is_recognised_as_a_symmetry(disc: Problem, chip: Chip) -
     search = Search(Objective([recorded(disc, chip, {}, 0.0, 0)], everything, tolerance=FINE))
     level = [Noise(1e-5, 1.0, False, 1.0)]
     minimum = search.minimise(x, [1e-5], limit=3)
-    verdict = judge(search, minimum, level, profiles=False)
-    named = [d for d in verdict.undetermined if d.symmetry]
+    estimated = estimate_uncertainty(search, minimum, level, profiles=False)
+    named = [d for d in estimated.undetermined if d.symmetry]
     assert len(named) == 1
     assert named[0].symmetry.startswith("density gauge: (density, stiffness, piezoelectric constants)")
     # The direction itself: relative changes of 1 : 1 : 1/2, in units of the priors.
@@ -446,12 +448,12 @@ def test_a_free_density_is_recognised_as_a_symmetry(disc: Problem, chip: Chip) -
     # Only shares above a tenth are listed: all others have a prior ten times as wide.
     assert named[0].shares[0][0] == f"{PZT}.density"
     assert abs(named[0].shares[0][1]) == pytest.approx(exact[0], abs=0.01)
-    assert any("density gauge" in line for line in verdict.findings)
+    assert any("density gauge" in line for line in estimated.findings)
     # With a known density the symmetry is gone.
     fewer = [i for i, p in enumerate(everything) if not p.name.endswith("density")]
     known = Search(Objective([recorded(disc, chip, {}, 0.0, 0)], [everything[i] for i in fewer], tolerance=FINE))
-    verdict = judge(known, known.minimise(x[fewer], [1e-5], limit=3), level, profiles=False)
-    assert not any(d.symmetry for d in verdict.undetermined)
+    estimated = estimate_uncertainty(known, known.minimise(x[fewer], [1e-5], limit=3), level, profiles=False)
+    assert not any(d.symmetry for d in estimated.undetermined)
 
 
 def test_what_passivity_holds_is_named_and_the_interval_reaches_what_the_data_want(disc: Problem, chip: Chip) -> None:
@@ -461,13 +463,13 @@ def test_what_passivity_holds_is_named_and_the_interval_reaches_what_the_data_wa
     wanted = 1.3 * limit
     one = recorded(disc, chip, {f"{PZT}.c13": c13.real + 1j * wanted}, 1e-4, 3)
     search = Search(Objective([one], parameters(disc, None, PZT, ["c13.loss", "c13"]), tolerance=FINE))
-    minimum, found = refine(search, np.array([0.5 * limit, c13.real]))
-    loss, real = judge(search, minimum, found, profiles=True).estimates
+    minimum, found = reweighted_descent(search, np.array([0.5 * limit, c13.real]))
+    loss, real = estimate_uncertainty(search, minimum, found, profiles=True).estimates
     assert loss.at_bound == f"passivity of {PZT}"
     assert loss.value == pytest.approx(limit, rel=1e-4)
     assert real.at_bound == ""
     assert loss.low < wanted < loss.high
-    findings = judge(search, minimum, found, profiles=False).findings
+    findings = estimate_uncertainty(search, minimum, found, profiles=False).findings
     assert any(line.startswith(f"The data alone, without that condition, would put {PZT}.c13.loss at")
                for line in findings)
     assert f"{PZT}.c13.loss is held by passivity of {PZT}." in findings
@@ -480,20 +482,20 @@ def test_the_error_of_the_mesh_is_of_the_size_it_has(
     truth = recorded(fine, chip, {}, 0.0, 0)
     two = parameters(middle, None, PZT, ["c11", "c33"])
     search = Search(Objective([replace(truth, problem=middle)], two, tolerance=2e-5))
-    minimum, found = refine(search, np.array([p.start for p in two]))
+    minimum, found = reweighted_descent(search, np.array([p.start for p in two]))
     coarser = Objective([replace(truth, problem=coarse)], two, tolerance=2e-5)
-    verdict = judge(search, minimum, found, profiles=False, coarser=coarser)
-    for estimate in verdict.estimates:
+    estimated = estimate_uncertainty(search, minimum, found, profiles=False, coarser=coarser)
+    for estimate in estimated.estimates:
         off = abs(estimate.value - estimate.parameter.start)
         print(f"{estimate.parameter.name}: off by {off:.2e}, numerical {estimate.numerical:.2e}")
         # Fourth order is what meshes this fine come near to; the finest one has a sixteenth of the error itself.
         assert estimate.numerical == pytest.approx(off, rel=0.25)
         assert estimate.low < estimate.parameter.start < estimate.high
-    assert not any("no coarser mesh" in line for line in verdict.findings)
-    plain = judge(search, minimum, found, profiles=False)
+    assert not any("no coarser mesh" in line for line in estimated.findings)
+    plain = estimate_uncertainty(search, minimum, found, profiles=False)
     assert any("no coarser mesh" in line for line in plain.findings)
     assert all(e.numerical == 0.0 for e in plain.estimates)
-    for with_it, without in zip(verdict.estimates, plain.estimates, strict=True):
+    for with_it, without in zip(estimated.estimates, plain.estimates, strict=True):
         assert with_it.standard_error == pytest.approx(np.hypot(without.standard_error, with_it.numerical), rel=1e-2)
 
 

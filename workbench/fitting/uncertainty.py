@@ -1,28 +1,20 @@
-"""What the data say of each parameter at the minimum, and what they cannot say."""
+"""Uncertainty of a fit: what the data say of each parameter at the minimum, and what they cannot say."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
 from workbench.comparison import Comparison
-from workbench.files.errors import InputError
-from workbench.fitting.objective import log_ratio, through_bench
+from workbench.fitting.objective import Objective, log_ratio, through_bench
 from workbench.fitting.parameter import Parameter
-from workbench.reduction import NotEnriched
-from workbench.solve import NotConverged
+from workbench.fitting.search import REFUSED, Optimum, Search, Weighted
 from workbench.spectrum import Spectrum
-
-if TYPE_CHECKING:
-    from workbench.fitting.constrained import Minimum
-    from workbench.fitting.joint import Search, Weighted
-    from workbench.fitting.objective import Objective
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -36,13 +28,10 @@ CHI_SQUARE = DEVIATIONS**2
 NARROWED = 2.0
 
 #: Where the cost at the end of an interval differs by more than this share from the quadratic's, it is profiled.
-MISJUDGED = 0.3
+NOT_QUADRATIC = 0.3
 
 #: A parameter closer to its bound than this share of the admitted range is at it.
 AT_BOUND = 1e-3
-
-#: Where nothing can be predicted.
-REFUSED: tuple[type[Exception], ...] = (NotEnriched, NotConverged, MeshError, InputError)
 
 #: A matrix inequality whose margin is smaller than this, relative, is active.
 ACTIVE = 1e-6
@@ -64,7 +53,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class ParameterEstimate:
     """One fitted parameter, SI.
 
     ``standard_error`` holds the noise and the ``numerical`` error, what the mesh may have moved the value by; ``low``
@@ -110,10 +99,10 @@ class BandLeftOut:
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
-    """All that the minimum says."""
+class FitUncertainty:
+    """Estimates with intervals, their covariance (p, p) in SI, undetermined directions and findings in words."""
 
-    estimates: tuple[Fitted, ...]
+    estimates: tuple[ParameterEstimate, ...]
     covariance: Real
     undetermined: tuple[Direction, ...]
     findings: tuple[str, ...]
@@ -154,14 +143,14 @@ def correlation_length(residual: Complex) -> float:
     return max(1.0, length)
 
 
-def judge(
+def estimate_uncertainty(
     search: Search,
-    minimum: Minimum,
+    minimum: Optimum,
     noise: Sequence[Noise],
     *,
     profiles: bool,
     coarser: Objective | None = None,
-) -> Verdict:
+) -> FitUncertainty:
     """Intervals, correlations and undetermined directions at a minimum.
 
     The information of the data, J^T J / correlation, and of the prior add up; the covariance is the inverse of the sum.
@@ -188,7 +177,7 @@ def judge(
     for i, parameter in enumerate(search.parameters):
         low, high, method = minimum.x[i] - DEVIATIONS * errors[i], minimum.x[i] + DEVIATIONS * errors[i], "quadratic"
         held = "bound" in bounds[i]
-        if profiles and (held or _misjudged(near, minimum.x, settled, covariance, i, deviation)):
+        if profiles and (held or _not_quadratic(near, minimum.x, settled, covariance, i, deviation)):
             ends = profile(near, minimum, i, float(np.sqrt(covariance[i, i])), deviation)
             low, high = (minimum.x[i] + sign * np.hypot(end - minimum.x[i], DEVIATIONS * shift[i])
                          for sign, end in zip((-1.0, 1.0), ends, strict=True))
@@ -196,7 +185,7 @@ def judge(
         if bounds[i] and not held:
             low, high = (min(low, alone[i] - DEVIATIONS * errors[i]), max(high, alone[i] + DEVIATIONS * errors[i]))
         narrowing = errors[i] / search.scale[i]
-        estimates.append(Fitted(
+        estimates.append(ParameterEstimate(
             parameter, float(minimum.x[i]), float(errors[i]), float(abs(shift[i])), float(max(low, parameter.low)),
             float(min(high, parameter.high)), method, bounds[i], bool(narrowing * NARROWED <= 1.0), float(narrowing)))
     undetermined = _undetermined(search, minimum.x, information)
@@ -208,7 +197,7 @@ def judge(
             if p.name in conditioned) + ".")
     if coarser is None:
         statements.append("The intervals do not hold the error of the mesh: no coarser mesh was given to tell it by.")
-    return Verdict(tuple(estimates), whole, undetermined, tuple(statements))
+    return FitUncertainty(tuple(estimates), whole, undetermined, tuple(statements))
 
 
 def _inverse(information: Real, search: Search) -> Real:
@@ -275,10 +264,10 @@ def _bound(search: Search, x: Real, index: int) -> str:
     return ""
 
 
-def _misjudged(
+def _not_quadratic(
     search: Search, x: Real, here: Weighted, covariance: Real, index: int, deviation: Sequence[Real]
 ) -> bool:
-    """Whether the cost at the ends of the quadratic's interval, the others following, is not what it promises.
+    """Whether the cost at the ends of the quadratic's interval, the others following, is not the quadratic's.
 
     `here` is what `search` says at the minimum x (p,).
     """
@@ -293,13 +282,13 @@ def _misjudged(
             return True
         # Where an inequality holds the minimum, the cost has a slope there, which the quadratic knows too.
         rise = float(there.vector @ there.vector) - cost - float(slope @ step)
-        if abs(rise / CHI_SQUARE - 1.0) > MISJUDGED:
+        if abs(rise / CHI_SQUARE - 1.0) > NOT_QUADRATIC:
             return True
     return False
 
 
 def profile(
-    search: Search, minimum: Minimum, index: int, error: float, deviation: Sequence[Real]
+    search: Search, minimum: Optimum, index: int, error: float, deviation: Sequence[Real]
 ) -> tuple[float, float]:
     """The 95 % interval of one parameter with all others refitted at every value (profile likelihood).
 
@@ -390,14 +379,14 @@ def _symmetry(search: Search, x: Real, direction: Real) -> str:
 def _quantity(parameter: Parameter) -> str:
     if parameter.is_dimension:
         return "length"
-    last = parameter.coefficient.split(".")[-1]
+    last = parameter.parsed.coefficient
     for prefix in ("eps", "e", "c"):
         if last.startswith(prefix) and last != "density":
             return prefix
     return last
 
 
-def leave_bands_out(search: Search, minimum: Minimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
+def leave_bands_out(search: Search, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
     """Fit without each of `parts` equal parts of every recording's band in turn, and predict the part left out."""
     result = []
     base = deviations(search, noise)
@@ -412,7 +401,7 @@ def leave_bands_out(search: Search, minimum: Minimum, noise: Sequence[Noise], pa
             # A point of infinite deviation has no say.
             without = [np.where(inside, np.inf, d) if i == index else d for i, d in enumerate(base)]
             found = search.minimise(minimum.x, without, limit=10, tolerance=1e-4, radius=0.3)
-            predicted = found.residual.data.log_ratio[index]  # type: ignore[attr-defined]
+            predicted = found.residual.data.log_ratio[index]
             result.append(BandLeftOut(recording.name, float(low), float(high), _rms(logs[index][inside]),
                                       _rms(predicted[inside])))
     return tuple(result)
@@ -461,7 +450,7 @@ def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
     return result
 
 
-def _statements(search: Search, estimates: Sequence[Fitted], undetermined: Sequence[Direction]) -> list[str]:
+def _statements(search: Search, estimates: Sequence[ParameterEstimate], undetermined: Sequence[Direction]) -> list[str]:
     result = []
     for found in estimates:
         if found.at_bound:

@@ -1,0 +1,195 @@
+"""Checks of a chip's description. Each raises the InputError of the first mistake it finds; `file` is the name it is
+reported under, and lengths in messages are in millimetres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
+from geometry.parts import SAME_LENGTH, Dimension, Electrodes, Layer, Ports, State, discs, millimetres, port_axis
+from workbench.files.errors import InputError, choose
+
+
+def check_dimensions(
+    layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], file: str
+) -> None:
+    """The lengths are above zero with tolerances below them, and the `band` (Hz) rises.
+
+    `named` are all lengths by name, as of `geometry.chip.Chip.dimensions`.
+    """
+    low, high = band
+    if not 0.0 < low < high:
+        raise InputError(file, "chip.band", [low, high], "two frequencies in Hz above zero, the lower one first")
+    places = [
+        (f"layers[{i}].{name}", dimension)
+        for i, layer in enumerate(layers)
+        for name, dimension in (
+            ("thickness", layer.thickness),
+            ("radius", layer.radius),
+            ("cavity_radius", layer.cavity_radius),
+        )
+        if dimension is not None
+    ]
+    places += [(name, d) for name, d in named.items() if name.startswith(("electrode_", "ports."))]
+    for place, dimension in places:
+        if not (math.isfinite(dimension.value) and dimension.value > 0.0):
+            raise InputError(file, place, millimetres(dimension.value), "a length above zero")
+        tolerance = dimension.tolerance
+        if tolerance is not None and not 0.0 <= tolerance < dimension.value:
+            raise InputError(
+                file,
+                f"{place}.tolerance",
+                millimetres(tolerance),
+                f"zero or more and below the value, {millimetres(dimension.value)}",
+            )
+    for i, layer in enumerate(layers):
+        if layer.density is not None and not (math.isfinite(layer.density) and layer.density > 0.0):
+            raise InputError(file, f"layers[{i}].density", layer.density, "a density above zero")
+
+
+def check_cavity(layers: Sequence[Layer], file: str) -> None:
+    """The holes are in neighbouring layers, narrower than these, and closed below and above."""
+    # A hole is only ever as wide as its neighbours reach, so no ring is left resting on nothing either.
+    places = [i for i, layer in enumerate(layers) if layer.cavity_radius is not None]
+    for i in places:
+        layer = layers[i]
+        if layer.role == TRANSDUCER:
+            raise InputError(
+                file, f"layers[{i}].cavity_radius", millimetres(layer.inner_radius), "no hole through the transducer"
+            )
+        if layer.inner_radius > layer.outer_radius - SAME_LENGTH:
+            raise InputError(
+                file,
+                f"layers[{i}].cavity_radius",
+                millimetres(layer.inner_radius),
+                f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}",
+            )
+        for j, side in ((i - 1, "below"), (i + 1, "above")):
+            if not 0 <= j < len(layers):
+                raise InputError(
+                    file,
+                    f"layers[{i}].cavity_radius",
+                    millimetres(layer.inner_radius),
+                    f"a closed cavity: a layer {side} {layer.region!r}",
+                )
+            if layers[j].outer_radius < layer.inner_radius + SAME_LENGTH:
+                raise InputError(
+                    file,
+                    f"layers[{i}].cavity_radius",
+                    millimetres(layer.inner_radius),
+                    f"a closed cavity: {layers[j].region!r} {side} reaches only "
+                    f"{millimetres(layers[j].outer_radius)}",
+                )
+    if places and places != list(range(places[0], places[-1] + 1)):
+        gap = next(i for i in range(places[0], places[-1]) if i not in places)
+        raise InputError(
+            file,
+            f"layers[{gap}].cavity_radius",
+            None,
+            f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers",
+        )
+
+
+def check_stack(layers: Sequence[Layer], file: str) -> None:
+    """Every layer has a role, one is the transducer, and each rests on the one below."""
+    roles = [layer.role for layer in layers]
+    for i, layer in enumerate(layers):
+        choose(layer.role, ROLES, source=file, field=f"layers[{i}].role")
+    if roles.count(TRANSDUCER) != 1:
+        raise InputError(
+            file, "layers", f"{roles.count(TRANSDUCER)} layers with role 'transducer'", "exactly one transducer"
+        )
+    for i, (layer, region) in enumerate(zip(layers, region_names(roles), strict=True)):
+        if layer.region != region:
+            raise InputError(
+                file, f"layers[{i}].region", layer.region, f"{region!r}, its role numbered from below"
+            )
+        if i == 0:
+            continue
+        below = layers[i - 1]
+        distance = layer.z_bottom - below.z_top
+        if abs(distance) > SAME_LENGTH:
+            fault = "leaves a gap above" if distance > 0 else "overlaps"
+            raise InputError(
+                file,
+                f"layers[{i}].bottom",
+                millimetres(layer.z_bottom),
+                f"{millimetres(below.z_top)}, the top of {below.region!r}, which it {fault} by "
+                f"{millimetres(abs(distance))}; leave 'bottom' out to stack the layers",
+            )
+
+
+def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
+    """The electrodes lie on the transducer, whose radius is `rim` (metres)."""
+    choose(electrodes.live, ("top", "bottom"), source=file, field="electrodes.live")
+    for name, disc in discs(electrodes):
+        radius = rim if disc.radius is None else disc.radius.value
+        if radius > rim + SAME_LENGTH:
+            raise InputError(file, f"{name}.radius", millimetres(radius),
+                             f"at most the transducer's radius, {millimetres(rim)}")
+        if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
+            raise InputError(file, f"{name}.inner_radius", millimetres(disc.inner_radius.value),
+                             f"below its radius, {millimetres(radius)}")
+
+
+def check_ports(ports: Ports | None, holes: Sequence[Layer], file: str) -> None:
+    """The ports run through the wall of the cavity, beside each other."""
+    if ports is None:
+        return
+    if not holes:
+        raise InputError(file, "cavity.ports", "ports", "no ports: no layer has a cavity_radius")
+    if not 1 <= ports.count <= 8:
+        raise InputError(file, "cavity.ports.count", ports.count, "a whole number from 1 to 8")
+    wall, height = port_axis(ports, holes, file=file)
+    radius = 0.5 * ports.diameter.value
+    if radius > min(height - wall.z_bottom, wall.z_top - height) + SAME_LENGTH or radius >= wall.inner_radius:
+        raise InputError(
+            file,
+            "cavity.ports",
+            f"diameter {millimetres(2 * radius)}, axis {millimetres(height - holes[0].z_bottom)} above the cavity "
+            "floor",
+            f"a channel inside the wall {wall.region!r}, which is {millimetres(wall.thickness.value)} high, "
+            f"and narrower than the cavity, {millimetres(2 * wall.inner_radius)}",
+        )
+    if 2.0 * wall.inner_radius * math.sin(math.pi / ports.count) < 2.0 * radius and ports.count > 1:
+        raise InputError(
+            file,
+            "cavity.ports.count",
+            ports.count,
+            "fewer or narrower ports: they overlap at the cavity wall",
+        )
+
+
+def check_states(states: Sequence[State], layers: Sequence[Layer], file: str) -> None:
+    """The cavity has a filling in every state, and a particle fits into it."""
+    holes = [layer for layer in layers if layer.cavity_radius is not None]
+    if not states:
+        raise InputError(file, "states", None, "at least one state")
+    for state in states:
+        place = f"states.{state.name}"
+        if holes and state.cavity is None:
+            raise InputError(file, f"{place}.cavity", None, f'what fills the cavity: a material or "{VACUUM}"')
+        if not holes and state.cavity is not None:
+            raise InputError(
+                file, f"{place}.cavity", state.cavity, "no cavity entry: no layer has a cavity_radius"
+            )
+        if state.temperature is not None and not (math.isfinite(state.temperature) and state.temperature > 0.0):
+            raise InputError(file, f"{place}.temperature", state.temperature, "a temperature above absolute zero")
+        for region in state.materials:
+            choose(region, (layer.region for layer in layers), source=file, field=f"{place}.materials")
+        if (state.particle is None) != (state.particle_radius is None):
+            missing = "particle" if state.particle is None else "particle_radius"
+            raise InputError(file, f"{place}.{missing}", None, "both 'particle' and 'particle_radius', or neither")
+        if state.particle_radius is None:
+            continue
+        if not holes or state.cavity == VACUUM:
+            raise InputError(file, f"{place}.particle", state.particle, "no particle without a fluid to carry it")
+        room = min(min(hole.inner_radius for hole in holes), 0.5 * (holes[-1].z_top - holes[0].z_bottom))
+        if not 0.0 < state.particle_radius < room:
+            raise InputError(
+                file,
+                f"{place}.particle_radius",
+                millimetres(state.particle_radius),
+                f"above zero and below {millimetres(room)}, or it does not fit the cavity",
+            )

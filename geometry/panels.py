@@ -1,0 +1,153 @@
+"""How the intervals between the breaks of a section are divided: panels of elements in geometric progression."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.mesh_size import MeshSize
+from geometry.names import CAVITY, TRANSDUCER, role_of
+from geometry.section import VOID, Section
+from workbench.files.errors import InputError
+
+COUPLANT = "couplant"
+
+#: Regions with these roles hold a fluid, or nothing.
+FLUID_ROLES = (CAVITY, COUPLANT)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Part of an interval between two breaks: `count` elements, each `ratio` times as long as the one before."""
+
+    interval: int
+    start: float
+    end: float
+    count: int
+    ratio: float
+
+    def nodes(self) -> NDArray[np.float64]:
+        """(count + 1,) coordinates from start to end, both exact."""
+        lengths = self.ratio ** np.arange(self.count)
+        steps = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
+        nodes: NDArray[np.float64] = self.start + (self.end - self.start) * steps
+        nodes[-1] = self.end
+        return nodes
+
+
+def _panels(
+    breaks: tuple[float, ...], largest: NDArray[np.float64], graded: Mapping[float, float], *, size: MeshSize,
+    minimum: NDArray[np.int64], cuts: Sequence[float] = (),
+) -> list[Panel]:
+    """Panels of the intervals between `breaks`: elements no longer than `largest`, `minimum` of them at least (one
+    value an interval each).
+
+    They are graded towards the breaks in `graded`, to elements of that share of the largest. There is a line of nodes
+    at each of the `cuts` too.
+    """
+    panels: list[Panel] = []
+    for i, (start, end, limit, least) in enumerate(zip(breaks, breaks[1:], largest, minimum, strict=False)):
+        inner = [cut for cut in sorted(cuts) if start < cut < end]
+        for low, high in pairwise([start, *inner, end]):
+            ends = (graded.get(low, 1.0), graded.get(high, 1.0))
+            lengths, counts, ratios = _divide(high - low, limit, ends, size.growth, 1 if inner else int(least))
+            knots = low + np.concatenate([[0.0], np.cumsum(lengths)])
+            knots[-1] = high
+            for a, b, n, q in zip(knots, knots[1:], counts, ratios, strict=False):
+                panel = Panel(i, float(a), float(b), n, q)
+                # gmsh places the nodes of a steeply graded line by numerical integration, too roughly for the smallest.
+                nodes = [panel.start, panel.end] if q == 1.0 else panel.nodes().tolist()
+                panels += [Panel(i, low, high, n if q == 1.0 else 1, 1.0) for low, high in pairwise(nodes)]
+    return panels
+
+
+def _divide(
+    length: float, largest: float, ends: tuple[float, float], growth: float, minimum: int
+) -> tuple[list[float], list[int], list[float]]:
+    """Lengths, counts and ratios of the panels of one interval.
+
+    The interval is divided into equal parts no longer than `largest`, `minimum` at least. A part next to a graded end,
+    half of it where it is next to both, is divided again: from an element no longer than so much of `largest` as `ends`
+    say on they grow by `growth`. An end of 1 is not graded.
+    """
+    parts = max(minimum, _ceiling(length / largest))
+    share = 0.5 if parts == 1 and max(ends) < 1.0 else 1.0
+    piece = share * length / parts
+    first, last = (_graded(piece, end * largest, growth) if end < 1.0 else 1 for end in ends)
+    if first == last == 1:  # too thin to be graded, or not to be
+        return [length], [parts], [1.0]
+    # A half that is too thin stays one element.
+    graded = (first > 1 or share < 1.0, last > 1 or share < 1.0)
+    rest = round(parts - share * sum(graded))
+    pieces = [(piece, first, growth)] * graded[0]
+    pieces += [(length - sum(graded) * piece, rest, 1.0)] * (rest > 0)
+    pieces += [(piece, last, 1.0 / growth)] * graded[1]
+    lengths, counts, ratios = zip(*pieces, strict=True)
+    return list(lengths), list(counts), list(ratios)
+
+
+def _graded(length: float, smallest: float, growth: float) -> int:
+    """How many elements, each `growth` times as long as the one before, divide a length so that the first is no longer
+    than `smallest`."""
+    count, total = 1, 1.0
+    while length / total > smallest * (1.0 + 1e-12):
+        total += growth**count
+        count += 1
+    return count
+
+
+def _ceiling(quotient: float) -> int:
+    """Smallest number of elements; a quotient above a whole number by rounding only does not cost one more."""
+    return max(1, math.ceil(quotient * (1.0 - 1e-12)))
+
+
+def _corners(section: Section, refinement: float) -> tuple[dict[float, float], dict[float, float]]:
+    """Radii and heights that the mesh is graded towards, and the size of the elements there, relative to the others.
+
+    Fields are singular in re-entrant corners of the solids, and more so at the ends of electrodes: elements there are
+    smaller by the cube of `refinement`: by itself 0.65 % in Z of a disc were left, by its square 0.08 %. The
+    rim of a couplant, which gives way there, is too thin to have anything of its own across: its radius counts, not
+    its heights.
+    """
+    fluid = [role_of(region) in FLUID_ROLES for region in section.regions]
+    cells = section.grid()
+    solid = (cells != VOID) & ~np.append(fluid, True)[cells]  # VOID is -1: the last entry
+    quarters = np.stack([solid[1:, 1:], solid[1:, :-1], solid[:-1, 1:], solid[:-1, :-1]])
+    # Two solids in opposite quarters meet in an edge; side by side they have a plane face.
+    opposite = (quarters.sum(axis=0) == 2) & (quarters[0] == quarters[3])
+    corners = np.argwhere((quarters.sum(axis=0) == 3) | opposite) + 1
+    radii = {section.r_breaks[i]: refinement for _, i in corners}
+    heights = {section.z_breaks[j]: refinement for j, _ in corners}
+    radii |= {p.r_outer: refinement for p in section.rectangles if role_of(p.region) == COUPLANT}
+    disc = max(p.r_outer for p in section.rectangles if p.region == TRANSDUCER)
+    for electrode in section.electrodes:
+        ends = {electrode.r_inner, electrode.r_outer} - {0.0, disc}
+        radii |= dict.fromkeys(ends, refinement**3)
+        heights |= {electrode.z: refinement**3} if ends else {}
+    return radii, heights
+
+
+def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]:
+    """Panels along r and along z."""
+    grid = section.grid()
+    # VOID is -1: it takes the last entry, no limit.
+    limits = np.array([size.largest_element(region) for region in section.regions] + [math.inf])[grid]
+    columns, rows = limits.min(axis=0), limits.min(axis=1)
+    if math.isinf(max(columns.max(), rows.max())):
+        raise InputError("mesh size", "slowest_wave", math.inf, "a finite speed in some region of every row and column")
+    radii, heights = _corners(section, size.corner_refinement)
+    cuts = []
+    for rectangle in section.rectangles:
+        skin = size.skins.get(rectangle.region, 0.0) * (rectangle.z_top - rectangle.z_bottom)
+        cuts += [rectangle.z_bottom + skin, rectangle.z_top - skin] if skin else []
+    thick = np.diff(section.z_breaks) > 0.25 * size.elements_per_wavelength * rows
+    least = np.maximum(size.minimum_through_thickness, np.where(thick, size.minimum_through_quarter_wave, 1))
+    return (
+        _panels(section.r_breaks, columns, radii, size=size, minimum=np.ones(len(columns), dtype=int)),
+        _panels(section.z_breaks, rows, heights, size=size, minimum=least, cuts=cuts),
+    )

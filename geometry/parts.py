@@ -1,0 +1,195 @@
+"""The parts a chip is described by: dimensions, layers, electrodes, ports and states. All lengths in metres.
+
+Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one
+axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed below and above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE
+from workbench.files.errors import InputError
+
+#: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
+SAME_LENGTH = 1e-9
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One length of a chip.
+
+    ``value`` and ``tolerance`` in metres (``None``: nobody said how exact), ``assumed`` when it was not measured or
+    published but chosen, ``note`` where it comes from.
+    """
+
+    value: float
+    tolerance: float | None = None
+    assumed: bool = False
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class ElectrodeDisc:
+    """An electrode on one face of the transducer: a disc, or a ring when ``inner_radius`` is above zero.
+
+    ``radius`` is ``None`` when it covers the face to the rim; it then follows the transducer's radius.
+    """
+
+    radius: Dimension | None = None
+    inner_radius: Dimension | None = None
+
+
+@dataclass(frozen=True)
+class Electrodes:
+    """The two electrodes; ``live`` names the face of the transducer at the drive voltage, the other one is ground."""
+
+    live: Literal["top", "bottom"] = "top"
+    live_disc: ElectrodeDisc = ElectrodeDisc()
+    ground_disc: ElectrodeDisc = ElectrodeDisc()
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer: a disc, or a ring around the cavity when ``cavity_radius`` is given.
+
+    ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own when a person weighed the part.
+    """
+
+    region: str
+    role: str
+    material: str
+    thickness: Dimension
+    radius: Dimension
+    z_bottom: float
+    cavity_radius: Dimension | None = None
+    density: float | None = None
+
+    @property
+    def z_top(self) -> float:
+        """Height of the upper face, metres."""
+        return self.z_bottom + self.thickness.value
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius of the hole, metres; 0 for a full disc."""
+        return 0.0 if self.cavity_radius is None else self.cavity_radius.value
+
+    @property
+    def outer_radius(self) -> float:
+        """Radius of the layer, metres."""
+        return self.radius.value
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Inlet and outlet of the cavity: straight channels from its wall to the outer surface, evenly round the axis.
+
+    Only the solid model has them; the section and the mesh are axisymmetric and leave them out. ``diameter`` of the
+    channel and ``height`` of its axis above the cavity floor; without a height the channel runs at mid-height of the
+    tallest layer around the cavity. Fig. 3 of Acevedo-Espinosa et al. (RP-UEIS) shows both ports without a size.
+    """
+
+    diameter: Dimension
+    height: Dimension | None = None
+    count: int = 2
+
+
+@dataclass(frozen=True)
+class ReportedFigures:
+    """Figures of merit somebody reported for a state: f0 in Hz, smallest impedance in ohm, quality factor."""
+
+    label: str
+    f0: float
+    z_min: float
+    q: float
+
+
+@dataclass(frozen=True)
+class State:
+    """What a chip holds while it is measured.
+
+    ``cavity``: material in the cavity, ``"vacuum"`` for nothing, ``None`` for a chip without cavity. ``temperature`` in
+    kelvin. ``materials`` replaces the material of single regions. ``particle`` is a material name,
+    ``particle_radius`` in metres.
+    """
+
+    name: str
+    cavity: str | None = None
+    temperature: float | None = None
+    materials: Mapping[str, str] = field(default_factory=dict)
+    particle: str | None = None
+    particle_radius: float | None = None
+    reported: tuple[ReportedFigures, ...] = ()
+
+
+def stacked(layers: Iterable[Layer]) -> tuple[Layer, ...]:
+    """The layers moved so that each rests on the one below; the bottom one stays where it is."""
+    stack: list[Layer] = []
+    for layer in layers:
+        stack.append(replace(layer, z_bottom=stack[-1].z_top) if stack else layer)
+    return tuple(stack)
+
+
+def discs(electrodes: Electrodes) -> tuple[tuple[str, ElectrodeDisc], tuple[str, ElectrodeDisc]]:
+    """The two discs with the names of their boundaries, the live one first."""
+    return (ELECTRODE_LIVE, electrodes.live_disc), (ELECTRODE_GROUND, electrodes.ground_disc)
+
+
+def hole_names(layers: Iterable[Layer]) -> dict[str, str]:
+    """Name of the dimension that holds the hole's radius, by region: shared while all holes are equally wide."""
+    holes = {layer.region: layer.inner_radius for layer in layers if layer.cavity_radius is not None}
+    if holes and max(holes.values()) - min(holes.values()) < SAME_LENGTH:
+        return dict.fromkeys(holes, f"{CAVITY}.radius")
+    return {region: f"{region}.cavity_radius" for region in holes}
+
+
+def named_dimensions(
+    layers: Sequence[Layer], electrodes: Electrodes, ports: Ports | None
+) -> Iterator[tuple[str, Dimension]]:
+    """The lengths of a chip and their names, in the order of the layers; see `geometry.chip.Chip.dimensions`."""
+    shared = hole_names(layers)
+    for layer in layers:
+        yield f"{layer.region}.thickness", layer.thickness
+        yield f"{layer.region}.radius", layer.radius
+    # Reversed, so that the lowest hole speaks for the shared radius.
+    for layer in reversed(layers):
+        if layer.cavity_radius is not None:
+            yield shared[layer.region], layer.cavity_radius
+    for name, disc in discs(electrodes):
+        if disc.radius is not None:
+            yield f"{name}.radius", disc.radius
+        if disc.inner_radius is not None:
+            yield f"{name}.inner_radius", disc.inner_radius
+    if ports is not None:
+        yield "ports.diameter", ports.diameter
+        if ports.height is not None:
+            yield "ports.height", ports.height
+
+
+def port_axis(ports: Ports | None, holes: Sequence[Layer], *, file: str) -> tuple[Layer, float]:
+    """The layer that ports run through and the height of their axes (metres, in the chip's own z).
+
+    `holes` are the layers with a hole, bottom to top; `file` is the name mistakes are reported under.
+
+    Raises:
+        InputError: there are no ports, or their height lies beside the cavity.
+    """
+    if ports is None or not holes:
+        raise InputError(file, "cavity.ports", None, "a chip with a cavity and ports")
+    if ports.height is None:
+        wall = max(holes, key=lambda hole: hole.thickness.value)
+        return wall, 0.5 * (wall.z_bottom + wall.z_top)
+    height = holes[0].z_bottom + ports.height.value
+    for wall in holes:
+        if wall.z_bottom <= height <= wall.z_top:
+            return wall, height
+    raise InputError(file, "cavity.ports.height", millimetres(ports.height.value),
+                     f"a height inside the cavity, which is {millimetres(holes[-1].z_top - holes[0].z_bottom)} high")
+
+
+def millimetres(length: float) -> str:
+    """A length (metres) as messages show it."""
+    return f"{1e3 * length:.6g} mm"

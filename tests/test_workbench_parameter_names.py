@@ -1,0 +1,53 @@
+"""Names of parameters: what they are taken apart into, and which number among complex values they mean."""
+
+from __future__ import annotations
+
+import pytest
+
+from workbench.parameter_names import Kind, ParameterName, part, placed
+
+
+@pytest.mark.parametrize(("text", "expected"), [
+    ("pzt4/a.c33", ParameterName("pzt4/a", "c33", False, Kind.MATERIAL)),
+    ("pzt4/a.c33.loss", ParameterName("pzt4/a", "c33", True, Kind.MATERIAL)),
+    # Misspelt: the material is told all the same.
+    ("pzt4/a.c33.los", ParameterName("pzt4/a", "c33.los", False, Kind.MATERIAL)),
+    ("transducer.thickness", ParameterName("transducer", "thickness", False, Kind.DIMENSION)),
+    ("cavity.radius", ParameterName("cavity", "radius", False, Kind.DIMENSION)),
+    ("bench.gain", ParameterName("bench", "gain", False, Kind.BENCH)),
+    # No element of the bench has a loss: told apart, it would pass for one that there is.
+    ("bench.gain.loss", ParameterName("bench", "gain.loss", False, Kind.BENCH)),
+    ("couplant.ring_1.missing_fraction", ParameterName("couplant.ring_1", "missing_fraction", False, Kind.TERM)),
+    ("transducer.thickness.loss", ParameterName("transducer", "thickness", True, Kind.TERM)),
+    ("pla.bulk_modulus.loss", ParameterName("pla", "bulk_modulus", True, Kind.TERM)),
+    ("c33.loss", ParameterName("", "c33", True, Kind.TERM)),
+    ("c33", ParameterName("", "c33", False, Kind.TERM)),
+    ("loss", ParameterName("", "loss", False, Kind.TERM)),
+])
+def test_a_name_is_taken_apart_and_put_together_again(text: str, expected: ParameterName) -> None:
+    found = ParameterName.parse(text)
+    assert found == expected
+    assert str(found) == text
+
+
+def test_a_name_is_told_of_its_owner_without_it() -> None:
+    name = ParameterName.parse("pzt4/a.c33.loss")
+    assert (name.key, name.local) == ("pzt4/a.c33", "c33.loss")
+    assert (name.within("pzt4/a"), name.within("pzt4/b")) == ("c33.loss", "pzt4/a.c33.loss")
+
+
+@pytest.mark.parametrize(("text", "radius", "thickness"), [
+    ("cavity.radius", True, False), ("ring.inner_radius", True, False), ("gel.thickness", False, True),
+    ("port.height", False, False), ("gel.density", False, False), ("radius.loss", False, False),
+])
+def test_lengths_along_and_across_are_told_apart(text: str, radius: bool, thickness: bool) -> None:
+    found = ParameterName.parse(text)
+    assert (found.is_radius, found.is_thickness) == (radius, thickness)
+
+
+def test_numbers_are_parts_of_complex_values() -> None:
+    values = {"gel.shear_modulus": 2.0 - 1.0j, "gel.thickness": 3.0 + 0.0j}
+    assert (part(values, "gel.shear_modulus"), part(values, "gel.shear_modulus.loss")) == (2.0, -1.0)
+    assert placed(values, {"gel.shear_modulus.loss": -4.0, "gel.thickness": 5.0}) == {
+        "gel.shear_modulus": 2.0 - 4.0j, "gel.thickness": 5.0 + 0.0j}
+    assert values["gel.shear_modulus"] == 2.0 - 1.0j

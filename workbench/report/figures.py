@@ -1,0 +1,63 @@
+"""Figures of merit as rows of a table and as records."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from workbench.merit import Estimate, Figures, NoResonance, ResonanceFit, figures, fit_resonance
+from workbench.report.page import number
+from workbench.spectrum import Spectrum
+
+FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt", "C0 (pF)")
+
+
+def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
+    """Figures of a recording, or why there are none."""
+    try:
+        return figures(spectrum), ""
+    except NoResonance as missing:
+        return None, missing.reason
+
+
+def figures_row(label: str, merit: Figures | None) -> tuple[str, ...]:
+    """The cells of :data:`FIGURE_COLUMNS` as text."""
+    if merit is None:
+        return (label, "none", "", "", "", "")
+    anti = merit.antiresonance
+    return (label, f"{merit.f0 / 1e6:.4f}", number(merit.z_min), number(merit.q),
+            number(anti.kt, 3) if anti else "", f"{anti.static_capacitance * 1e12:.0f}" if anti else "")
+
+
+def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
+    """Figures of merit for a JSON file, SI units in the names."""
+    if merit is None:
+        return {"f0_hz": None, "z_min_ohm": None, "q": None, "no_resonance": reason}
+    record: dict[str, Any] = {"f0_hz": merit.f0, "z_min_ohm": merit.z_min, "q": merit.q,
+                              "half_power_hz": [merit.f1, merit.f2]}
+    if merit.antiresonance is not None:
+        anti = merit.antiresonance
+        record |= {"antiresonance_hz": anti.frequency, "z_max_ohm": anti.z_max, "kt": anti.kt,
+                   "k_effective": anti.k_effective, "static_capacitance_f":
+                   anti.static_capacitance if math.isfinite(anti.static_capacitance) else None}
+    return record
+
+
+def resonance_fits(spectrum: Spectrum) -> dict[str, ResonanceFit]:
+    """The fits of the resonance that succeed, by method."""
+    fits = {}
+    for method in ("pole", "bvd"):
+        try:
+            fits[method] = fit_resonance(spectrum, method)
+        except (NoResonance, ValueError, RuntimeError):
+            continue
+    return fits
+
+
+def fit_record(fit: ResonanceFit) -> dict[str, Any]:
+    """A resonance fit for a JSON file: every value with its standard error."""
+    def pair(estimate: Estimate) -> list[float]:
+        return [estimate.value, estimate.standard_error]
+
+    return {"frequency_hz": pair(fit.frequency), "q": pair(fit.q), "rms_residual": fit.rms_residual,
+            **{name: pair(value) for name, value in fit.parameters.items()}}
