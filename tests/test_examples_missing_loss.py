@@ -1,4 +1,4 @@
-"""The arithmetic of examples/04_missing_loss.py, on a chip the size of a pea."""
+"""The arithmetic of examples/12_missing_loss.py, on a chip the size of a pea."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from workbench.spectrum import Spectrum
 # What the paper's constants are warned of is told of in their own tests.
 pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")
 
-PATH = Path(__file__).resolve().parent.parent / "examples" / "04_missing_loss.py"
+PATH = Path(__file__).resolve().parent.parent / "examples" / "12_missing_loss.py"
 FREQUENCIES = np.linspace(0.345e6, 0.373e6, 29)
 
 

@@ -1,4 +1,4 @@
-"""examples/03_whole_way.py without its computations: its files, its commands, and what it says of the outcome."""
+"""examples/11_whole_way.py without its computations: its files, its commands, and what it says of the outcome."""
 
 import importlib.util
 import json
@@ -17,7 +17,7 @@ from workbench.options import COMMANDS, parser
 from workbench.parameter_names import part
 
 _SPEC = importlib.util.spec_from_file_location(
-    "whole_way", Path(__file__).resolve().parents[1] / "examples" / "03_whole_way.py")
+    "whole_way", Path(__file__).resolve().parents[1] / "examples" / "11_whole_way.py")
 example = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(example)
 

@@ -1,6 +1,6 @@
 """Figures of merit of a spectrum: resonance, quality factor, coupling, equivalent circuit.
 
-Definitions (the README's table of conventions): f0 is the frequency of the smallest |Z|, Z_min = |Z(f0)|, and
+Definitions (docs/conventions.md): f0 is the frequency of the smallest |Z|, Z_min = |Z(f0)|, and
 Q = f0 / (f2 - f1) with f1 and f2 the half-power frequencies about f0, where |Y| = |Y|max / sqrt(2). All are taken on
 :meth:`workbench.spectrum.Spectrum.interpolant`, not on the recorded points. The fits of :func:`fit_resonance` answer
 a different question (the pole, or the circuit, behind the curve), so they carry their method's name.

@@ -4,9 +4,9 @@
 
 Every finished row is in the file of --output at once, so that a stop with Ctrl-C loses only the row in work; --resume
 goes on from there, and prints the tables of what there is. *Full-order spectrum*: 481 frequencies one by one with
-tuned, symmetrically scaled SuperLU on one thread, scaled up from --points of them. Prints Markdown tables for the
-README. Reference spectra are those of an independent solver (tests/data/reference), with densities of 7500 kg/m^3,
-which the published constants belong to; the real disc is the one of geometry/chips/disc_20x2.toml.
+tuned, symmetrically scaled SuperLU on one thread, scaled up from --points of them. Prints Markdown tables for
+docs/validation.md. Reference spectra are those of an independent solver (tests/data/reference), with densities of 7500
+kg/m^3, which the published constants belong to; the real disc is the one of geometry/chips/disc_20x2.toml.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     .venv/bin/python tests/benchmarks/reduced_model.py --sizes 10000 28000 75000 150000
 
 *Full-order spectrum*: that many frequencies one by one with tuned, symmetrically scaled SuperLU on one thread. With
-fewer --points its time is scaled up to 481 and the table says so. Prints a Markdown table for the README.
+fewer --points its time is scaled up to 481 and the table says so. Prints a Markdown table for docs/validation.md.
 
 With --sizes: how time and memory grow with the unknowns. The reference chip, filled, on meshes like the default one of
 about so many unknowns; one full solve, its pattern's analysis included, and the reduced model of 481 frequencies, all

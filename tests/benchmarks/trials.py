@@ -9,7 +9,7 @@
 FOLDER/found/NNNN.json and never opens the truth; `score` alone compares the two and prints the tables. The first two
 can be stopped at any time and go on where they were; several of them may work on one folder. Hundreds of trials take
 many hours: `--into` adds what was scored to a file of outcomes, a line a trial with the commit that was tried, and
-`table` prints the tables of such a file; tests/data/trials holds those of the README, by their seeds.
+`table` prints the tables of such a file; tests/data/trials holds those of docs/validation.md, by their seeds.
 """
 
 from __future__ import annotations

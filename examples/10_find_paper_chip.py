@@ -1,10 +1,13 @@
-"""Search the dimensions the paper does not print for the best agreement with the model columns of its Table 5.
+"""Find the chip of the paper
+==========================
+
+Search the dimensions the paper does not print for the best agreement with the model columns of its Table 5.
 
 Known: the transducer (25 x 2.02 mm), the gel (20 um), a pressure node at z = 3.25 mm, six numbers of Table 5. Unknown:
 heights of substrate, sidewall, bond and glass, radius of the cavity and of the section. The node ties the substrate's
 height to the cavity's, which leaves six lengths for six numbers.
 
-    python examples/02_find_paper_chip.py [--samples 64] [--seed 1] [--polish 3]
+    python examples/10_find_paper_chip.py [--samples 64] [--seed 1] [--polish 3]
 
 A quasi-random sample on a coarse mesh, then least squares from the best few, the last steps on a finer one.
 Every evaluated point is appended to ``out/paper_chip_search.csv`` at once, and a second run continues from there.

@@ -1,6 +1,9 @@
-"""What does the model of a real free disc leave unexplained?
+"""A real disc
+===========
 
-    python examples/05_real_disc.py RECORDING [-o out/real_disc]
+What does the model of a real free disc leave unexplained?
+
+    python examples/13_real_disc.py RECORDING [-o out/real_disc]
 
 RECORDING is the E4990A sweep MODULOFASEMODOTHICKNES.CSV of M. P. Stolfi and E. Santangelo (course work, Universita
 degli Studi della Basilicata, 2025; MIT licence; on GitHub in

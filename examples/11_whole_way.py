@@ -1,6 +1,9 @@
-"""The whole way, from the command line alone: the bench, a transducer, a polymer, a chip, and what it does not explain.
+"""The whole way
+=============
 
-    python examples/03_whole_way.py [-o out/whole_way]
+The whole way, from the command line alone: the bench, a transducer, a polymer, a chip, and what it does not explain.
+
+    python examples/11_whole_way.py [-o out/whole_way]
 
 The bench is the simulated one, with leads, probes, gains that are off, 8 bit and noise. What it holds is in
 ``whole_way/truth``, which no other command sees: the constants of the disc and of the printed PLA differ from the

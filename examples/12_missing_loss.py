@@ -1,11 +1,14 @@
-"""Is the loss missing from the paper's model of its water-filled chip thermoviscous, as the paper says?
+"""Is the missing loss thermoviscous?
+==================================
+
+Is the loss missing from the paper's model of its water-filled chip thermoviscous, as the paper says?
 
 Table 5 of Acevedo-Espinosa et al. (RP-UEIS) leaves two gaps between measurement and model. With water in the cavity 1/Q
 is 2.0e-3 higher than modelled (3e-5 when empty), and filling moves f0 by -1.0 kHz where the model says +2.0 kHz. The
 paper's explanation of the first, boundary layers and other losses in the water, has known constants and nothing to fit:
 it is switched on here, on the reproduced chip and on chips of other dimensions, for the paper prints few of them.
 
-    python examples/04_missing_loss.py [--draws 64] [--about 9] [--seed 1]
+    python examples/12_missing_loss.py [--draws 64] [--about 9] [--seed 1]
 
 leaves ``out/missing_loss/report.html`` and a table of all draws after some minutes. What it can show is a bound
 over the dimensions drawn, not a proof: the chip itself is not known.

@@ -1,0 +1,144 @@
+"""A picture of the packages and of who imports whom, from the import statements themselves.
+
+    .venv/bin/python docs/architecture.py out/architecture.png
+
+Every module belongs to one group of :data:`GROUPS`; a module that belongs to none, and imports that go round in a
+circle, are errors.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator, Mapping
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("geometry", "materials", "workbench")
+
+#: The groups of the picture: a package, or modules of `workbench` that are used together.
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "files": ("workbench.files",),
+    "geometry": ("geometry",),
+    "materials": ("materials",),
+    "physics": ("workbench.physics",),
+    "model and solution": tuple(f"workbench.{name}" for name in (
+        "coefficients", "dense", "dimensions", "discretisation", "drive", "elements", "factorisation", "fields",
+        "mesh_error", "nodal", "operators", "particles", "problem", "reduction", "solve")),
+    "results": tuple(f"workbench.{name}" for name in ("comparison", "merit", "notebook", "spectrum")),
+    "readers": ("workbench.readers",),
+    "instruments": ("workbench.instruments",),
+    "simulation, report": ("workbench.simulation", "workbench.report"),
+    "bench": ("workbench.bench",),
+    "fitting": ("workbench.fitting",),
+    "render": ("workbench.render",),
+    "diagnosis": ("workbench.diagnosis",),
+    "ranges": ("workbench.ranges",),
+    "commands": ("workbench.commands", "workbench.cli", "workbench.options", "workbench.__main__"),
+}
+
+#: What a notebook shows of a result is drawn when it is asked for: the one import against the arrows.
+FOR_NOTEBOOKS = ("workbench.notebook", "workbench.render")
+
+
+def module_name(path: Path) -> str:
+    """The full name of the module in a file."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def group_of(module: str) -> str | None:
+    """The group of a module; None for the public names of `workbench` itself, which load what they name when used."""
+    if module == "workbench":
+        return None
+    found = [group for group, members in GROUPS.items()
+             if any(module == member or module.startswith(f"{member}.") for member in members)]
+    if len(found) != 1:
+        raise ValueError(f"{module} belongs to {found or 'no group'}; give it one place in GROUPS")
+    return found[0]
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    """Modules that a module imports, inside functions too; not what is for type checkers alone."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        else:
+            yield from imports(node)
+
+
+def arrows() -> dict[str, set[str]]:
+    """What every group imports.
+
+    Raises:
+        ValueError: a module without a group. CycleError: imports in a circle.
+    """
+    found: dict[str, set[str]] = {group: set() for group in GROUPS}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            module = module_name(path)
+            own = group_of(module)
+            if own is None:
+                continue
+            for name in imports(ast.parse(path.read_text(encoding="utf-8"))):
+                if name.split(".")[0] in PACKAGES and not (
+                        module == FOR_NOTEBOOKS[0] and name.startswith(FOR_NOTEBOOKS[1])):
+                    other = group_of(name)
+                    found[own] |= {other} - {own, None}  # type: ignore[arg-type]
+    TopologicalSorter(found).prepare()
+    return found
+
+
+def reduced(graph: Mapping[str, set[str]]) -> dict[str, set[str]]:
+    """The arrows that no chain of others replaces."""
+    def below(group: str) -> set[str]:
+        return set().union(*({other} | below(other) for other in graph[group]))
+
+    return {group: {other for other in others if not any(other in below(third) for third in others - {other})}
+            for group, others in graph.items()}
+
+
+def levels(graph: Mapping[str, set[str]]) -> dict[str, int]:
+    """How many arrows lie below every group, at most."""
+    found: dict[str, int] = {}
+    for group in TopologicalSorter(graph).static_order():
+        found[group] = 1 + max((found[other] for other in graph[group]), default=-1)
+    return found
+
+
+def draw(path: Path) -> Path:
+    """Write the picture; an arrow points from who imports to what is imported."""
+    from matplotlib.figure import Figure
+
+    graph = arrows()
+    level = levels(graph)
+    rows: dict[int, list[str]] = {}
+    for group in GROUPS:
+        rows.setdefault(level[group], []).append(group)
+    place = {group: ((2.0 * k + 1.0) / (2.0 * len(row)) * 10.0, 1.25 * height)
+             for height, row in rows.items() for k, group in enumerate(row)}
+    figure = Figure(figsize=(9.0, 1.05 * len(rows) + 0.6), dpi=110)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    for group, others in reduced(graph).items():
+        for other in others:
+            (x, y), (u, v) = place[group], place[other]
+            axes.annotate("", (u, v + 0.26), (x, y - 0.26), arrowprops={"arrowstyle": "-|>", "color": "#6b7a8c",
+                                                                        "linewidth": 1.0})
+    for group, (x, y) in place.items():
+        axes.text(x, y, group, ha="center", va="center", fontsize=10.5,
+                  bbox={"boxstyle": "round,pad=0.5", "facecolor": "#e8f1fa", "edgecolor": "#0072b2"})
+    axes.set_xlim(0.0, 10.0)
+    axes.set_ylim(-0.6, 1.25 * max(rows) + 0.6)
+    axes.axis("off")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+    return path
+
+
+if __name__ == "__main__":
+    print(draw(Path(sys.argv[1] if len(sys.argv) > 1 else "out/architecture.png")))

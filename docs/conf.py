@@ -1,0 +1,86 @@
+"""Settings of the documentation. It opens offline: no fonts and no scripts from elsewhere.
+
+    .venv/bin/python -m sphinx -W --keep-going -b html docs out/docs
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+sys.path[:0] = [str(ROOT), str(HERE)]
+# Gallery pages are made by running the examples; no window is needed for that.
+os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import api  # noqa: E402
+import architecture  # noqa: E402
+import chip_keys  # noqa: E402
+
+_PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+project = "Acoustofluidic chip workbench"
+author = copyright = "the authors of the workbench"
+version = release = _PROJECT["version"]
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
+exclude_patterns = ["_generated", "**/sg_execution_times.rst"]
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 3
+# A file's name such as setup.py is no link.
+myst_linkify_fuzzy_links = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = project
+html_theme_options: dict[str, Any] = {
+    "icon_links": [], "navbar_end": ["theme-switcher"], "navbar_align": "left", "show_prev_next": True,
+    "footer_start": [], "footer_end": [], "header_links_before_dropdown": 6, "use_edit_page_button": False,
+}
+html_sidebars = {"gallery/*": []}
+html_show_sourcelink = False
+html_show_sphinx = False
+
+autodoc_typehints = "description"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+napoleon_google_docstring, napoleon_numpy_docstring = True, False
+# A type is named as the code names it; not every one has a page here.
+suppress_warnings = ["ref.python"]
+
+#: Examples that take seconds; the others are shown and not run.
+QUICK = r"0[34689]_\w+\.py"
+
+
+sphinx_gallery_conf = {
+    "examples_dirs": str(ROOT / "examples"), "gallery_dirs": "gallery", "filename_pattern": QUICK,
+    "ignore_pattern": r"(^|/)paper_chip\.py$", "image_scrapers": ("gallery_pictures.written",), "reset_modules": (),
+    "within_subsection_order": "FileNameSortKey", "capture_repr": (), "show_signature": False,
+    "download_all_examples": False, "min_reported_time": 1e9, "backreferences_dir": None,
+    "remove_config_comments": True, "nested_sections": False, "write_computation_times": False,
+}
+
+
+def _generate(_app: object) -> None:
+    made = HERE / "_generated"
+    made.mkdir(exist_ok=True)
+    (made / "chip_keys.md").write_text(chip_keys.page(), encoding="utf-8")
+    (made / "api.rst").write_text(api.page(), encoding="utf-8")
+    architecture.draw(made / "architecture.png")
+
+
+def _plain_bars(_app: object, _what: str, _name: str, _found: object, _options: object, lines: list[str]) -> None:
+    """|Z| is a magnitude and no substitution."""
+    for number, line in enumerate(lines):
+        parts = line.split("``")
+        parts[::2] = [part.replace("|", "\\|") for part in parts[::2]]
+        lines[number] = "``".join(parts)
+
+
+def setup(app: Any) -> None:
+    app.connect("autodoc-process-docstring", _plain_bars)
+    app.connect("builder-inited", _generate, priority=100)

@@ -1,0 +1,158 @@
+"""The documentation: what is printed runs, what is named exists, and all of it is built without a warning."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from workbench.options import parser
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+#: What takes more than some ten seconds.
+SLOW = ("wb.fit(", "wb.diagnose(", "wb.range_model(", "add_effect")
+#: Words of a command that stand for something of the reader's.
+STANDS_FOR = {"DIR", "FOLDER", "RECORDING"}
+
+
+def blocks(language: str) -> Iterator[tuple[str, str]]:
+    """(page and number, text) of the fenced blocks of a language."""
+    for page in PAGES:
+        found = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+        for number, text in enumerate(found, 1):
+            yield f"{page.stem}-{number}", text
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """(page and number, one command) of the blocks of the shell."""
+    for name, text in blocks("sh"):
+        for line in text.splitlines():
+            for command in line.split("&&"):
+                yield name, command.partition("#")[0].strip()
+
+
+def test_the_walk_sees_what_there_is_to_see() -> None:
+    # Or the tests below hold of nothing.
+    assert {"README-1", "README-2", "diagnosis-1", "add_material-1"} <= {name for name, _ in blocks("python")}
+    assert len(list(commands())) > 50
+
+
+@pytest.mark.parametrize(("name", "text"), [
+    pytest.param(name, text, id=name, marks=pytest.mark.slow if any(word in name + text for word in SLOW) else ())
+    for name, text in blocks("python")])
+def test_python_that_is_printed_runs(name: str, text: str, tmp_path: Path) -> None:
+    for folder in ("geometry", "examples", "tests"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", text], cwd=tmp_path, capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(tmp_path / "data")},
+                          timeout=900)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("name", "command"), [pytest.param(*both, id=f"{both[0]}: {both[1]}"[:80])
+                                               for both in commands()])
+def test_commands_that_are_printed_exist(name: str, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [word for word in shlex.split(command) if not re.fullmatch(r"[A-Z]+=\S+", word)]
+    match words:
+        case ["workbench" | ".venv/bin/workbench", *rest]:
+            try:
+                parser().parse_args(rest)
+            except SystemExit:
+                pytest.fail(f"{name}: {command}\n{capsys.readouterr().err}")
+            files = [word for word in rest if word.startswith(("geometry/", "tests/", "examples/"))]
+        case ["./setup" | "./check" as script, *_]:
+            files = [script]
+        case [".venv/bin/python", "-m", "pytest", *rest]:
+            files = [word for word in rest if not word.startswith("-") and word != "slow"]
+            assert files
+        case [".venv/bin/python", "-m", "sphinx", *rest]:
+            files = ["docs"]
+            assert "docs" in rest
+        case [".venv/bin/python", script, *rest]:
+            files = [script, *(word for word in rest if "/" in word)]
+            text = (ROOT / script).read_text(encoding="utf-8")
+            for word in rest:
+                # An option or a subcommand is one that the script has.
+                if not (word in STANDS_FOR or "/" in word or word.isdigit()):
+                    assert re.search(rf"(?<!\w){word}(?!\w)", text) or word in concealed(), word
+        case _:
+            pytest.fail(f"{name}: no test knows the command {command!r}")
+    for file in files:
+        assert list(ROOT.glob(file)), f"{name}: {file} does not exist"
+
+
+def concealed() -> set[str]:
+    """Names of the effects that a trial may conceal."""
+    text = (ROOT / "tests/benchmarks/concealed").rglob("*.py")
+    return {word for path in text for word in re.findall(r'"([a-z_]+)"', path.read_text(encoding="utf-8"))}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_files_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(r"`((?:tests|docs|geometry|materials|workbench|examples)/[\w./*]+)`", text)
+    named += [link for link in re.findall(r"\]\(([\w./]+)\)", text) if "://" not in link]
+    for name in named:
+        assert list(ROOT.glob(name.rstrip("/"))), name
+
+
+def test_every_page_of_validation_names_its_commands() -> None:
+    text = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
+    for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
+        assert "```sh" in section, section.splitlines()[0]
+
+
+def test_the_readme_is_short_and_begins_with_the_two_commands() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 150
+    first = next(blocks("sh"))[1].splitlines()
+    assert first == [
+        "./setup && .venv/bin/workbench simulate geometry/chips/acevedo_2026_chip.toml -o out/paper_chip",
+        "./setup && ./check"]
+    for picture in re.findall(r"!\[.*?\]\((.*?)\)", text):
+        assert (ROOT / picture).stat().st_size < 150_000
+
+
+def test_no_page_bears_the_traces_of_a_machine() -> None:
+    files = [*PAGES, ROOT / "CHANGELOG.md", ROOT / "CITATION.cff", ROOT / ".pre-commit-config.yaml",
+             *(ROOT / "docs").glob("*.py"), *(ROOT / "examples").glob("*.*")]
+    traces = re.compile(r"(?<![\w.~/$])/(work|home|root|tmp|Users|mnt)/\w|py(pi|thonhosted)\.org|conda\.anaconda\.org")
+    for file in files:
+        assert not traces.search(file.read_text(encoding="utf-8")), file
+
+
+def test_the_picture_of_packages_has_one_way(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, str(ROOT / "docs/architecture.py"), str(tmp_path / "architecture.png")],
+                          capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "architecture.png").stat().st_size > 10_000
+
+
+def test_every_key_of_a_chip_file_is_explained() -> None:
+    code = "import sys; sys.path[:0] = ['docs', '.']; import chip_keys; print(chip_keys.page())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    for key in ("cavity_radius", "live_inner_radius", "particle_radius", "z_min", "tolerance"):
+        assert f"| `{key}` |" in done.stdout
+
+
+@pytest.mark.slow
+def test_the_documentation_is_built_without_a_warning_and_opens_offline(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", str(tmp_path / "html")],
+        capture_output=True, text=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=900)
+    assert done.returncode == 0, done.stderr[-4000:]
+    for page in (tmp_path / "html").rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=\"(?:https?:)?//", text), page.name
+    api = (tmp_path / "html" / "api.html").read_text(encoding="utf-8")
+    import workbench as wb
+
+    assert all(f'id="workbench.{name}"' in api for name in wb.PUBLIC)

@@ -1,0 +1,86 @@
+"""The gallery: short scripts on the public names alone, each of which runs and states the number it is to find."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+import workbench as wb
+
+ROOT = Path(__file__).resolve().parent.parent
+#: The examples of the gallery that are run; those from 10 on take minutes to hours.
+SHORT = sorted((ROOT / "examples").glob("0*.py"))
+#: What takes more than some ten seconds on a quiet machine.
+SLOW = {"05_fit_a_polymer", "07_diagnose_a_campaign"}
+#: What an example may import beside `workbench`: the standard library and numpy.
+PLAIN = {"dataclasses", "numpy", "pathlib", "tempfile", "workbench"}
+#: Pictures that an example leaves below ``out``.
+DRAWN = {
+    "01_first_spectrum": {"first_spectrum.png"}, "02_cavity_height": {"cavity_height.png"},
+    "03_your_own_chip": {"mesh_filled.png", "pressure_filled.png"}, "04_fit_a_disc": {"fit_a_disc.png"},
+    "05_fit_a_polymer": {"fit_a_polymer.png"}, "06_compare_with_a_recording": {"compare.png"},
+    "07_diagnose_a_campaign": set(), "09_bench_sweep": {"bench_sweep.png"},
+    "08_fields_and_traps": {"pressure_filled.png", "gorkov_filled.png", "cutaway_filled.png", "losses_filled.png"},
+}
+#: Words of what an example prints: the number that its docstring states, as far as it is printed.
+SAID = {
+    "01_first_spectrum": "f0=10304", "02_cavity_height": "height 0.74 mm: f0 1.0225 MHz",
+    "03_your_own_chip": "layers[1].thickness: received '20'",
+    "04_fit_a_disc": "pzt4/comsol_nominal.c33       1.2167e+11",
+    "05_fit_a_polymer": "kept as pla_mine/print_1@1", "06_compare_with_a_recording": "rms of ln(Z/Z_ref) 0.",
+    "07_diagnose_a_campaign": "ambiguous fluid temperature", "08_fields_and_traps": "trap at r 0.00 mm, z 3.26",
+    "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
+}
+
+
+def test_there_is_an_example_for_every_number() -> None:
+    assert [path.stem for path in SHORT] == sorted(DRAWN) == sorted(SAID)
+    numbers = [path.name[:2] for path in sorted((ROOT / "examples").glob("[0-9]*.py"))]
+    assert numbers == [f"{k:02d}" for k in range(1, 14)]
+
+
+@pytest.mark.parametrize("path", SHORT, ids=lambda path: path.stem)
+def test_an_example_is_short_and_uses_public_names_alone(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 60
+    tree = ast.parse(text)
+    modules: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            modules.add(str(node.module))
+    assert modules <= PLAIN
+    used = {node.attr for node in ast.walk(tree)
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "wb"}
+    assert used - {"__file__"} <= set(wb.PUBLIC)
+    assert "import workbench as wb" in text
+    docstring = ast.get_docstring(tree)
+    assert docstring is not None
+    assert "Reference number:" in docstring
+
+
+@pytest.mark.parametrize("path", [pytest.param(path, marks=pytest.mark.slow if path.stem in SLOW else ())
+                                  for path in SHORT], ids=lambda path: path.stem)
+def test_an_example_runs(path: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(tmp_path / "data"),
+                   "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    done = subprocess.run([sys.executable, "-W", "ignore", str(path)], cwd=tmp_path, env=environment,
+                          capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert SAID[path.stem] in done.stdout
+    assert {picture.name for picture in (tmp_path / "out").rglob("*.png")} >= DRAWN[path.stem]
+
+
+def test_the_small_campaign_is_read() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        campaign = wb.read_campaign(ROOT / "examples" / "small_campaign" / "campaign.toml")
+    assert [state.name for state in campaign.states] == ["empty", "filled"]
+    assert campaign.states[1].temperature is None
