@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench fit``: material parameters from one recording, or from many."""
     if options.tries < 0:
-        raise InputError("command line", "--tries", options.tries, "a number of ways down, 0 for none")
+        raise InputError("command line", "--tries", options.tries, "a number of descents, 0 for none")
     settings = Settings(
         materials=tuple(options.materials), accuracy=asked_accuracy(options),
         algorithm=options.algorithm, starts=tuple(options.start), tries=options.tries, force=options.force)
