@@ -30,7 +30,7 @@ from materials.registry import Registry
 from workbench.files.errors import InputError
 from workbench.merit import NoResonance, figures
 from workbench.operators import assemble
-from workbench.problem import build
+from workbench.problem import build, fill
 from workbench.reduction import reduce
 from workbench.spectrum import Spectrum
 
@@ -49,7 +49,7 @@ def evaluate(chip: Chip, accuracy: float) -> dict[str, tuple[float, float, float
     """f0, Z_min and Q of both states."""
     found = {}
     for state in TARGET:
-        problem = build(chip, state, Registry(), band=BAND, accuracy=accuracy)
+        problem = build(fill(chip, state, Registry()), band=BAND, accuracy=accuracy)
         frequencies = np.arange(BAND[0], BAND[1] + 1.0, 250.0)
         model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=1e-4, first=2)
         spectrum = Spectrum.from_solver(frequencies, model.solve(frequencies, problem.values).impedance)

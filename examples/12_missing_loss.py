@@ -40,7 +40,7 @@ from workbench.files.errors import InputError
 from workbench.merit import Figures, NoResonance, figures
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ADMISSIBLE
-from workbench.problem import Problem, build, with_boundary_layers
+from workbench.problem import Problem, build, fill, with_boundary_layers
 from workbench.reduction import ReducedModel, reduce
 from workbench.simulation import loss_budget
 from workbench.solve import Solution
@@ -141,7 +141,7 @@ def reduced(problem: Problem, frequencies: Real = FREQUENCIES) -> Model:
 def model_of(chip: Chip, state: str, *, accuracy: float, changed: Mapping[str, complex] | None = None
              ) -> Model:
     """The model of a chip with boundary layers in its cavity, some parameters of the fluid `changed`."""
-    problem = build(chip, state, Registry(), band=(float(FREQUENCIES[0]), float(FREQUENCIES[-1])),
+    problem = build(fill(chip, state, Registry()), band=(float(FREQUENCIES[0]), float(FREQUENCIES[-1])),
                     accuracy=accuracy)
     name = problem.materials[CAVITY].name
     problem = with_boundary_layers(problem)
@@ -260,7 +260,7 @@ def instead(chip: Chip, wanted: Gaps, start: Mapping[str, Figures]) -> Iterator[
     `start` holds the figures of both states with nothing changed. What closes no gap within its range is left out.
     """
     height = chip.dimensions()["sidewall.thickness"].value
-    fluid = fluid_of(build(chip, "filled", Registry(), accuracy=COARSE))
+    fluid = fluid_of(build(fill(chip, "filled", Registry()), accuracy=COARSE))
     omega = 2.0 * math.pi * start["filled"].f0
 
     @cache

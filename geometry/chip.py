@@ -86,12 +86,14 @@ class Chip:
         layers = {layer.region: layer for layer in self.layers}
         return layers[choose(region, layers, source=self.file, field="region")]
 
-    def state(self, name: str) -> State:
-        """The state of that name.
+    def state(self, name: str | None = None) -> State:
+        """The state of that name; the last one of the file, in which a device works, if none is given.
 
         Raises:
             InputError: the chip has no such state.
         """
+        if name is None:
+            return self.states[-1]
         states = {state.name: state for state in self.states}
         return states[choose(name, states, source=self.file, field="state")]
 

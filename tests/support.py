@@ -17,6 +17,7 @@ from geometry.mesh import SectionMesh
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.discretisation import Discretisation
+from workbench.fitting.parameter import Parameter
 from workbench.physics.term import Condition, Term
 
 #: A transducer the size of a pea, as a chip file.
@@ -195,3 +196,8 @@ def moved_onto(mesh: SectionMesh, chip: Chip) -> SectionMesh:
     moved = np.stack([np.interp(r, mesh.section.r_breaks, section.r_breaks),
                       np.interp(z, mesh.section.z_breaks, section.z_breaks)])
     return replace(mesh, mesh=replace(mesh.mesh, doflocs=moved), section=section)
+
+
+def started_at(parameter: Parameter, start: float) -> Parameter:
+    """The same parameter with another start, moved into its bounds."""
+    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))

@@ -21,7 +21,7 @@ from materials.registry import Registry
 from workbench.merit import figures
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ThermalBoundaryLayer, ViscousBoundaryLayer
-from workbench.problem import build
+from workbench.problem import build, fill
 from workbench.solve import solve_full
 from workbench.spectrum import Spectrum
 
@@ -56,7 +56,7 @@ def model(example: ModuleType, paper_chip: Chip) -> Any:
     radii = {f"{region}.radius": 3.5e-3 for region in ("substrate", "sidewall", "bond", "superstrate")}
     pea = paper_chip.with_dimensions({"transducer.radius": 3e-3, "couplant.radius": 3e-3, "cavity.radius": 1.5e-3,
                                       **radii})
-    problem = build(pea, "filled", Registry(), band=(FREQUENCIES[0], FREQUENCIES[-1]), accuracy=quadratic(8.0))
+    problem = build(fill(pea, "filled", Registry()), band=(FREQUENCIES[0], FREQUENCIES[-1]), accuracy=quadratic(8.0))
     return example.reduced(example.with_boundary_layers(problem), FREQUENCIES)
 
 

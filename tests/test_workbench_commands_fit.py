@@ -15,7 +15,7 @@ from workbench.cli import main
 from workbench.commands import fit_job
 from workbench.fitting.joint import FitResult
 from workbench.operators import assemble
-from workbench.problem import build
+from workbench.problem import build, fill
 from workbench.readers import read_recording
 from workbench.reduction import reduce
 from workbench.spectrum import Spectrum, write_csv
@@ -29,7 +29,7 @@ SMALL = ["--accuracy", "0.5 %", "--tries", "0"]
 def record_of(path: Path, changes: dict[str, float], name: str, *, points: int = 41) -> Path:
     """A recording of the chip whose coefficients are off by factors, beside its file."""
     chip = read_chip(path)
-    problem = build(chip, "default", Registry(), accuracy=5e-3)
+    problem = build(fill(chip, "default", Registry()), accuracy=5e-3)
     values = {**problem.values, **{key: factor * problem.values[key] for key, factor in changes.items()}}
     frequency = np.linspace(300e3, 450e3, points)
     solution = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-6).solve(frequency, values)

@@ -30,7 +30,7 @@ from workbench.fitting.objective import through_bench
 from workbench.fitting.search import Search
 from workbench.operators import assemble
 from workbench.physics import bubbles
-from workbench.problem import build, with_boundary_layers
+from workbench.problem import build, fill, with_boundary_layers
 from workbench.reduction import NotEnriched, reduce
 from workbench.spectrum import Spectrum, write_csv
 
@@ -69,7 +69,7 @@ class Bench:
         """A state whose parameters are the stated ones times `factors`; `colour` correlates neighbouring points."""
         there = read_chip(self.folder / f"{chip}.toml")
         registry = user_registry([MATERIALS])
-        problem = with_boundary_layers(build(there, there.states[0].name, registry, accuracy=ACCURACY))
+        problem = with_boundary_layers(build(fill(there, there.states[0].name, registry), accuracy=ACCURACY))
         values = {**problem.values, **{key: problem.values[key] * factor for key, factor in (factors or {}).items()}}
         solved = reduce(assemble(problem.mesh, problem.terms), FREQUENCIES, values).solve(FREQUENCIES, values)
         clean, _, _ = through_bench(np.conj(solved.impedance), 2.0 * np.pi * FREQUENCIES, dict(bench or {}))

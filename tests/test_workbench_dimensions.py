@@ -15,7 +15,7 @@ from workbench.files.errors import InputError
 from workbench.operators import assemble
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.surface_load import SurfaceLoad
-from workbench.problem import Problem, build
+from workbench.problem import Problem, build, fill
 from workbench.solve import solve_full
 
 CHIP = """
@@ -80,7 +80,7 @@ def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
 
 @pytest.fixture(scope="module")
 def problem(chip: Chip) -> Problem:
-    found = build(chip, "filled", Registry(), accuracy=quadratic(3.0))
+    found = build(fill(chip, "filled", Registry()), accuracy=quadratic(3.0))
     water = found.materials["cavity"]
     walls = [b for b in found.mesh.section.boundary_names() if "cavity" in b.split("|")]
     layers = tuple(ViscousBoundaryLayer(wall, next(side for side in wall.split("|") if side != "cavity"), "cavity",

@@ -20,7 +20,7 @@ from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
 from workbench.operators import FullOperators, assemble
 from workbench.physics.term import Monomial
-from workbench.problem import Problem, build
+from workbench.problem import Problem, build, fill
 from workbench.simulation import loss_budget
 from workbench.solve import Solution, solve_full
 
@@ -40,7 +40,7 @@ def made(layers: list[dict[str, str]], **content: Any) -> Chip:
 
 def solved(chip: Chip, frequency: float, *, elements: float) -> tuple[Problem, FullOperators, Solution]:
     fine = Discretisation(4, elements, corner_refinement=0.1, growth=3.0)
-    problem = build(chip, chip.states[-1].name, Registry(), accuracy=fine)
+    problem = build(fill(chip, chip.states[-1].name, Registry()), accuracy=fine)
     operators = assemble(problem.mesh, problem.terms)
     return problem, operators, solve_full(operators, np.array([frequency]), problem.values)
 
@@ -239,7 +239,7 @@ def test_fields_of_the_default_mesh_are_at_least_as_accurate_as_of_second_order(
     shown = []
     # The other one is within a fifth of these limits of a mesh twice as fine.
     for how in (discretisation(ACCURACY), Discretisation(6, 1.5, corner_refinement=0.1, growth=6.0, film_finer=1.1)):
-        model = build(chip, "filled", Registry(), accuracy=how)
+        model = build(fill(chip, "filled", Registry()), accuracy=how)
         operators = assemble(model.mesh, model.terms)
         solution = solve_full(operators, np.array([1.0305e6]), model.values)
         shown.append(fields(model, operators, solution, VoltageDrive(10.0)))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support import started_at
 
 from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
@@ -19,7 +20,7 @@ from workbench.fitting.constrained import minimise
 from workbench.fitting.joint import FINE, FitError, FitResult, fit
 from workbench.fitting.multistart import prior_samples
 from workbench.fitting.objective import Objective, Recording, through_bench
-from workbench.fitting.parameter import Parameter, bench_parameter, parameters, started_at
+from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.predict import Predictor
 from workbench.fitting.search import SEARCHED_POINTS, Search
 from workbench.problem import Problem

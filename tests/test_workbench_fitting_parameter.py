@@ -25,7 +25,6 @@ from workbench.fitting.parameter import (
     dimension_parameter,
     material_parameter,
     parameters,
-    started_at,
 )
 from workbench.problem import Problem
 
@@ -313,10 +312,3 @@ def test_a_start_outside_its_bounds_is_refused(start: float, low: float, high: f
 def test_a_prior_is_a_positive_number(prior: float) -> None:
     with pytest.raises(ValueError, match="positive standard uncertainty"):
         Parameter("bench.gain", 0.0, -1.0, 1.0, prior, "1")
-
-
-def test_another_start_is_moved_into_the_bounds() -> None:
-    known = bench_parameter("gain")
-    assert started_at(known, 0.2) == replace(known, start=0.2)
-    assert started_at(known, 7.0).start == known.high
-    assert started_at(known, -7.0).start == known.low

@@ -24,7 +24,7 @@ from workbench.fitting.prepare import Prepared, check_device, in_band, material_
 from workbench.fitting.record import Source, fit_record, paper_result, refusals, registry_entry, source
 from workbench.merit import figures
 from workbench.operators import assemble
-from workbench.problem import build, chip_materials
+from workbench.problem import build, fill
 from workbench.reduction import reduce
 from workbench.spectrum import Origin, Spectrum, write_csv
 
@@ -48,7 +48,7 @@ def chip(folder: Path) -> Chip:
 @pytest.fixture(scope="module")
 def recorded(chip: Chip, folder: Path) -> Spectrum:
     """The disc with c33 5 % stiffer, c11 3 % softer and lossier, without noise."""
-    problem = build(chip, "default", Registry(), accuracy=quadratic(4.0))
+    problem = build(fill(chip, "default", Registry()), accuracy=quadratic(4.0))
     values = {**problem.values, f"{MATERIAL}.c33": problem.values[f"{MATERIAL}.c33"] + 0.05 * 115.41e9,
               f"{MATERIAL}.c11": 0.97 * problem.values[f"{MATERIAL}.c11"].real - 0.24e9j}
     frequency = np.linspace(300e3, 450e3, 61)
@@ -153,7 +153,7 @@ def test_a_geometry_wrong_by_ten_is_refused_before_it_is_meshed(
 
 
 def check(measured: Spectrum, chip: Chip) -> None:
-    check_device(measured, chip, chip_materials(chip, "default", Registry()), name="recording")
+    check_device(measured, chip, fill(chip, "default", Registry()).materials, name="recording")
 
 
 def test_a_device_is_not_refused_for_its_ceramic(chip: Chip, recorded: Spectrum) -> None:

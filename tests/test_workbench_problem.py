@@ -22,13 +22,7 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.operators import assemble
 from workbench.physics import absorption, electrode_mass, electrodes, fluid, piezoelectric, solid
-from workbench.problem import (
-    Problem,
-    build,
-    chip_materials,
-    model,
-    problem,
-)
+from workbench.problem import Problem, build, fill, model, problem
 from workbench.solve import solve_full
 
 # The chip's transducer has the losses as the paper prints them, active by less than their rounding.
@@ -48,7 +42,7 @@ def registry() -> Registry:
 
 
 def test_a_chip_names_its_materials_by_state(chip: Chip, registry: Registry) -> None:
-    filled, empty = (chip_materials(chip, state, registry) for state in ("filled", "empty"))
+    filled, empty = (fill(chip, state, registry).materials for state in ("filled", "empty"))
     assert set(filled) == set(chip.regions)
     assert set(filled) - set(empty) == {"cavity"}
     assert isinstance(filled["transducer"], Piezoelectric)
@@ -60,7 +54,7 @@ def test_a_chip_names_its_materials_by_state(chip: Chip, registry: Registry) -> 
 
 def test_a_density_in_the_chip_replaces_the_materials_own(chip: Chip, registry: Registry) -> None:
     plain = registry.load("pzt4/acevedo_2026_fitted")
-    weighed = chip_materials(chip, "empty", registry)["transducer"]
+    weighed = fill(chip, "empty", registry).materials["transducer"]
     assert weighed.density == 7500.0 != plain.density
     assert isinstance(plain, Piezoelectric)
     assert weighed == replace(plain, density=7500.0)
@@ -68,7 +62,7 @@ def test_a_density_in_the_chip_replaces_the_materials_own(chip: Chip, registry: 
 
 def test_the_water_is_as_warm_as_the_state_says(chip: Chip, registry: Registry) -> None:
     warm = tuple(replace(state, temperature=303.15) for state in chip.states)
-    found = chip_materials(replace(chip, states=warm), "filled", registry)["cavity"]
+    found = fill(replace(chip, states=warm), "filled", registry).materials["cavity"]
     assert isinstance(found, Fluid)
     # Speed of sound in water: 1482 m/s at 20 degC, 1509 m/s at 30 degC.
     assert found.sound_speed == pytest.approx(1509.0, abs=1.0)
@@ -93,12 +87,12 @@ def test_materials_that_make_no_chip_are_refused(
     chip: Chip, registry: Registry, region: str, material: str, density: float | None, message: str
 ) -> None:
     with pytest.raises(InputError, match="(?s)" + message):
-        chip_materials(with_material(chip, region, material, density), "empty", registry)
+        fill(with_material(chip, region, material, density), "empty", registry)
 
 
 def test_an_unknown_state_is_refused(chip: Chip, registry: Registry) -> None:
     with pytest.raises(InputError, match=r"(?s)filed.*filled"):
-        chip_materials(chip, "filed", registry)
+        fill(chip, "filed", registry)
 
 
 def test_the_filled_chip_has_these_terms(filled: Problem) -> None:
@@ -190,7 +184,7 @@ def test_the_mesh_follows_the_slowest_wave_of_every_region(
     assert speeds["transducer"] == pytest.approx(pzt.slowest_wave_speed() / 1.5)
     empty = {region: material for region, material in filled_materials.items() if region != "cavity"}
     assert fine.mesh_speeds(tuple(filled_materials), empty)["cavity"] == math.inf
-    coarse = build(chip, "empty", registry, band=(100e3, 200e3), accuracy=fine)
+    coarse = build(fill(chip, "empty", registry), band=(100e3, 200e3), accuracy=fine)
     assert coarse.discretisation is fine
     assert coarse.mesh.order == 3
     assert coarse.band == (100e3, 200e3)
@@ -207,7 +201,7 @@ def test_a_chip_of_its_own_file_is_the_model_of_the_reference(
 ) -> None:
     assert chip.volumes() == pytest.approx(reference_chip("chip_filled").volumes())
     expected = reference_materials("chip_filled")
-    for region, material in chip_materials(chip, "filled", registry).items():
+    for region, material in fill(chip, "filled", registry).materials.items():
         numbers = expected[region].parameters()
         found = {name: value for name, value in material.parameters().items() if name in numbers}
         # The registry's water is that of the tables, the reference's rounded to 998 kg/m^3 and 1482 m/s.

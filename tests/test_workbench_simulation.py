@@ -13,7 +13,7 @@ from support import quadratic
 from geometry.chip import Chip, parse_chip
 from workbench.drive import PowerDrive
 from workbench.files.errors import InputError
-from workbench.simulation import MeshTooCoarse, Simulation, frequency_grid, simulate, snapshot, state_name
+from workbench.simulation import MeshTooCoarse, Simulation, frequency_grid, simulate, snapshot
 
 POINTS, ELEMENTS = 41, 3.0
 DISC = {"role": "transducer", "material": "pzt4/acevedo_2026_initial", "thickness": "2 mm", "radius": "3 mm"}
@@ -86,7 +86,7 @@ def test_the_fields_are_those_of_f0_and_the_losses_close(reduced: Simulation) ->
 
 
 def test_the_last_state_is_the_default_and_an_empty_cavity_has_no_traps(cell: Chip, reduced: Simulation) -> None:
-    assert reduced.state == "filled" == state_name(cell, None)
+    assert reduced.state == "filled" == cell.state(None).name
     empty = snapshot(cell, "empty", 400e3, accuracy=quadratic(ELEMENTS))
     assert empty.traps is None
     assert "cavity" not in empty.problem.materials

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
-from geometry.chip import Chip
+from geometry.chip import Chip, State
 from geometry.mesh import SectionMesh, mesh_section
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM
-from geometry.section import cut_section
+from geometry.section import Section, cut_section
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
@@ -89,8 +90,27 @@ def with_boundary_layers(problem: Problem) -> Problem:
     return problem.with_terms(tuple(terms), {})
 
 
-def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Material]:
-    """The material of every region of the chip in a state; an evacuated cavity is absent.
+@dataclass(frozen=True, eq=False)
+class FilledChip:
+    """A chip in one of its states: ``materials`` is what fills each region (a vacuum is absent)."""
+
+    chip: Chip
+    state: State
+    materials: Mapping[str, Material]
+
+    @property
+    def name(self) -> str:
+        """Chip and state, for messages."""
+        return f"{self.chip.name}, {self.state.name}"
+
+    @cached_property
+    def section(self) -> Section:
+        """The half section of the chip."""
+        return cut_section(self.chip)
+
+
+def fill(chip: Chip, state: str | None = None, registry: Registry | None = None) -> FilledChip:
+    """The chip in a state, the last one of its file if none is named, with materials of the package by default.
 
     A density written in the chip file replaces the material's own. The state's temperature is that of what fills the
     cavity.
@@ -99,11 +119,12 @@ def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Mate
         InputError: unknown state or material, a transducer that is not piezoelectric, or one material given two
             densities.
     """
+    chosen = chip.state(state)
     found: dict[str, Material] = {}
-    for region, name in chip.materials(state).items():
+    for region, name in chip.materials(chosen.name).items():
         if name == VACUUM:
             continue
-        material = _load(chip, state, region, name, registry)
+        material = _load(chip, chosen, region, name, Registry() if registry is None else registry)
         density = None if region == CAVITY else chip.layer(region).density
         if density is not None:
             material = replace(material, density=density)
@@ -115,19 +136,19 @@ def chip_materials(chip: Chip, state: str, registry: Registry) -> dict[str, Mate
                 raise InputError(chip.file, f"density of {region}", material.density,
                                  f"the {known.density:g} kg/m^3 that {other} gives the same material {known.name!r}")
         found[region] = material
-    return found
+    return FilledChip(chip, chosen, found)
 
 
-def _load(chip: Chip, state: str, region: str, name: str, registry: Registry) -> Material:
+def _load(chip: Chip, state: State, region: str, name: str, registry: Registry) -> Material:
     """The material, with a mistake in its name or temperature reported where it was made: in the chip file."""
-    temperature = chip.state(state).temperature if region == CAVITY else None
+    temperature = state.temperature if region == CAVITY else None
     try:
         return registry.load(name, temperature=temperature)
     except InputError as error:
         if error.source == "materials" and error.field == "name":
             raise InputError(chip.file, f"material of {region}", name, error.expected, error.nearest) from error
         if temperature is not None and "temperature" in error.field:
-            field = f"states.{state}.temperature"
+            field = f"states.{state.name}.temperature"
             raise InputError(chip.file, field, error.value, f"{error.expected}, by {name}") from error
         raise
 
@@ -165,31 +186,27 @@ def model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Term, .
 
 
 def build(
-    chip: Chip,
-    state: str,
-    registry: Registry,
+    device: FilledChip,
     *,
     band: tuple[float, float] | None = None,
     accuracy: float | Discretisation = ACCURACY,
     skins: Mapping[str, float] | None = None,
     cache: Path | None = None,
 ) -> Problem:
-    """The problem of a chip in one of its states, meshed for `band` (Hz; the chip's own by default).
+    """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
 
     The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` as in
     `geometry.mesh_size.MeshSize`.
 
     Raises:
-        InputError: see :func:`chip_materials` and `workbench.discretisation.discretisation`.
+        InputError: see `workbench.discretisation.discretisation`.
         MeshError: the mesh could not be made as the section asks.
     """
     fineness = discretisation(accuracy)
-    materials = chip_materials(chip, state, registry)
-    low, high = chip.band if band is None else band
-    check_use(materials.values(), band=(low, high))
-    section = cut_section(chip)
-    size = fineness.mesh_size(section, materials, high, skins=skins)
-    made = problem(mesh_section(section, size, cache=cache), materials, (low, high), name=f"{chip.name}, {state}")
+    low, high = device.chip.band if band is None else band
+    check_use(device.materials.values(), band=(low, high))
+    size = fineness.mesh_size(device.section, device.materials, high, skins=skins)
+    made = problem(mesh_section(device.section, size, cache=cache), device.materials, (low, high), name=device.name)
     return replace(made, discretisation=fineness)
 
 

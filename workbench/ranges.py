@@ -43,7 +43,7 @@ from workbench.notebook import Shown, Summary
 from workbench.operators import FullOperators, assemble
 from workbench.parameter_names import ParameterName, part, placed
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
-from workbench.problem import Problem, build
+from workbench.problem import Problem, build, fill
 from workbench.reduced_operators import ReducedOperators
 from workbench.reduction import ReducedModel, covering, smallest
 from workbench.solve import System, one_thread
@@ -238,9 +238,8 @@ def range_model(
         NotCovered: `limit` solves were not enough; the error carries the model.
     """
     started = time.perf_counter()
-    name = chip.states[-1].name if state is None else chip.state(state).name
     low, high = chip.band if band is None else band
-    plain = build(chip, name, registry or Registry(), band=(low, high), accuracy=accuracy)
+    plain = build(fill(chip, state, registry), band=(low, high), accuracy=accuracy)
     problem, ranges = with_ranges(plain, chip, ranges)
     frequency = np.linspace(low, high, points)
     centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
@@ -417,9 +416,10 @@ def load(
         raise InputError(str(path), "file", repr(error), "a range model that was saved before") from error
     if content.get("format") != FORMAT:
         raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
-    name = chip.states[-1].name if state is None else chip.state(state).name
+    name = chip.state(state).name
     band = float(frequency[0]), float(frequency[-1])
-    problem, _ = with_ranges(build(chip, name, registry or Registry(), band=band, accuracy=accuracy), chip, ranges)
+    device = fill(chip, state, registry)
+    problem, _ = with_ranges(build(device, band=band, accuracy=accuracy), chip, ranges)
     if fingerprint(problem) != content["problem"]:
         raise InputError(str(path), "chip", f"{chip.name}, {name}", "the chip, state, materials and mesh that the "
                          "model was made for")

@@ -32,7 +32,7 @@ from workbench.mesh_error import estimate as mesh_error
 from workbench.notebook import Shown, Summary
 from workbench.operators import FullOperators, assemble
 from workbench.particles import particle_from
-from workbench.problem import Problem, build
+from workbench.problem import FilledChip, Problem, build, fill
 from workbench.reduction import reduced
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
@@ -176,14 +176,14 @@ def simulate(
         now = time.perf_counter()
         seconds[name], started = now - started, now
 
-    name = state_name(chip, state)
     registry = registry or Registry()
+    device = fill(chip, state, registry)
     if not 0.0 < tolerance < 1.0:
         raise InputError("simulate", "tolerance", tolerance, "a relative error between 0 and 1")
     frequencies = frequency_grid(chip.band if band is None else band, points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem = build(chip, name, registry, band=span, accuracy=accuracy, cache=mesh_cache)
+    problem = build(device, band=span, accuracy=accuracy, cache=mesh_cache)
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     lap("assembly")
@@ -199,18 +199,18 @@ def simulate(
         of_mesh = mesh_error(model, frequencies, problem.values)
         _check_accuracy(problem, of_mesh, accuracy)
         lap("error of the mesh")
-    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(chip, name, problem, error, of_mesh))
+    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(device, error, of_mesh))
     if full:
         lap("spectrum")
     merit, reason = _merit(spectrum)
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
     check_mesh(problem, frequency)
     progress("fields", 0.0)
-    shot = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
+    shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive(), registry)
     lap("fields")
     progress("fields", 1.0)
     return Simulation(
-        chip=chip, state=name, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
+        chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
         no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
     )
@@ -249,30 +249,25 @@ def snapshot(
         InputError: something in the chip, its materials or the arguments.
         NotConverged: the solve did not reach its tolerance.
     """
-    name, registry = state_name(chip, state), registry or Registry()
+    registry = registry or Registry()
+    device = fill(chip, state, registry)
     progress("mesh", 0.0)
-    problem = build(chip, name, registry, band=band, accuracy=accuracy, cache=mesh_cache)
+    problem = build(device, band=band, accuracy=accuracy, cache=mesh_cache)
     check_mesh(problem, frequency)
     progress("fields", 0.5)
     operators = assemble(problem.mesh, problem.terms)
-    found = _snapshot(chip, name, problem, operators, frequency, drive or VoltageDrive(), registry)
+    found = _snapshot(device, problem, operators, frequency, drive or VoltageDrive(), registry)
     progress("fields", 1.0)
     return found
 
 
-def state_name(chip: Chip, state: str | None) -> str:
-    """The name of a state, checked; None is the last one, in which a device works: the filled one after the empty."""
-    return chip.states[-1].name if state is None else chip.state(state).name
-
-
 def _snapshot(
-    chip: Chip, state: str, problem: Problem, operators: FullOperators, frequency: float, drive: Drive,
-    registry: Registry,
+    device: FilledChip, problem: Problem, operators: FullOperators, frequency: float, drive: Drive, registry: Registry
 ) -> Snapshot:
     solution = solve_full(operators, np.array([frequency]), problem.values)
     found = fields(problem, operators, solution, drive)
     losses, closure = loss_budget(solution, abs(found.voltage))
-    return Snapshot(chip, state, problem, found, losses, closure, _traps(chip, state, problem, found, registry),
+    return Snapshot(device.chip, device.state.name, problem, found, losses, closure, _traps(device, found, registry),
                     float(solution.residual[0]))
 
 
@@ -324,24 +319,21 @@ def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], f
     return losses, abs(sum(losses.values()) / supplied - 1.0) if supplied else 0.0
 
 
-def _traps(
-    chip: Chip, state: str, problem: Problem, found: Fields, registry: Registry
-) -> TrapReport | None:
-    chosen = chip.state(state)
-    fluid = problem.materials.get(CAVITY)
+def _traps(device: FilledChip, found: Fields, registry: Registry) -> TrapReport | None:
+    chosen, fluid = device.state, device.materials.get(CAVITY)
     if not isinstance(fluid, Fluid) or chosen.particle is None or chosen.particle_radius is None:
         return None
     material = registry.load(chosen.particle)
     if not isinstance(material, IsotropicSolid):
-        raise InputError(chip.file, f"states.{state}.particle", chosen.particle, "an isotropic solid")
+        raise InputError(device.chip.file, f"states.{chosen.name}.particle", chosen.particle, "an isotropic solid")
     bead = particle_from(material, chosen.particle_radius)
     forces = particle_forces(found, bead, fluid=fluid, region=CAVITY)
     return find_traps(forces)
 
 
-def _origin(chip: Chip, state: str, problem: Problem, error: float, of_mesh: MeshError | None) -> Origin:
+def _origin(device: FilledChip, error: float, of_mesh: MeshError | None) -> Origin:
     method = "full solves" if of_mesh is None else (
         f"reduced model, estimated relative error at most {error:.1e}, of its mesh {of_mesh.rms:.1e} rms")
-    settings = {"chip": chip.name, "state": state, "method": method,
-                **{f"material of {region}": material.name for region, material in problem.materials.items()}}
-    return Origin(kind="simulated", source=chip.file, settings=settings)
+    settings = {"chip": device.chip.name, "state": device.state.name, "method": method,
+                **{f"material of {region}": material.name for region, material in device.materials.items()}}
+    return Origin(kind="simulated", source=device.chip.file, settings=settings)

@@ -60,7 +60,7 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
               f"{len(found.model.effects)} hypotheses, {len(found.singles)} refitted alone, {len(found.pairs)} pairs")
 
         filled = campaign.states[-1]
-        problem = build(filled.chip, filled.state, campaign.registry,
+        problem = build(filled.device,
                         band=(float(filled.measured.frequency[0]), float(filled.measured.frequency[-1])))
         operators = assemble(problem.mesh, problem.terms)
         frequencies = filled.measured.frequency[np.linspace(0, 480, options.points).astype(int)]

@@ -36,7 +36,7 @@ from workbench.discretisation import ROWS, Discretisation  # noqa: E402
 from workbench.files.errors import InputError  # noqa: E402
 from workbench.mesh_error import estimate  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
-from workbench.problem import build  # noqa: E402
+from workbench.problem import build, fill  # noqa: E402
 from workbench.reduction import reduce  # noqa: E402
 
 Complex = NDArray[np.complex128]
@@ -52,7 +52,7 @@ def solved(
     chip: Chip, state: str, band: tuple[float, float], made: Discretisation, tolerance: float
 ) -> tuple[Complex, int, float, float, float]:
     """Z, unknowns, processor time of assembly and reduced model, estimated error of the mesh, and time of that."""
-    problem = build(chip, state, Registry(), band=band, accuracy=made)
+    problem = build(fill(chip, state, Registry()), band=band, accuracy=made)
     frequency = np.linspace(*band, POINTS)
     start = time.process_time()
     operators = assemble(problem.mesh, problem.terms)

@@ -40,7 +40,7 @@ from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ACCURACY, discretisation  # noqa: E402
 from workbench.factorisation import KNOWN  # noqa: E402
 from workbench.operators import FullOperators, assemble  # noqa: E402
-from workbench.problem import Problem, build  # noqa: E402
+from workbench.problem import Problem, build, fill  # noqa: E402
 from workbench.solve import System, one_thread  # noqa: E402
 
 Complex = NDArray[np.complex128]
@@ -97,7 +97,7 @@ def scaled(problem: Problem, operators: FullOperators, frequency: float) -> spar
 def made(factor: float) -> tuple[Problem, FullOperators]:
     """The chip on the default mesh with elements smaller by `factor`."""
     how = discretisation(ACCURACY)
-    problem = build(read_chip(CHIP), STATE, Registry(), accuracy=how if factor == 1.0 else how.refined(factor))
+    problem = build(fill(read_chip(CHIP), STATE, Registry()), accuracy=how if factor == 1.0 else how.refined(factor))
     return problem, assemble(problem.mesh, problem.terms)
 
 

@@ -13,6 +13,7 @@ The reference data come from an independent solver (see tests/validation). Table
 from __future__ import annotations
 
 import argparse
+import copy
 import sys
 import time
 import warnings
@@ -117,6 +118,13 @@ def polymer(arguments: argparse.Namespace) -> None:
              for c in study)])
 
 
+def measured_as(objective: Objective, spectrum: Spectrum) -> Objective:
+    """The same of another spectrum at the same frequencies, sharing what the predictor has learnt."""
+    other = copy.copy(objective)
+    other.recordings = (replace(objective.recordings[0], measured=spectrum),)
+    return other
+
+
 def coverage(arguments: argparse.Namespace) -> None:
     """Noise of a constant relative level on magnitude and phase; fitted again from the optimum each time.
 
@@ -139,7 +147,7 @@ def coverage(arguments: argparse.Namespace) -> None:
             noise = level * (random.standard_normal(exact.frequency.size)
                              + 1j * random.standard_normal(exact.frequency.size))
             measured = Spectrum(exact.frequency, exact.impedance * np.exp(noise))
-            search = Search(objective.measured_as([measured]))
+            search = Search(measured_as(objective, measured))
             minimum, found_noise = reweighted_descent(search, optimum)
             estimated = estimate_uncertainty(search, minimum, found_noise, profiles=True, coarser=coarser)
             for found in estimated.estimates:

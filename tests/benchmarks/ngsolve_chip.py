@@ -40,10 +40,10 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.names import AXIS, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER  # noqa: E402
-from geometry.section import Section, cut_section  # noqa: E402
+from geometry.section import Section  # noqa: E402
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.problem import chip_materials  # noqa: E402
+from workbench.problem import fill  # noqa: E402
 from workbench.simulation import simulate  # noqa: E402
 from workbench.spectrum import Spectrum  # noqa: E402
 
@@ -150,7 +150,8 @@ def imported() -> tuple[ModuleType, ModuleType]:
 def by_ngsolve(chip: Chip, registry: Registry, state: str, settings: Settings) -> Run:
     """The same chip and materials in NGSolve."""
     ngsolve, geom2d = imported()
-    section, materials = cut_section(chip), chip_materials(chip, state, registry)
+    device = fill(chip, state, registry)
+    section, materials = device.section, device.materials
     frequency = reference(state).frequency
     seconds: dict[str, float] = {}
     started = time.perf_counter()

@@ -34,12 +34,12 @@ from workbench.commands.terminal import Show, progress_bars  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.fitting.joint import fit  # noqa: E402
 from workbench.fitting.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
-from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN, started_at  # noqa: E402
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN  # noqa: E402
 from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa: E402
 from workbench.fitting.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.parameter_names import LOSS, part  # noqa: E402
-from workbench.problem import Problem, build  # noqa: E402
+from workbench.problem import Problem, build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.report.page import write_json  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
@@ -86,7 +86,7 @@ def parts(material: str, names: tuple[str, ...]) -> dict[str, float]:
 
 def free_disc(density: float, arguments: argparse.Namespace) -> Problem:
     chip = disc_of(read_chip(ROOT / "geometry/chips/free_disc_25x2.toml"), INITIAL, density)
-    return build(chip, chip.states[0].name, Registry(), accuracy=arguments.accuracy)
+    return build(fill(chip, chip.states[0].name, Registry()), accuracy=arguments.accuracy)
 
 
 def cases(arguments: argparse.Namespace) -> dict[str, Case]:
@@ -105,7 +105,9 @@ def cases(arguments: argparse.Namespace) -> dict[str, Case]:
                            accuracy=fineness)
         # From the moduli of PMMA: those of the chip's own material are the truth.
         start = material_starts(prepared, Registry(), [PMMA])[PMMA]
-        return replace(prepared, parameters=tuple(map(started_at, prepared.parameters, start)))
+        moved = tuple(replace(p, start=float(np.clip(x, p.low, p.high)))
+                      for p, x in zip(prepared.parameters, start, strict=True))
+        return replace(prepared, parameters=moved)
 
     def real() -> Prepared:
         measured = read_recording(arguments.recordings / DISC).spectrum

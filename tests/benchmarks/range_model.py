@@ -29,7 +29,7 @@ from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.stretch import movable  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.parameter_names import placed  # noqa: E402
-from workbench.problem import Problem, build  # noqa: E402
+from workbench.problem import Problem, build, fill  # noqa: E402
 from workbench.ranges import NotCovered, range_model  # noqa: E402
 from workbench.solve import System, one_thread  # noqa: E402
 
@@ -71,7 +71,7 @@ def main() -> None:
 
 def measure(arguments: argparse.Namespace, kept: Measurements) -> None:
     chip = read_chip(ROOT / "geometry/chips/reference_chip.toml")
-    ranges = ranges_of(chip, build(chip, "filled", Registry()), arguments)
+    ranges = ranges_of(chip, build(fill(chip, "filled", Registry())), arguments)
     started = time.perf_counter()
     try:
         model = range_model(chip, "filled", ranges, tolerance=arguments.tolerance, limit=arguments.limit)

@@ -34,7 +34,7 @@ from workbench.fields import Fields, fields
 from workbench.nodal import integrate, sample
 from workbench.operators import assemble
 from workbench.particles import particle_from
-from workbench.problem import chip_materials, problem
+from workbench.problem import fill, problem
 from workbench.solve import solve_full
 from workbench.traps import Trap, find_traps
 
@@ -86,7 +86,8 @@ def away(section: Section, points: Real) -> NDArray[np.bool_]:
 def solve(how: Discretisation) -> Found:
     """The fields on the mesh of a discretisation."""
     chip, registry = read_chip(CHIP), Registry()
-    materials, section = chip_materials(chip, STATE, registry), cut_section(chip)
+    device = fill(chip, STATE, registry)
+    materials, section = device.materials, device.section
     model = problem(mesh_section(section, how.mesh_size(section, materials, chip.band[1])), materials, chip.band)
     operators = assemble(model.mesh, model.terms)
     solution = solve_full(operators, np.array([FREQUENCY]), model.values)

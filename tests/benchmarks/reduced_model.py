@@ -37,7 +37,7 @@ from materials.registry import Registry  # noqa: E402
 from workbench.discretisation import ACCURACY  # noqa: E402
 from workbench.factorisation import chosen as chosen_factorisation  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
-from workbench.problem import build  # noqa: E402
+from workbench.problem import build, fill  # noqa: E402
 from workbench.reduction import reduce  # noqa: E402
 from workbench.solve import System, solve_full, sweep  # noqa: E402
 
@@ -114,7 +114,7 @@ def measure(arguments: argparse.Namespace, figures: Measurements) -> None:
     frequencies = np.linspace(*chip.band, 481)
 
     started = time.perf_counter()
-    problem = build(chip, arguments.state, Registry(), accuracy=arguments.accuracy)
+    problem = build(fill(chip, arguments.state, Registry()), accuracy=arguments.accuracy)
     operators = assemble(problem.mesh, problem.terms)
     model = reduce(operators, frequencies, problem.values, tolerance=1e-4)
     reduced = model.solve(frequencies, problem.values)

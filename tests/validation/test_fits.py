@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import started_at
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
 from workbench.fitting.joint import FitResult, fit
-from workbench.fitting.parameter import started_at
 from workbench.fitting.prepare import material_starts, prepare
 from workbench.parameter_names import part
 from workbench.readers import read_recording

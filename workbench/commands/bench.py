@@ -31,10 +31,10 @@ from workbench.instruments.opening import found_ports, who_answers
 from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_oscilloscope import Errors
 from workbench.operators import assemble
-from workbench.problem import build, with_boundary_layers
+from workbench.problem import build, fill, with_boundary_layers
 from workbench.reduction import reduce
 from workbench.report.page import Table
-from workbench.simulation import frequency_grid, state_name
+from workbench.simulation import frequency_grid
 from workbench.spectrum import Spectrum
 
 if TYPE_CHECKING:
@@ -191,11 +191,11 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     chip = read_chip(options.device)
     asked = asked_model(options, chip)
     console.print(f"simulating {chip.name} ...", markup=False)
-    state = state_name(chip, options.state)
+    state = chip.state(options.state).name
     frequencies = frequency_grid(asked.band, asked.points)
     # What is measured is to be finer than what it is fitted with, and a liquid sticks to its walls.
     problem = with_boundary_layers(
-        build(chip, state, asked.registry, accuracy=asked.accuracy, band=asked.band, cache=user_cache()))
+        build(fill(chip, state, asked.registry), accuracy=asked.accuracy, band=asked.band, cache=user_cache()))
     model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.tolerance)
     solved = model.solve(frequencies, problem.values)
     return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"

@@ -36,7 +36,7 @@ from workbench.fitting.record import (
     source,
 )
 from workbench.fitting.uncertainty import ParameterEstimate
-from workbench.problem import chip_materials
+from workbench.problem import fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.spectrum import write_csv
@@ -126,7 +126,7 @@ def _filling(member: Member, registry: Registry) -> dict[str, Material]:
     state = chip.states[-1].name if member.state is None else member.state
     if member.material is not None:
         chip = with_material(chip, state, free_region(chip, state, member.kind, member.region), member.material)
-    return chip_materials(chip, state, registry)
+    return dict(fill(chip, state, registry).materials)
 
 
 def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepared, tuple[Source, ...]]:

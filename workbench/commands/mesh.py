@@ -19,9 +19,9 @@ from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.discretisation import ROWS, discretisation
 from workbench.files.errors import InputError
-from workbench.problem import build
+from workbench.problem import build, fill
 from workbench.report.page import Block, Picture, Table, number, write_json, write_report
-from workbench.simulation import Simulation, state_name
+from workbench.simulation import Simulation
 
 Real = NDArray[np.float64]
 
@@ -35,8 +35,8 @@ FINER = 1.5
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench mesh``: the mesh of a chip, and what the accuracies it can be made for are worth."""
     chip = read_chip(options.chip)
-    asked, state = asked_model(options, chip), state_name(chip, options.state)
-    problem = build(chip, state, asked.registry, band=asked.band, accuracy=asked.accuracy, cache=user_cache())
+    asked, state = asked_model(options, chip), chip.state(options.state).name
+    problem = build(fill(chip, state, asked.registry), band=asked.band, accuracy=asked.accuracy, cache=user_cache())
     made = discretisation(asked.accuracy)
     speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
     counts = elements_per_wavelength(problem.mesh, speeds, asked.band[1])

@@ -12,7 +12,7 @@ from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.states import SIMULATED, simulated, write_fields
 from workbench.commands.terminal import print_line, progress_bars
 from workbench.files.errors import InputError, choose
-from workbench.simulation import snapshot, state_name
+from workbench.simulation import snapshot
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,7 +25,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     for name in options.field or []:
         choose(name, FIELDS, source="command line", field="--field")
     chip = read_chip(options.chip)
-    asked, name, folder = asked_model(options, chip), state_name(chip, options.state), output_folder(options.output)
+    asked, name, folder = asked_model(options, chip), chip.state(options.state).name, output_folder(options.output)
     if asked.at is None:
         raise InputError("command line", "--at", None, "the frequency of the fields")
     with progress_bars(console) as show:

@@ -25,9 +25,8 @@ from workbench.fitting.sensitivity import (
     sensitivity,
 )
 from workbench.parameter_names import ParameterName
-from workbench.problem import Problem, build
+from workbench.problem import Problem, build, fill
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
-from workbench.simulation import state_name
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,8 +43,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     asked = asked_model(options, chip)
     if options.points < 2:
         raise InputError("command line", "--points", options.points, "two frequencies or more")
-    state = state_name(chip, options.state)
-    problem = build(chip, state, asked.registry, band=asked.band, cache=user_cache(),
+    state = chip.state(options.state).name
+    problem = build(fill(chip, state, asked.registry), band=asked.band, cache=user_cache(),
                     accuracy=asked.accuracy)
     baseline = _baseline(problem, options.loss)
     folder = output_folder(options.output)

@@ -17,7 +17,7 @@ from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
 from workbench.commands.terminal import Show, print_table, progress_bars
-from workbench.problem import chip_materials
+from workbench.problem import fill
 from workbench.report.figures import FIGURE_COLUMNS, figures_row
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.report.simulations import simulation_record
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     # Each once; and every state's materials are read before the first state is solved.
     states = list(dict.fromkeys(chip.state(name).name for name in chosen))
     for name in states:
-        chip_materials(chip, name, asked.registry)
+        fill(chip, name, asked.registry)
     folder = output_folder(options.output)
     runs: list[Simulation] = []
     pictures: dict[str, list[Picture]] = {}

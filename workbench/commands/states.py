@@ -12,8 +12,8 @@ from workbench.commands.asked import Asked
 from workbench.commands.terminal import Show
 from workbench.discretisation import discretisation
 from workbench.files.writing import write_atomic
-from workbench.problem import chip_materials
-from workbench.simulation import Simulation, Snapshot, state_name
+from workbench.problem import fill
+from workbench.simulation import Simulation, Snapshot
 from workbench.simulation import simulate as simulate_state
 
 #: Share of the progress bar of a state that is the simulation; the pictures are the rest.
@@ -24,7 +24,7 @@ def run_state(
     chip: Chip, state: str | None, asked: Asked, show: Show, *, unfinished: Path | None = None
 ) -> Simulation:
     """The simulation of a state (the last one unless named); full spectra go on from the file `unfinished`."""
-    name = state_name(chip, state)
+    name = chip.state(state).name
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
     return simulate_state(
         chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
@@ -47,7 +47,7 @@ class _UnfinishedSpectrum:
     """
 
     def __init__(self, path: Path, chip: Chip, state: str, asked: Asked) -> None:
-        filling = chip_materials(chip, state, asked.registry)
+        filling = fill(chip, state, asked.registry).materials
         deciding = repr((chip, state, sorted(filling.items()), asked.band[1], discretisation(asked.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()

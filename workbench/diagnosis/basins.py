@@ -60,7 +60,7 @@ def _levers(search: Search, known: int, x: Real) -> list[int]:
 
 
 def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[Refit, Real]:
-    """`fit` and x (p,), the end of the way down; or a better fit from another basin about x, and the end of that way.
+    """`fit` and x (p,), the end of the descent; or a better fit from another basin about x, and where that ended.
 
     A wrong basin strains the known parameters. Where the data weigh little against these (`search.EXPLORATION`), it
     costs more than the right one, and few steps lead from one to the other. With `far` the basins are looked for in all
@@ -82,7 +82,7 @@ def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bo
     centre = replaced(x, known, search.centre[known])
     around = [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
     model.fitted.cover(centre, known_reach(model, fit.effects, x), UNNEEDED,
-                          [replaced(centre, i, value) for i, value in (places[::2] if far else around)])
+                       [replaced(centre, i, value) for i, value in (places[::2] if far else around)])
     thin = search.thinned()
     own = best = truncated_minimum(thin, x)
     ends = [own]

@@ -43,7 +43,7 @@ from workbench.files.tables import Table
 from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
 from workbench.fitting.prepare import check_device, in_band
 from workbench.parameter_names import BENCH, Kind, ParameterName
-from workbench.problem import chip_materials
+from workbench.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
 from workbench.spectrum import Spectrum
 
@@ -61,21 +61,29 @@ DIMENSIONS: Mapping[str, str] = {
 class DeviceState:
     """One state of the device and its recording.
 
-    ``drive`` is the voltage amplitude (V, zero to peak) at the electrodes, ``temperature`` in kelvin, both None where
-    nobody said; ``materials`` by region; ``noise`` (n,) the standard deviation of every point relative to |Z|, and
-    ``stated`` whether the recording or the campaign states it (otherwise its own scatter does).
+    ``device`` is the chip in its state, with its materials; ``drive`` the voltage amplitude (V, zero to peak) at the
+    electrodes, ``temperature`` in kelvin, both None where nobody said; ``noise`` (n,) the standard deviation of every
+    point relative to |Z|, and ``stated`` whether the recording or the campaign states it (otherwise its own scatter
+    does).
     """
 
     name: str
-    chip: Chip
-    state: str
+    device: FilledChip
     measured: Spectrum
-    materials: Mapping[str, Material]
     noise: np.ndarray[Any, np.dtype[np.float64]]
     stated: bool
     drive: float | None = None
     temperature: float | None = None
     held_out: bool = False
+
+    @property
+    def chip(self) -> Chip:
+        return self.device.chip
+
+    @property
+    def materials(self) -> Mapping[str, Material]:
+        """What fills each region."""
+        return self.device.materials
 
     @property
     def fluid(self) -> Fluid | None:
@@ -168,7 +176,7 @@ def _state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceS
                               f"state {state.name!r}, or none there")
         state = replace(state, temperature=temperature)
         chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
-    filling = chip_materials(chip, state.name, registry)
+    device = fill(chip, state.name, registry)
     recording = _path(table, "recording", folder)
     band = _band(table) if "band" in table else None
     columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
@@ -178,11 +186,11 @@ def _state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceS
     drive = table.optional_quantity("drive", "peak-to-peak voltage")
     if drive is not None and not drive > 0.0:
         raise table.error("drive", "a voltage above zero")
-    found = DeviceState(name, chip, state.name, measured, filling, noise, stated,
+    found = DeviceState(name, device, measured, noise, stated,
                         None if drive is None else 0.5 * drive, temperature, held_out)
-    if set(filling) == {TRANSDUCER}:
+    if set(device.materials) == {TRANSDUCER}:
         # Loads shift resonances by more than this check allows for.
-        check_device(in_band(whole, chip, None, name=str(recording)), chip, filling, name=str(recording))
+        check_device(in_band(whole, chip, None, name=str(recording)), chip, device.materials, name=str(recording))
     return found
 
 

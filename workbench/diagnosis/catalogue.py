@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import partial
 
 from geometry.names import CAVITY, LEVEL, TRANSDUCER, interface, outside, part, role_of
-from geometry.section import cut_section
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.diagnosis.campaign import DeviceState
 from workbench.diagnosis.hypothesis import (
@@ -74,7 +73,7 @@ def effects(device: Device) -> tuple[Effect, ...]:
 
 def _touched(state: DeviceState) -> list[str]:
     """The solids that the cavity touches."""
-    pairs = (boundary.split("|") for boundary in cut_section(state.chip).boundary_names())
+    pairs = (boundary.split("|") for boundary in state.device.section.boundary_names())
     found = [side for pair in pairs if CAVITY in pair for side in pair]
     return [side for side in dict.fromkeys(found) if isinstance(state.materials.get(side), IsotropicSolid)]
 

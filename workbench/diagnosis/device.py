@@ -77,7 +77,7 @@ def model(
         progress(number / len(campaign.states))
         terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
         skins = {integral.place: abs(integral.skin) for term in terms for integral in term.integrals() if integral.skin}
-        problem = build(state.chip, state.state, campaign.registry, accuracy=accuracy,
+        problem = build(state.device, accuracy=accuracy,
                         skins=skins, cache=cache,
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)

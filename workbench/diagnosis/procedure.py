@@ -137,7 +137,7 @@ def _asked(
 ) -> tuple[Refit, list[Score], tuple[Place, ...], list[Refit]]:
     """The base, scores and location there, and refits of the hypotheses left in the race.
 
-    `end` (p,) is the end of the way down to the base, where the data weigh little (:func:`afar`).
+    `end` (p,) is the end of the descent to the base, where the data weigh little (:func:`afar`).
     """
     location: tuple[Place, ...] = ()
     singles: list[Refit] = []

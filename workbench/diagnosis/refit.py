@@ -162,9 +162,9 @@ class Refit:
 
 
 def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
-    """The states as stated, the known parameters alone fitted from there, and the end (p,) of the way down to that.
+    """The states as stated, the known parameters alone fitted from there, and the end (p,) of the descent to that.
 
-    The way leads through smoothed spectra (`Search.descend`).
+    The descent leads through smoothed spectra (`Search.descend`).
     """
     free, lifted = model.free(())
     search = Search(model.fitted, free=free, lifted=lifted)
@@ -295,6 +295,7 @@ def projected(search: Search, own: NDArray[np.int64], values: Real) -> Real:
 
 
 def refit_at(model: Model, effects: tuple[Effect, ...], search: Search, x: Real) -> Refit:
+    """What a minimum x (p,) of the known parameters and those of `effects` together says."""
     full = search.evaluate(x, model.deviations())
     estimate: dict[str, float] = {}
     error: dict[str, float] = {}

@@ -57,7 +57,7 @@ ROUGHLY = 0.3
 
 
 def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[Place, ...], list[Refit]]:
-    """Location and the best single hypotheses where the data weigh little, about x (p,), the end of the way down.
+    """Location and the best single hypotheses where the data weigh little, about x (p,), the end of the descent.
 
     A strong effect strains the known parameters while it is missing: where the data weigh in full, hypotheses are asked
     what is left of it there, and the way back is long. With little weight (`search.EXPLORATION`) those stay near what

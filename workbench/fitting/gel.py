@@ -20,7 +20,7 @@ from workbench.fitting.objective import through_bench
 from workbench.fitting.prepare import Prepared
 from workbench.operators import assemble
 from workbench.parameter_names import placed
-from workbench.problem import build
+from workbench.problem import build, fill
 from workbench.reduction import reduce
 from workbench.spectrum import Origin, Spectrum
 
@@ -71,7 +71,7 @@ def gel_study(
     frequency = recording.measured.frequency
     cases = []
     for thickness in thicknesses:
-        problem = build(with_gel(chip, thickness), prepared.state, registry, band=recording.problem.band,
+        problem = build(fill(with_gel(chip, thickness), prepared.state, registry), band=recording.problem.band,
                         accuracy=accuracy, cache=cache)
         model = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-4)
         solution = model.solve(frequency, values)

@@ -139,19 +139,6 @@ class Objective:
             others = [self.settings(corner, index)[0] for corner in corners]
             predictor.cover(values, moves, tolerance, [other for other in others if other != values])
 
-    def measured_as(self, spectra: Sequence[Spectrum]) -> Objective:
-        """The same with other spectra at the same frequencies, sharing what the predictors have learnt.
-
-        Raises:
-            ValueError: other frequencies.
-        """
-        for recording, spectrum in zip(self.recordings, spectra, strict=True):
-            if not np.array_equal(recording.measured.frequency, spectrum.frequency):
-                raise ValueError(f"{recording.name}: other frequencies than those the predictor was made for")
-        other = copy.copy(self)
-        other.recordings = tuple(replace(r, measured=m) for r, m in zip(self.recordings, spectra, strict=True))
-        return other
-
     def of(self, names: Collection[str]) -> Objective:
         """The same of some recordings only, sharing what the predictors have learnt."""
         kept = [k for k, recording in enumerate(self.recordings) if recording.name in names]

@@ -6,7 +6,7 @@ Their names are those of `workbench.parameter_names`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -307,8 +307,3 @@ def shown_unit(unit: str) -> str:
 def shown_factor(unit: str) -> float:
     """What brings numbers of an SI unit into the one they are shown in."""
     return SHOWN.get(unit, (unit, 1.0))[1]
-
-
-def started_at(parameter: Parameter, start: float) -> Parameter:
-    """The same parameter with another start, moved into its bounds."""
-    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))

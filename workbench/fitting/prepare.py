@@ -34,7 +34,7 @@ from workbench.fitting.parameter import (
 )
 from workbench.merit import Antiresonance, Figures, NoResonance, figures, fit_resonance
 from workbench.parameter_names import Kind, ParameterName
-from workbench.problem import build, chip_materials
+from workbench.problem import build, fill
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -113,11 +113,12 @@ def prepare(
         MeshError: the mesh could not be made.
     """
     choose(kind, KINDS, source="fit", field="kind")
-    state = chip.states[-1].name if state is None else chip.state(state).name
+    state = chip.state(state).name
     where = free_region(chip, state, kind, region)
     if material is not None:
         chip = with_material(chip, state, where, material)
-    filling = chip_materials(chip, state, registry)
+    device = fill(chip, state, registry)
+    filling = device.materials
     if where not in filling:
         raise InputError(chip.file, where, "vacuum", "a region with a material in it")
     freed = filling[where]
@@ -134,7 +135,7 @@ def prepare(
         check_device(part, chip, filling, name=name)
     meshed_band = (float(part.frequency[0]), float(part.frequency[-1]))
     fine, coarse = (
-        build(chip, state, registry, band=meshed_band, accuracy=mesh, cache=cache)
+        build(device, band=meshed_band, accuracy=mesh, cache=cache)
         for mesh in (discretisation(accuracy), discretisation(accuracy).refined(COARSE)))
     return Prepared(kind, chip, state, freed, (Recording(name, fine, part, chip),),
                     (Recording(name, coarse, part, chip),), parameters(fine, chip, freed.name, wanted))
