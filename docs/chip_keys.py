@@ -1,40 +1,39 @@
-"""Every key of a chip file, from the code that reads it: `geometry/chip.py` names the keys that each table may have.
+"""Every key of a chip file, from the code that reads it: the modules of `geometry` name the keys of each table.
 
-The code says which keys there are, in which unit each is given and whether it may be left out; the sentences are here.
-A key without a sentence, or a sentence without a key, is an error: the page cannot go stale.
+The code says which keys there are, in which unit each is given and whether it is a length; the sentences are here. A
+key without a sentence, or a sentence without a key, is an error: the page cannot go stale.
 """
 
 from __future__ import annotations
 
 import ast
-import inspect
-from collections.abc import Mapping
+import importlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
-import geometry.chip
+import geometry
 from geometry.names import ROLES
 from workbench.files.quantities import UNITS
 
-#: The functions that read a table, and what the table is called in a file.
-TABLES: Mapping[str, str] = {
-    "parse_chip": "", "_read_layers": "[[layers]]", "_read_electrodes": "electrodes, of the transducer's layer",
-    "_read_ports": "[cavity] ports", "_read_states": "[states.NAME]", "_read_reported": "[[states.NAME.reported]]",
-    "dimension": "a length",
-}
-
 #: What every key says, by table.
 ABOUT: Mapping[str, Mapping[str, str]] = {
-    "": {
-        "chip": "the table `[chip]`: name, description, source and band",
+    "The file": {
+        "chip": "what the whole is called, and the band it is meant for",
         "layers": "the layers from bottom to top, each under `[[layers]]`",
-        "cavity": "the table `[cavity]`: its ports",
+        "cavity": "the ports of the cavity",
         "states": "the states a chip is used in, each under `[states.NAME]`; without any there is one, `default`",
+    },
+    "`[chip]`": {
         "name": "what the chip is called in reports",
         "description": "what it is, in words",
         "source": "where the description comes from",
         "band": 'the frequencies it is meant for, such as `["0.91 MHz", "1.155 MHz"]`',
-        "ports": "inlet and outlet of the cavity, see below",
     },
-    "[[layers]]": {
+    "`[cavity]`": {
+        "ports": "inlet and outlet of the cavity",
+    },
+    "`[[layers]]`": {
         "role": "what the layer is for, one of " + ", ".join(f"`{role}`" for role in ROLES)
                 + "; roles may be left out and repeated, but there is exactly one transducer",
         "material": "the name of a material, such as `pla/acevedo_2026`, or `pla` where that is clear",
@@ -45,19 +44,19 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of the transducer alone, see below",
     },
-    "electrodes, of the transducer's layer": {
+    "`electrodes`, of the transducer's layer": {
         "live": "the face at the drive voltage, `top` (if not given) or `bottom`; the other one is ground",
         "live_radius": "where that electrode ends, if before the rim",
         "live_inner_radius": "where it begins, if it is a ring",
         "ground_radius": "the same of the ground electrode",
         "ground_inner_radius": "the same of the ground electrode",
     },
-    "[cavity] ports": {
+    "`ports`, of the cavity": {
         "diameter": "of the channels from the cavity to the outside; only the solid model has them",
         "height": "of their axes above the floor of the cavity; half-way up its tallest layer if not given",
         "count": "how many, from 1 to 8; 2 if not given",
     },
-    "[states.NAME]": {
+    "`[states.NAME]`": {
         "cavity": 'what fills the cavity: a material, or `"vacuum"` for nothing; needed where there is one',
         "temperature": "of what fills the cavity",
         "materials": "materials of single regions in this state, by the region's name",
@@ -65,56 +64,71 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "particle_radius": "its radius; both or neither",
         "reported": "figures that somebody reported, for comparison: `[[states.NAME.reported]]`",
     },
-    "[[states.NAME.reported]]": {
+    "`[[states.NAME.reported]]`": {
         "label": "who reported them", "f0": "resonance frequency", "z_min": "smallest impedance",
         "q": "quality factor",
     },
-    "a length": {
+    "A length": {
         "value": "the length", "tolerance": "how exact it is; `0 mm` means that it is exact",
         "assumed": "`true` where it was chosen, not measured or published", "note": "where it comes from",
     },
 }
 
-#: The methods that read a key, and what they take.
-READ_BY: Mapping[str, str] = {
-    "text": "text", "optional_text": "text", "dimension": "a length", "optional_dimension": "a length",
-    "table": "a table",
-}
+#: The functions and methods that read a key, and what they take.
+READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "table": "a table", "tables": "a list of tables",
+                              "whole": "a whole number", "flag": "`true` or `false`"}
 
 #: What is read in a way of its own.
 TAKES: Mapping[str, str] = {
-    "layers": "a list of tables", "band": "a list of two frequencies", "role": "text", "count": "a whole number",
-    "reported": "a list of tables", "assumed": "`true` or `false`",
+    "chip": "a table", "layers": "a list of tables", "cavity": "a table", "states": "a table", "role": "text",
+    "band": "a list of two frequencies",
     **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
 }
 
 
-def tables() -> dict[str, dict[str, str]]:
-    """The keys of every table and what each takes, as the code reads them."""
-    tree = ast.parse(inspect.getsource(geometry.chip))
-    found: dict[str, dict[str, str]] = {}
-    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name in TABLES):
-        keys: dict[str, str] = {}
-        strings: list[str] = []
-        for node in ast.walk(function):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "only":
-                strings += [part.value for part in ast.walk(node)
-                            if isinstance(part, ast.Constant) and isinstance(part.value, str)]
-            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "keys":
-                strings += ast.literal_eval(node.value)
-        for key in strings:
-            keys[key] = ""
-        for node in ast.walk(function):
-            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args):
-                continue
-            arguments = [argument.value for argument in node.args if isinstance(argument, ast.Constant)]
-            if arguments and arguments[0] in keys:
-                if node.func.attr in READ_BY:
-                    keys[str(arguments[0])] = READ_BY[node.func.attr]
-                elif node.func.attr in ("quantity", "optional_quantity") and len(arguments) > 1:
-                    units = ", ".join(dict.fromkeys(UNITS.get(str(arguments[1]), ())))
-                    keys[str(arguments[0])] = f"text with a unit: {units}"
-        found[TABLES[function.name]] = {key: takes or TAKES[key] for key, takes in keys.items()}
+def _named(node: ast.AST, constants: Mapping[str, Any]) -> set[str]:
+    """The texts that an expression holds, those of the module's constants included; not what a condition compares."""
+    if isinstance(node, ast.IfExp):
+        return _named(node.body, constants) | _named(node.orelse, constants)
+    if isinstance(node, ast.Constant):
+        return {node.value} if isinstance(node.value, str) else set()
+    if isinstance(node, ast.Name):
+        return set(constants.get(node.id, ()))
+    return set().union(*(_named(child, constants) for child in ast.iter_child_nodes(node)))
+
+
+def _name(function: ast.expr) -> str:
+    """What a call calls, without what only tells that the key may be left out."""
+    name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
+    return name.removeprefix("_").removeprefix("read_").removeprefix("optional_")
+
+
+def _readings(function: ast.FunctionDef, keys: set[str]) -> Iterator[tuple[str, str]]:
+    """(key, what it takes) for every call in a function that reads one of `keys`."""
+    for node in ast.walk(function):
+        if isinstance(node, ast.Call):
+            texts = [argument.value for argument in node.args if isinstance(argument, ast.Constant)
+                     and isinstance(argument.value, str)]
+            if texts and texts[0] in keys:
+                name = _name(node.func)
+                if name in READ_BY:
+                    yield texts[0], READ_BY[name]
+                elif name == "quantity" and len(texts) > 1:
+                    yield texts[0], "text with a unit: " + ", ".join(dict.fromkeys(UNITS[texts[1]]))
+
+
+def tables() -> list[dict[str, str]]:
+    """The keys of every table that the code reads, and what each takes."""
+    found = []
+    for path in sorted(Path(geometry.__file__).parent.glob("*.py")):
+        module = importlib.import_module(f"geometry.{path.stem}" if path.stem != "__init__" else "geometry")
+        for function in (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+                         if isinstance(node, ast.FunctionDef)):
+            for node in ast.walk(function):
+                if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "only":
+                    keys = set().union(*(_named(argument, vars(module)) for argument in node.args))
+                    takes = dict(_readings(function, keys))
+                    found.append({key: takes.get(key) or TAKES[key] for key in keys})
     return found
 
 
@@ -124,14 +138,13 @@ def page() -> str:
     Raises:
         ValueError: a key that nobody explained, or an explanation of a key that there is not.
     """
+    known = {frozenset(told): title for title, told in ABOUT.items()}
+    read = {frozenset(keys): keys for keys in tables()}
+    for odd in known.keys() ^ read.keys():
+        raise ValueError(f"docs/chip_keys.py and the reader of chip files disagree on the keys {sorted(odd)}")
     parts = []
-    for table, keys in tables().items():
-        told = ABOUT[table]
-        if set(told) != set(keys):
-            raise ValueError(f"docs/chip_keys.py, table {table!r}: not explained {sorted(set(keys) - set(told))}, "
-                             f"explained and not read {sorted(set(told) - set(keys))}")
-        title = {"": "The file, `[chip]` and `[cavity]`", "a length": "A length"}.get(table, f"`{table}`")
+    for keys, title in known.items():
         lines = [f"### {title}\n", "| key | takes | says |", "| --- | --- | --- |"]
-        lines += [f"| `{key}` | {keys[key]} | {told[key]} |" for key in keys]
+        lines += [f"| `{key}` | {read[keys][key]} | {told} |" for key, told in ABOUT[title].items()]
         parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"

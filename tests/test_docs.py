@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import workbench as wb
 from workbench.options import parser
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -128,6 +129,19 @@ def test_no_page_bears_the_traces_of_a_machine() -> None:
         assert not traces.search(file.read_text(encoding="utf-8")), file
 
 
+def test_the_chip_file_that_is_printed_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "my_chip.toml"
+    (text,) = (text for name, text in blocks("toml") if name.startswith("chip_file"))
+    path.write_text(text, encoding="utf-8")
+    assert [state.name for state in wb.read_chip(path).states] == ["empty", "filled"]
+
+
+def test_hooks_are_local() -> None:
+    text = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    assert re.findall(r"repo: (.*)", text) == ["local"]
+    assert "://" not in text
+
+
 def test_the_picture_of_packages_has_one_way(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, str(ROOT / "docs/architecture.py"), str(tmp_path / "architecture.png")],
                           capture_output=True, text=True, cwd=ROOT)
@@ -153,6 +167,4 @@ def test_the_documentation_is_built_without_a_warning_and_opens_offline(tmp_path
         text = page.read_text(encoding="utf-8")
         assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=\"(?:https?:)?//", text), page.name
     api = (tmp_path / "html" / "api.html").read_text(encoding="utf-8")
-    import workbench as wb
-
     assert all(f'id="workbench.{name}"' in api for name in wb.PUBLIC)
