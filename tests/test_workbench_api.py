@@ -64,6 +64,13 @@ def test_a_comparison_becomes_a_data_set() -> None:
     assert found.attrs["rms_log_residual"] == pytest.approx(np.hypot(0.01, 0.02))
 
 
+def test_files_may_be_named_by_text(tmp_path: Path) -> None:
+    assert wb.draw_spectra({"measured": SPECTRUM}, str(tmp_path / "disc.png")) == tmp_path / "disc.png"
+    for reader in (wb.read_chip, wb.read_recording, wb.read_campaign, wb.read_bench):
+        with pytest.raises(wb.InputError, match=r"nothing\.toml"):
+            reader(str(tmp_path / "nothing.toml"))
+
+
 def test_a_notebook_shows_a_table_and_a_figure() -> None:
     other = wb.Spectrum(SPECTRUM.frequency, 1.01 * SPECTRUM.impedance)
     for shown, words in ((SPECTRUM, "1 to 1.1 MHz"), (wb.compare(SPECTRUM, other), "MAPE of |Z|")):

@@ -199,7 +199,7 @@ def _path(table: Table, key: str, folder: Path) -> Path | None:
     return folder / _line(table, key) if key in table else None
 
 
-def read_bench(path: Path) -> BenchSetup:
+def read_bench(path: Path | str) -> BenchSetup:
     """Read BENCH.toml; paths in it are relative to its folder.
 
     Raises:

@@ -126,13 +126,14 @@ class Campaign:
         return tuple(state for state in self.states if state.held_out)
 
 
-def read_campaign(path: Path, *, materials: Sequence[Path] = ()) -> Campaign:
+def read_campaign(path: Path | str, *, materials: Sequence[Path] = ()) -> Campaign:
     """Read and check a campaign file, its chips and its recordings; `materials` are further folders of materials.
 
     Raises:
         InputError: a mistake in one of the files, a recording that cannot be of this device, a name that no state has,
             or two statements about one thing that contradict each other.
     """
+    path = Path(path)
     table = Table.read(path).only(("campaign", "states", "known", "fixed"))
     source = table.source
     head = table.table("campaign", expected="a table [campaign]").only(("name", "materials"))

@@ -22,7 +22,7 @@ VISIBLE = 0.01
 _Pictures = list[Picture]
 
 
-def draw_state(shot: Snapshot, folder: Path, *, only: Sequence[str] | None = None) -> list[Picture]:
+def draw_state(shot: Snapshot, folder: Path | str, *, only: Sequence[str] | None = None) -> list[Picture]:
     """The pictures named by `only` (:data:`FIELDS`), written to `folder`; by default all that exist for the state.
 
     Raises:
@@ -34,7 +34,7 @@ def draw_state(shot: Snapshot, folder: Path, *, only: Sequence[str] | None = Non
     }
     pictures: _Pictures = []
     for name in FIELDS if only is None else only:
-        made, missing = makers[name](shot, folder)
+        made, missing = makers[name](shot, Path(folder))
         if missing and only is not None:
             raise InputError(f"{shot.chip.file}, state {shot.state}", "field", name, f"another one: {missing}")
         pictures += made

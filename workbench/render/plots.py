@@ -29,7 +29,7 @@ class SpectrumLike(Protocol):
 
 
 def draw_spectra(
-    spectra: Mapping[str, SpectrumLike], path: Path, *, measured: Sequence[str] = (), title: str = ""
+    spectra: Mapping[str, SpectrumLike], path: Path | str, *, measured: Sequence[str] = (), title: str = ""
 ) -> Path:
     """Magnitude (logarithmic) over phase of labelled spectra, those `measured` as dots and the others as lines.
 
@@ -53,7 +53,7 @@ def draw_spectra(
                  if label in measured else {"linestyle": "-", "linewidth": 1.5, "zorder": 2})
         magnitude.plot(megahertz, np.abs(impedance), color=colour, label=label, **style)
         phase.plot(megahertz, np.degrees(np.angle(impedance)), color=colour, **style)
-    return save_impedance(figure, magnitude, phase, path, title=title)
+    return save_impedance(figure, magnitude, phase, Path(path), title=title)
 
 
 def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, title: str) -> Path:
