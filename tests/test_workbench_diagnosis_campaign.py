@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from workbench.diagnosis.campaign import read_campaign, scatter
+from workbench.diagnosis.device import model
 from workbench.files.errors import InputError
 from workbench.spectrum import Spectrum, write_csv
 
@@ -181,3 +182,24 @@ def test_a_recording_is_read_by_its_headings_or_by_the_map_that_is_named(folder:
         measured = read_campaign(folder / "campaign.toml").states[1].measured
         np.testing.assert_allclose(measured.impedance, spectrum.impedance, rtol=1e-12)
         assert "is the phase of Z in rad" in measured.origin.settings["read as"]
+
+
+#: The radii of the layers of the stack that are as long as one another, all of the transducer's.
+RADII = ("transducer.radius", "couplant.radius", "substrate.radius", "sidewall.radius", "superstrate.radius")
+
+
+@pytest.mark.parametrize("named", [RADII, RADII[2:3], RADII[::-2]])
+def test_radii_that_coincide_are_one_parameter_however_they_are_named(folder: Path, named: tuple[str, ...]) -> None:
+    lines = "".join(f'"{name}" = "20 um"\n' for name in named)
+    path = folder / "campaign.toml"
+    path.write_text(CAMPAIGN.replace("[known]\n", f"[known]\n{lines}"))
+    campaign = read_campaign(path)
+    # One name and one uncertainty: what follows from the campaign cannot tell how many of them were written.
+    assert {name: value for name, value in campaign.known.items() if name.endswith("radius")} == {
+        RADII[0]: pytest.approx(2e-5)}
+    assert campaign.tied[RADII[0]] == RADII[1:]
+    free = model(campaign, accuracy=2e-2).parameters
+    assert [parameter.name for parameter in free if parameter.name.endswith("radius")].count(RADII[0]) == 1
+    path.write_text(CAMPAIGN.replace("[known]\n", f'[known]\n"{RADII[1]}" = "10 um"\n"{RADII[2]}" = "20 um"\n'))
+    with pytest.raises(InputError, match="radi"):
+        read_campaign(path)
