@@ -98,8 +98,8 @@ def test_a_change_of_a_few_cells_is_found_in_their_region(stated: Model, region:
     """Not a pattern that the regions are asked for, and no hypothesis: a ring of cells, softer, at 15 sigmas."""
     x = np.array([p.start for p in stated.parameters])
     deviation = stated.deviations()
-    free, lifted = stated.free(())
-    search = Search(stated.fitted, free=free, lifted=lifted)
+    free, released = stated.free(())
+    search = Search(stated.fitted, free=free, released=released)
     here = search.evaluate(x, deviation)
     hidden = np.zeros(here.vector.size)
     start = 0
@@ -131,8 +131,8 @@ def test_a_change_of_a_few_cells_is_found_in_their_region(stated: Model, region:
 def test_a_mode_besides_is_found_in_the_transducer(stated: Model) -> None:
     """One in every body, somewhere else in each and sharper than the points are dense, at 12 sigmas in all."""
     x = np.array([p.start for p in stated.parameters])
-    free, lifted = stated.free(())
-    search = Search(stated.fitted, free=free, lifted=lifted)
+    free, released = stated.free(())
+    search = Search(stated.fitted, free=free, released=released)
     here = search.evaluate(x, stated.deviations())
     hidden, start, own = np.zeros(here.vector.size), 0, dict[str, float]()
     for k, state in enumerate(stated.campaign.fitted):

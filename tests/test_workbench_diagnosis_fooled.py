@@ -266,8 +266,8 @@ def test_a_search_stays_where_the_reduced_model_is_trusted(bench: Bench) -> None
     """The recording is of a c33 that lies 4 % from where the bases were made."""
     bench.record("disc", "disc", factors={f"{PZT}.c33": 1.04})
     device = bench.model({f"{PZT}.c33": "5 %", f"{PZT}.c13": "5 %"})
-    free, lifted = device.free(())
-    search = Search(device.fitted, free=free, lifted=lifted)
+    free, released = device.free(())
+    search = Search(device.fitted, free=free, released=released)
     device.fitted.cover(search.centre, {}, UNNEEDED)
     anywhere = search.minimise(search.centre, device.deviations())
     trusted = 0.01 * search.evaluate(anywhere.x, device.deviations()).data.error

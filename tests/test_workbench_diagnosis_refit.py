@@ -38,7 +38,7 @@ def test_bases_are_made_where_the_search_begins(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(refit, "refit_at", lambda *_of: ended)
     model: Any = SimpleNamespace(deviations=lambda: [0.01], fitted=SimpleNamespace(cover=cover),
                                  parameters=[SimpleNamespace(name="missing")])
-    refit.gather(model, ended)
+    refit.rebuild_and_refine(model, ended)
     assert at["bases"] == at["trusted"] == at["begun"] == 1.0 - 1e-6
 
 
@@ -65,7 +65,7 @@ def test_starts_are_drawn_where_a_part_is_explained_alone(deep: float, found: bo
                                  fitted=SimpleNamespace(cover=lambda x, *_how: surrounded.append(x)))
     effect: Any = SimpleNamespace(names=("own",))
     end: Any = SimpleNamespace(x=np.array([0.0, 7.0]), cost=50.0)
-    better = tempering._drawn(model, effect, Search(), end, np.array([1.0, 3.0]))  # type: ignore[arg-type]
+    better = tempering._sampled_descent(model, effect, Search(), end, np.array([1.0, 3.0]))  # type: ignore[arg-type]
     assert (better is not end) == found
     # With the known parameters of the place given and as much of the effect as there was.
     assert surrounded[0].tolist() == [1.0, 7.0]

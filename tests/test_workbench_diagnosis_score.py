@@ -92,7 +92,7 @@ def test_what_known_parameters_imitate_is_not_seen() -> None:
     problem.jacobian[:, problem.index("own0")] = problem.jacobian[:, :KNOWN] @ [1.0, 2.0, 0.0, -1.0]
     found = score(problem, np.zeros(7), problem.here(), problem.tangents(), effect(problem, "own0"))  # type: ignore[arg-type]
     # The priors alone tell it apart: a fraction of one unit.
-    assert found.blind > 0.8
+    assert found.collinearity > 0.8
     assert found.gain < 3.0
 
 

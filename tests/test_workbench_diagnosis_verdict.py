@@ -14,9 +14,9 @@ from workbench.diagnosis.locate import MODE, Place
 from workbench.diagnosis.score import Score, promising
 
 
-def fit(reduced: float, good: bool = False, chi_square: float = 0.0, strain: float = 1.0) -> Any:
-    return SimpleNamespace(reduced=reduced, good=good, chi_square=chi_square, strain=strain, correlation=1.0,
-                           cost_of_freedom=0.0, evidence=chi_square)
+def fit(reduced: float, good: bool = False, chi_square: float = 0.0, prior_pull: float = 1.0) -> Any:
+    return SimpleNamespace(reduced=reduced, good=good, chi_square=chi_square, prior_pull=prior_pull, correlation=1.0,
+                           occam_factor=0.0, evidence=chi_square)
 
 
 def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
@@ -28,8 +28,9 @@ def score(gain: float, numbers: int = 1, effect: str = "") -> Any:
 @pytest.mark.parametrize(("before", "after", "explained", "said"), [
     (fit(1.5), fit(1.05, True), True, "a further hypothesis would take 30.0"),  # nothing but noise is left
     (fit(14.0), fit(1.5), True, "a further hypothesis would take 30.0"),  # a strong effect, described to 4 %
-    (fit(14.0), fit(1.5, strain=3.0), False, "lie 3 standard uncertainties"),  # by known parameters that are elsewhere
-    (fit(14.0, strain=40.0), fit(1.5, strain=3.0), True, "take 30.0"),  # that the base has strained much more
+    # By known parameters that are elsewhere; and where the base has strained them much more.
+    (fit(14.0), fit(1.5, prior_pull=3.0), False, "lie 3 standard uncertainties"),
+    (fit(14.0, prior_pull=40.0), fit(1.5, prior_pull=3.0), True, "take 30.0"),
     (fit(14.0), fit(3.0), False, "reduced chi-square of 3, more than noise and than 10 %"),
     (fit(1.8), fit(1.2), False, "more than noise"),  # a quarter is left of what is no noise
 ])
@@ -51,8 +52,8 @@ def test_the_best_single_is_looked_for_in_other_basins_where_it_still_hints_at_s
     base, second, hopped = fit(1.5, chi_square=1500.0), fit(1.5, chi_square=1499.0), fit(1.0, True, 1000.0)
     best.x = np.zeros(1)
     monkeypatch.setattr(procedure, "further_scores", lambda *_of: [score(42.0)])
-    monkeypatch.setattr(procedure, "gathered_elsewhere", lambda _model, of, _x: hopped if of is best else None)
-    monkeypatch.setattr(procedure, "gather", lambda _model, of, _scores: of)
+    monkeypatch.setattr(procedure, "rebuilt_in_another_basin", lambda _model, of, _x: hopped if of is best else None)
+    monkeypatch.setattr(procedure, "rebuild_and_refine", lambda _model, of, _scores: of)
     model: Any = None
     found = procedure._hopped(model, base, [second, best], lambda *_of: None)
     assert found == sorted([second, hopped if asked else best], key=lambda each: each.chi_square)

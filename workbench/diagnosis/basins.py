@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.refit import ENOUGH, GLANCE, STEPS, UNNEEDED, Refit, gather, known_reach, refit_at, replaced
+from workbench.diagnosis.refit import (
+    ENOUGH,
+    GLANCE,
+    STEPS,
+    UNNEEDED,
+    Refit,
+    known_reach,
+    rebuild_and_refine,
+    refit_at,
+    replaced,
+)
 from workbench.fitting.objective import Objective
 from workbench.fitting.search import EXPLORATION, NO_END, Optimum, Search
 
@@ -44,7 +54,7 @@ def truncated_minimum(search: Search, x: Real, fixed: tuple[int, ...] = (), devi
     return search.minimise(x, weak_deviations(search.objective, deviation), limit=GLANCE, tolerance=0.01, fixed=fixed)
 
 
-def _levers(search: Search, known: int, x: Real) -> list[int]:
+def _multimodal(search: Search, known: int, x: Real) -> list[int]:
     """Indices of the known parameters that may have several optima, with what they do at x (p,)."""
     here = search.evaluate(x, weak_deviations(search.objective))
     points = sum(log.size for log in here.data.log_ratio)
@@ -59,28 +69,28 @@ def _levers(search: Search, known: int, x: Real) -> list[int]:
     return found
 
 
-def elsewhere(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[Refit, Real]:
+def other_basin(model: Model, fit: Refit, x: Real, *, far: bool = False) -> tuple[Refit, Real]:
     """`fit` and x (p,), the end of the descent; or a better fit from another basin about x, and where that ended.
 
     A wrong basin strains the known parameters. Where the data weigh little against these (`search.EXPLORATION`), it
     costs more than the right one, and few steps lead from one to the other. With `far` the basins are looked for in all
     that the parameters may be, one parameter after the other, else within what is known of them.
     """
-    levers = _levers(fit.search, model.known, x)
-    for together in [[i] for i in levers] if far else [levers]:
-        fit, x = _elsewhere(model, fit, x, together, far)
+    multimodal = _multimodal(fit.search, model.known, x)
+    for together in [[i] for i in multimodal] if far else [multimodal]:
+        fit, x = _other_basin(model, fit, x, together, far)
     return fit, x
 
 
-def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bool) -> tuple[Refit, Real]:
-    """:func:`elsewhere`, in basins that some `levers` lead to, on bases for all of these at once."""
+def _other_basin(model: Model, fit: Refit, x: Real, multimodal: Sequence[int], far: bool) -> tuple[Refit, Real]:
+    """:func:`other_basin`, in basins that the parameters `multimodal` lead to, on bases for all of these at once."""
     search = fit.search
-    places = [(i, value) for i in levers for value in _places(search, i, far)]
+    places = [(i, value) for i in multimodal for value in _places(search, i, far)]
     if not places:
         return fit, x
     known = slice(model.known)
     centre = replaced(x, known, search.centre[known])
-    around = [(i, search.centre[i] + side * search.scale[i]) for i in levers for side in CORNERS]
+    around = [(i, search.centre[i] + side * search.scale[i]) for i in multimodal for side in CORNERS]
     model.fitted.cover(centre, known_reach(model, fit.effects, x), UNNEEDED,
                        [replaced(centre, i, value) for i, value in (places[::2] if far else around)])
     thin = search.thinned()
@@ -96,7 +106,7 @@ def _elsewhere(model: Model, fit: Refit, x: Real, levers: Sequence[int], far: bo
         best = min(ends, key=lambda end: end.cost)
         if best.cost < RIGHT * own.cost and not far:
             break
-    best, near = _compared(thin, ends, levers)
+    best, near = _compared(thin, ends, multimodal)
     if best is own:
         return fit, x
     found = search.minimise(near, model.deviations(), limit=STEPS, tolerance=ENOUGH)
@@ -113,7 +123,7 @@ def _places(search: Search, i: int, far: bool) -> Sequence[float]:
     return [search.centre[i] + hop * search.scale[i] for hop in HOPS]
 
 
-def _compared(search: Search, ends: Sequence[Optimum], levers: Sequence[int]) -> tuple[Optimum, Real]:
+def _compared(search: Search, ends: Sequence[Optimum], multimodal: Sequence[int]) -> tuple[Optimum, Real]:
     """The best of several ends where the data weigh little, and where it leads (p,) as they weigh more.
 
     Basins that cost about the same are told apart by that: with little weight, what is known says more than the data.
@@ -121,7 +131,7 @@ def _compared(search: Search, ends: Sequence[Optimum], levers: Sequence[int]) ->
     least = min(end.cost for end in ends)
     likely: list[Optimum] = []
     for end in sorted(ends, key=lambda end: end.cost):
-        apart = all(np.abs((end.x - other.x) / search.scale)[levers].max() > APART for other in likely)
+        apart = all(np.abs((end.x - other.x) / search.scale)[multimodal].max() > APART for other in likely)
         if end.cost < LIKELY * least and apart and len(likely) < COMPARED:
             likely.append(end)
     if len(likely) == 1:
@@ -131,7 +141,7 @@ def _compared(search: Search, ends: Sequence[Optimum], levers: Sequence[int]) ->
     return end, there.x
 
 
-def gathered_elsewhere(model: Model, fit: Refit, x: Real) -> Refit:
-    """`fit`, or a better one from another basin about x (p,) on bases of its own (:func:`elsewhere`)."""
-    other, _ = elsewhere(model, fit, x)
-    return fit if other is fit else gather(model, other)
+def rebuilt_in_another_basin(model: Model, fit: Refit, x: Real) -> Refit:
+    """`fit`, or a better one from another basin about x (p,) on bases of its own (:func:`other_basin`)."""
+    other, _ = other_basin(model, fit, x)
+    return fit if other is fit else rebuild_and_refine(model, other)

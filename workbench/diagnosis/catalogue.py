@@ -399,7 +399,7 @@ def bench(device: Device) -> Iterator[Effect]:
         name = BENCH + element
         limit = Admissible(known.low, known.high, known.unit, "leads, contacts and probes of a laboratory bench")
         if name in device.known:
-            yield Effect(known.text, "bench", "bench", "between the electrodes and the instrument", lifts=(name,),
+            yield Effect(known.text, "bench", "bench", "between the electrodes and the instrument", releases=(name,),
                          admissible={name: limit})
         else:
             found = bench_parameter(name)

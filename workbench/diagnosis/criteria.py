@@ -41,12 +41,12 @@ REMNANT, STRAY = 0.1, 2.0
 HINT = 3.5
 
 #: A base fit above this reduced chi-square has strained the known parameters to make up for a strong effect.
-STRAINED = 2.0
+PULLED = 2.0
 
 
-def is_strained(base: Refit) -> bool:
+def is_pulled(base: Refit) -> bool:
     """Whether the known parameters make up for a strong effect, as far as they can."""
-    return base.reduced > STRAINED or base.strain > STRAY
+    return base.reduced > PULLED or base.prior_pull > STRAY
 
 
 def gain(base: Refit, fit: Refit) -> float:
@@ -55,7 +55,7 @@ def gain(base: Refit, fit: Refit) -> float:
     Points whose residuals under that fit go together count as one: what no hypothesis removes is noise that is not
     white.
     """
-    return fall_of(base, fit) - fit.cost_of_freedom + base.cost_of_freedom
+    return fall_of(base, fit) - fit.occam_factor + base.occam_factor
 
 
 def best_of(base: Refit, fits: Sequence[Refit]) -> Refit:
@@ -97,7 +97,7 @@ def remaining_gain(fit: Refit, further: Sequence[Score], pairs: Sequence[Refit] 
 
 def explains(base: Refit, fit: Refit) -> bool:
     """Whether a fit leaves nothing but noise, or next to nothing of what the base leaves, with the known as known."""
-    return fit.good or (leaves_less(fit, base, REMNANT) and fit.strain < max(STRAY, REMNANT * base.strain))
+    return fit.good or (leaves_less(fit, base, REMNANT) and fit.prior_pull < max(STRAY, REMNANT * base.prior_pull))
 
 
 def has_mode_besides(base: Refit, fit: Refit, location: Sequence[Place]) -> bool:

@@ -50,10 +50,10 @@ class Model:
         return next(i for i, p in enumerate(self.parameters) if p.name == name)
 
     def free(self, chosen: Sequence[Effect]) -> tuple[list[int], list[int]]:
-        """Indices of the parameters free under some hypotheses together, and of those whose prior is lifted."""
+        """Indices of the parameters free under some hypotheses together, and of those whose prior is released."""
         moved = [self.index(p.name) for effect in chosen for p in effect.parameters]
-        lifted = [self.index(name) for effect in chosen for name in effect.lifts]
-        return sorted({*range(self.known), *moved}), sorted(set(lifted))
+        released = [self.index(name) for effect in chosen for name in effect.releases]
+        return sorted({*range(self.known), *moved}), sorted(set(released))
 
     def deviations(self) -> list[Real]:
         """Relative standard deviation (n,) of every point of every fitted state."""
@@ -111,7 +111,7 @@ def model(
 
 
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
-    """A parameter that may move within what is known of it, and further only where a hypothesis lifts that."""
+    """A parameter that may move within what is known of it, and further only where a hypothesis releases that."""
     value, unit = value_of(name, campaign.states), unit_of(name, campaign.states)
     parsed = ParameterName.parse(name)
     if parsed.kind is Kind.BENCH:

@@ -26,7 +26,7 @@ class Effect:
     """One hypothesis.
 
     ``region`` is where it sits: a region, ``<region>|<region>`` or "bench"; ``kind`` stiffness, mass, loss, geometry,
-    coupling or bench. ``parameters`` are what it brings in; ``lifts`` names known parameters that it lets go further
+    coupling or bench. ``parameters`` are what it brings in; ``releases`` names known parameters that it lets go further
     than what is known of them. ``admissible`` bounds its parameters, with the source. ``terms`` and ``values`` are by
     the name of the state.
     """
@@ -36,7 +36,7 @@ class Effect:
     kind: str
     about: str
     parameters: tuple[Parameter, ...] = ()
-    lifts: tuple[str, ...] = ()
+    releases: tuple[str, ...] = ()
     admissible: Mapping[str, Admissible] = field(default_factory=dict)
     terms: Mapping[str, tuple[Term, ...]] = field(default_factory=dict)
     values: Mapping[str, Mapping[str, complex]] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Effect:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all parameters that it moves."""
-        return (*(p.name for p in self.parameters), *self.lifts)
+        return (*(p.name for p in self.parameters), *self.releases)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def propose_value(
 ) -> Iterator[Effect]:
     """The hypothesis that a parameter the model has already is not what is known of it."""
     if name in device.known:
-        yield Effect(label, region, kind, about, lifts=(name,), admissible={name: limit})
+        yield Effect(label, region, kind, about, releases=(name,), admissible={name: limit})
         return
     if relative:
         parameter = Parameter(name, 1.0, limit.lowest, limit.highest, None, "1", relative=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.basins import elsewhere, gathered_elsewhere
+from workbench.diagnosis.basins import other_basin, rebuilt_in_another_basin
 from workbench.diagnosis.belong import check_assignment, cleared
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.criteria import (
@@ -23,17 +23,17 @@ from workbench.diagnosis.criteria import (
     held_out_chi_square,
     is_complete,
     is_in_question,
+    is_pulled,
     is_quiet,
     is_simplest,
-    is_strained,
     remaining_gain,
     scores_of,
 )
 from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.locate import Place, located
-from workbench.diagnosis.refit import Refit, base_fit, gather, leaves_less, predicted, refit, without
+from workbench.diagnosis.refit import Refit, base_fit, leaves_less, predicted, rebuild_and_refine, refit, without
 from workbench.diagnosis.score import Score, promising
-from workbench.diagnosis.tempering import afar
+from workbench.diagnosis.tempering import tempered_search
 from workbench.diagnosis.verdict import Diagnosis, Weighed, verdict_on
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.solve import one_thread
@@ -93,11 +93,11 @@ def diagnose_model(model: Model, *, progress: Progress = lambda _text, _share: N
     if not is_quiet(base, scores_of(model, base)):
         # Also what leaves next to nothing may be a wrong basin, in which something hints at what is not there.
         progress("other basins", 0.1)
-        base, end = elsewhere(model, base, end)
+        base, end = other_basin(model, base, end)
     base, scores, location, singles = _asked(model, base, end, progress)
-    if is_strained(base) and not any(explains(base, fit) for fit in singles):
+    if is_pulled(base) and not any(explains(base, fit) for fit in singles):
         progress("basins far off", 0.6)
-        other, end = elsewhere(model, base, end, far=True)
+        other, end = other_basin(model, base, end, far=True)
         if other is not base:
             base, scores, location, singles = _asked(model, other, end, progress)
         elif singles:
@@ -109,7 +109,7 @@ def diagnose_model(model: Model, *, progress: Progress = lambda _text, _share: N
         other = without(model, base, best)
         if gain(base, other) > ACCEPTED and leaves_less(other, base, HALF):
             progress("another basin", 0.65)
-            base, scores, location, singles = _asked(model, gather(model, other), other.x, progress)
+            base, scores, location, singles = _asked(model, rebuild_and_refine(model, other), other.x, progress)
             singles = _hopped(model, base, singles, progress)
     pairs: list[Refit] = []
     held_before = predicted(model, base)
@@ -120,14 +120,14 @@ def diagnose_model(model: Model, *, progress: Progress = lambda _text, _share: N
             pairs = _pairs(model, singles, progress)
             both = min([best, *pairs], key=lambda f: f.evidence + RIVAL * len(f.effects))
             if both is not best:
-                best = gather(model, both)
+                best = rebuild_and_refine(model, both)
                 pairs = _with(pairs, both, best)
         progress("verdict", 0.9)
         close = [f for f in (*singles, *pairs) if is_simplest(f, best)
                  and (f.evidence - best.evidence < CLOSE or fits_as_well(f, best))]
         weighed = _weighed(model, close)
         if weighed[0][0] is not best:
-            best = gather(model, weighed[0][0])
+            best = rebuild_and_refine(model, weighed[0][0])
             weighed[0] = (best, predicted(model, best))
     return verdict_on(model, nominal, base, weighed, scores, location, singles, pairs, held_before, started)
 
@@ -137,14 +137,14 @@ def _asked(
 ) -> tuple[Refit, list[Score], tuple[Place, ...], list[Refit]]:
     """The base, scores and location there, and refits of the hypotheses left in the race.
 
-    `end` (p,) is the end of the descent to the base, where the data weigh little (:func:`afar`).
+    `end` (p,) is the end of the descent to the base, where the data weigh little (:func:`tempered_search`).
     """
     location: tuple[Place, ...] = ()
     singles: list[Refit] = []
-    if is_strained(base):
+    if is_pulled(base):
         progress("strong effects", 0.2)
         clear, alone = cleared(model)
-        location, singles = afar(model, base, end, alone)
+        location, singles = tempered_search(model, base, end, alone)
         location = tuple(sorted(location, key=lambda place: place.region in clear))
     if any(explains(base, fit) for fit in singles):
         return base, scores_of(model, base), location, singles
@@ -166,7 +166,7 @@ def _hopped(model: Model, base: Refit, singles: Sequence[Refit], progress: Progr
         return singles
     progress("other basins", 0.65)
     # The bases are those of the basins that were looked at: those of the best fit again.
-    return _settled(model, _with(singles, best, gathered_elsewhere(model, best, best.x)))
+    return _settled(model, _with(singles, best, rebuilt_in_another_basin(model, best, best.x)))
 
 
 def _settled(model: Model, fits: Sequence[Refit]) -> list[Refit]:
@@ -175,7 +175,7 @@ def _settled(model: Model, fits: Sequence[Refit]) -> list[Refit]:
     Whatever else is asked of it, also whether that is all, is asked there.
     """
     best = min(fits, key=lambda f: f.evidence)
-    return _with(fits, best, gather(model, best, further_scores(model, best)[:PAIRS]))
+    return _with(fits, best, rebuild_and_refine(model, best, further_scores(model, best)[:PAIRS]))
 
 
 def _weighed(model: Model, fits: Sequence[Refit]) -> list[Weighed]:
@@ -193,7 +193,7 @@ def _near(
     """
     progress("neighbourhood", 0.3)
     scores = scores_of(model, base)
-    base = gather(model, base, [*scores[:SINGLES], *promising(scores, SINGLES)])
+    base = rebuild_and_refine(model, base, [*scores[:SINGLES], *promising(scores, SINGLES)])
     scores = scores_of(model, base)
     location = located(model, base.x, model.deviations(), base.tangents(), scores)
     found = []

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.score import Score, Tangents, columns, cost_of_freedom
+from workbench.diagnosis.score import Score, Tangents, columns, occam_factor
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.search import NO_END, Search, Weighted
 from workbench.fitting.uncertainty import DEVIATIONS, correlation_length
@@ -82,7 +82,7 @@ class Refit:
 
     ``x`` (p,) all parameters; ``here`` the residuals there, without the predictions behind them; ``doubt`` the largest
     estimated relative error of these; ``chi_square`` of the data and the prior; ``estimate`` and ``error`` of the
-    hypotheses' own parameters by name, of noise and of the terms themselves (:data:`MODELLED`); ``cost_of_freedom``
+    hypotheses' own parameters by name, of noise and of the terms themselves (:data:`MODELLED`); ``occam_factor``
     what their ranges cost (twice the logarithm of the Occam factor); ``shifts`` known parameters in units of their
     prior; ``states`` one for each fitted state.
     """
@@ -96,14 +96,14 @@ class Refit:
     points: int
     estimate: dict[str, float]
     error: dict[str, float]
-    cost_of_freedom: float
+    occam_factor: float
     shifts: dict[str, float]
     states: tuple[StateFit, ...]
 
     @property
     def evidence(self) -> float:
         """Minus twice the logarithm of the evidence, up to a constant shared by all hypotheses: smaller is better."""
-        return self.chi_square + self.cost_of_freedom
+        return self.chi_square + self.occam_factor
 
     @property
     def reduced(self) -> float:
@@ -125,7 +125,7 @@ class Refit:
         return self.reduced < GOOD and all(s.reduced < GOOD_STATE for s in self.states)
 
     @property
-    def strain(self) -> float:
+    def prior_pull(self) -> float:
         """How far the known parameters are from what is known of them, in its units (rms)."""
         return float(np.sqrt(np.mean(np.square(list(self.shifts.values()))))) if self.shifts else 0.0
 
@@ -166,8 +166,8 @@ def base_fit(model: Model) -> tuple[tuple[StateFit, ...], Refit, Real]:
 
     The descent leads through smoothed spectra (`Search.descend`).
     """
-    free, lifted = model.free(())
-    search = Search(model.fitted, free=free, lifted=lifted)
+    free, released = model.free(())
+    search = Search(model.fitted, free=free, released=released)
     deviation = model.deviations()
     model.fitted.cover(search.centre, known_reach(model, (), search.centre), UNNEEDED)
     stated = model.fitted(search.centre, deviation=deviation)
@@ -191,7 +191,7 @@ def known_reach(model: Model, effects: Sequence[Effect], x: Real) -> dict[str, f
     return reach
 
 
-def gather(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
+def rebuild_and_refine(model: Model, fit: Refit, scores: Sequence[Score] = ()) -> Refit:
     """A fit once more, with bases made for its own neighbourhood and that of the hypotheses in `scores`."""
     deviation = model.deviations()
     before = np.inf
@@ -275,8 +275,8 @@ def search_under(
     model: Model, effects: Sequence[Effect], start: Real, scores: Sequence[Score]
 ) -> tuple[Search, NDArray[np.int64]]:
     """The search under `effects`, with ranges about `start` (p,) that `scores` give, and the indices of their own."""
-    free, lifted = model.free(effects)
-    search = Search(model.fitted, free=free, lifted=lifted)
+    free, released = model.free(effects)
+    search = Search(model.fitted, free=free, released=released)
     for scored in scores:
         for name, amplitude, error in zip(scored.effect.names, scored.amplitude, scored.error, strict=True):
             i = model.index(name)
@@ -319,7 +319,7 @@ def refit_at(model: Model, effects: tuple[Effect, ...], search: Search, x: Real)
             estimate[name] = float(x[i])
             error[name] = float(min(np.sqrt(max(covariance[k, k], 0.0)), width))
         ranges = [model.parameters[model.index(n)] for n in unique]
-        cost = cost_of_freedom(covariance, np.array([p.high - p.low for p in ranges]))
+        cost = occam_factor(covariance, np.array([p.high - p.low for p in ranges]))
     shifts = {p.name: float((x[i] - p.start) / p.prior) for i, p in enumerate(model.parameters[:model.known])
               if p.prior is not None}
     states = []

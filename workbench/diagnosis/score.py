@@ -30,9 +30,9 @@ class Score:
     """What the score test says of one hypothesis.
 
     ``gain`` is the fall of chi-square it promises within its bounds; ``evidence`` that less what the ranges of its
-    parameters cost (:func:`cost_of_freedom`), by which hypotheses are ranked as refits are; ``amplitude`` (k,) the
+    parameters cost (:func:`occam_factor`), by which hypotheses are ranked as refits are; ``amplitude`` (k,) the
     parameters it asks for, SI, and ``error`` (k,) their standard errors; ``tangent`` (m, k) what is left of its
-    tangents; ``blind`` the share of them that known parameters can imitate.
+    tangents; ``collinearity`` the share of them that known parameters can imitate.
     """
 
     effect: Effect
@@ -41,7 +41,7 @@ class Score:
     amplitude: Real
     error: Real
     tangent: Real
-    blind: float
+    collinearity: float
 
     @property
     def numbers(self) -> int:
@@ -75,7 +75,7 @@ class Tangents:
 
 
 def columns(model: Model, here: Weighted, effect: Effect) -> Real:
-    """The tangents (m, k) of a hypothesis: of its own parameters, and of those whose prior it lifts."""
+    """The tangents (m, k) of a hypothesis: of its own parameters, and of those whose prior it releases."""
     data = here.data.jacobian
     indices = [model.index(name) for name in effect.names]
     return np.vstack([data[:, indices], np.zeros((here.vector.size - data.shape[0], len(indices)))])
@@ -101,12 +101,12 @@ def score(model: Model, x: Real, here: Weighted, tangents: Tangents, effect: Eff
         gain = before - float(np.sum((tangents.left + unit @ bounded.x) ** 2))
         covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[seen], size[seen])
         error[seen] = np.sqrt(np.diag(covariance))
-        cost = cost_of_freedom(covariance, (high - low)[seen])
-    blind = 1.0 - float(np.linalg.norm(left)) / max(float(np.linalg.norm(raw)), 1e-300)
-    return Score(effect, gain, gain - cost, amplitude, error, left, blind)
+        cost = occam_factor(covariance, (high - low)[seen])
+    collinearity = 1.0 - float(np.linalg.norm(left)) / max(float(np.linalg.norm(raw)), 1e-300)
+    return Score(effect, gain, gain - cost, amplitude, error, left, collinearity)
 
 
-def cost_of_freedom(covariance: Real, widths: Real) -> float:
+def occam_factor(covariance: Real, widths: Real) -> float:
     """What the ranges of parameters cost: twice the logarithm of their volume over that of the posterior.
 
     Args:

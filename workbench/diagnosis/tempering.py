@@ -8,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.basins import CLOSER, PROMISING, RIGHT, gathered_elsewhere, truncated_minimum, weak_deviations
+from workbench.diagnosis.basins import (
+    CLOSER,
+    PROMISING,
+    RIGHT,
+    rebuilt_in_another_basin,
+    truncated_minimum,
+    weak_deviations,
+)
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.locate import Place, located
@@ -17,11 +24,11 @@ from workbench.diagnosis.refit import (
     STEPS,
     UNNEEDED,
     Refit,
-    gather,
     initial_point,
     known_reach,
     leaves_less,
     projected,
+    rebuild_and_refine,
     refit_at,
     replaced,
     search_under,
@@ -56,7 +63,7 @@ ONWARD, ROUNDS = 0.9, 12
 ROUGHLY = 0.3
 
 
-def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[Place, ...], list[Refit]]:
+def tempered_search(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[Place, ...], list[Refit]]:
     """Location and the best single hypotheses where the data weigh little, about x (p,), the end of the descent.
 
     A strong effect strains the known parameters while it is missing: where the data weigh in full, hypotheses are asked
@@ -89,17 +96,17 @@ def afar(model: Model, base: Refit, x: Real, alone: Real | None) -> tuple[tuple[
             break
         if any(effect in fit.effects for fit in found):
             continue
-        led = _led(model, effect, search, end)
+        led = _continuation(model, effect, search, end)
         if led is None:
             continue
         fit, near = led
         if alone is not None and not fit.good:
-            other = _drawn(model, effect, search, near, alone)
-            if other.cost < RIGHT * near.cost and (led := _led(model, effect, search, other)) is not None:
+            other = _sampled_descent(model, effect, search, near, alone)
+            if other.cost < RIGHT * near.cost and (led := _continuation(model, effect, search, other)) is not None:
                 fit, near = min((fit, near), led, key=lambda each: each[0].evidence)
         if leaves_less(fit, base, ROUGHLY):
-            fit = gather(model, fit)
-            fit = fit if fit.good else gathered_elsewhere(model, fit, near.x)
+            fit = rebuild_and_refine(model, fit)
+            fit = fit if fit.good else rebuilt_in_another_basin(model, fit, near.x)
         found.append(fit)
     return location, found
 
@@ -168,7 +175,7 @@ def _twins(
             if other not in held and confusion(one, other) > TWIN][:KEPT]
 
 
-def _led(model: Model, effect: Effect, search: Search, end: Optimum) -> tuple[Refit, Optimum] | None:
+def _continuation(model: Model, effect: Effect, search: Search, end: Optimum) -> tuple[Refit, Optimum] | None:
     """The refit of a hypothesis that the end of its way leads to where the data weigh in full; and that end, followed.
 
     None where nothing can be predicted.
@@ -181,7 +188,7 @@ def _led(model: Model, effect: Effect, search: Search, end: Optimum) -> tuple[Re
     return refit_at(model, (effect,), search, full.x), end
 
 
-def _drawn(model: Model, effect: Effect, search: Search, end: Optimum, about: Real) -> Optimum:
+def _sampled_descent(model: Model, effect: Effect, search: Search, end: Optimum, about: Real) -> Optimum:
     """The best end of ways from starts drawn about a place (p,) with the data weighing little; `end` if none is better.
 
     They begin with as much of the effect as there is in the `end`: also with the right one there are several basins,

@@ -57,7 +57,7 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
     limits = {e33: _loss(material, "e33", 0.05, 0.0), eps33: _loss(material, "eps33", 0.05, 1.0)}
     new = tuple(new_parameter(n, a, value_of(n, device.states)) for n, a in limits.items() if n not in device.known)
     yield Effect("complex piezoelectric constant", TRANSDUCER, "loss", "e33 has a phase of its own", new,
-                 lifts=tuple(n for n in limits if n in device.known), admissible=limits)
+                 releases=tuple(n for n in limits if n in device.known), admissible=limits)
     for coefficient in ("c11", "c33", "c44"):
         yield from propose_value(device, f"loss of {coefficient} of the transducer", TRANSDUCER, "loss",
                                  f"{name}.{coefficient}{LOSS}", _loss(material, coefficient, 0.05, -1.0),

@@ -92,7 +92,7 @@ class Diagnosis(Shown):
     location: tuple[Place, ...]
     held_before: tuple[StateFit, ...]
     held_after: tuple[StateFit, ...]
-    strayed: tuple[tuple[str, float], ...]
+    at_odds: tuple[tuple[str, float], ...]
     admissible: bool
     next_measurement: str
     findings: tuple[str, ...]
@@ -166,7 +166,7 @@ def verdict_on(
             findings.append("A resonance of the transducer that the model does not have explains more: it is not "
                             "accepted.")
     chosen = best if accepted else base
-    strayed = tuple((name, shift) for name, shift in sorted(chosen.shifts.items(), key=lambda item: -abs(item[1]))
+    at_odds = tuple((name, shift) for name, shift in sorted(chosen.shifts.items(), key=lambda item: -abs(item[1]))
                     if abs(shift) > STRAYED)
     rivals: tuple[Rival, ...] = ()
     if accepted:
@@ -184,14 +184,14 @@ def verdict_on(
         verdict = "parameters_explain"
     else:
         verdict = "no_mismatch"
-    findings += _statements(verdict, chosen, rivals, strayed, location)
+    findings += _statements(verdict, chosen, rivals, at_odds, location)
     if verdict == "unexplained" and (said := each_alone(model, base)):
         findings.append(said)
     following = _next(model, chosen, rivals, scores)
     findings += [_inexact(model, fit) for fit in dict.fromkeys((best if found else chosen, chosen))
                  if not fit.doubt < TRUSTED]
     return Diagnosis(model.campaign, model, verdict, nominal, base, chosen, tuple(scores), tuple(singles), tuple(pairs),
-                     rivals, location, held_before, held_after if accepted else held_before, strayed,
+                     rivals, location, held_before, held_after if accepted else held_before, at_odds,
                      all(_inside(chosen, name) for name in chosen.estimate), following,
                      tuple(findings), time.perf_counter() - started, model.fitted.solves)
 
@@ -210,8 +210,8 @@ def _lacking(base: Refit, best: Refit, left: float) -> str:
         why = (f"of the reduced chi-square of {best.reduced:.3g} that it leaves, a further hypothesis would take "
                f"{left:.1f}")
     elif leaves_less(best, base, REMNANT):
-        why = (f"with it the known parameters still lie {best.strain:.2g} standard uncertainties (rms) from what is "
-               "known of them")
+        why = (f"with it the known parameters still lie {best.prior_pull:.2g} standard uncertainties (rms) from what "
+               "is known of them")
     else:
         why = (f"it leaves a reduced chi-square of {best.reduced:.3g}, more than noise and than "
                f"{100 * REMNANT:.0f} % of what the known parameters left")
@@ -237,7 +237,7 @@ def _inexact(model: Model, fit: Refit) -> str:
 
 
 def _statements(
-    verdict: str, best: Refit, rivals: Sequence[Rival], strayed: Sequence[tuple[str, float]],
+    verdict: str, best: Refit, rivals: Sequence[Rival], at_odds: Sequence[tuple[str, float]],
     location: Sequence[Place],
 ) -> list[str]:
     """What the verdict means, in sentences with figures."""
@@ -247,7 +247,7 @@ def _statements(
     for rival in rivals:
         result.append(f"The data cannot rule out {rival.refit.name} ({rival.behind:.1f} behind"
                       + (", though it fits as well)." if rival.fits_as_well else ")."))
-    for name, shift in strayed:
+    for name, shift in at_odds:
         result.append(f"{name} would have to lie {shift:+.1f} standard uncertainties from what is known of it.")
     if ended := best.at_bounds:
         result.append(f"At a bound of what it may be, with a value and an error of little worth: {', '.join(ended)}.")

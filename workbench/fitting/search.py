@@ -70,12 +70,12 @@ class Descent(Optimum):
 class Search:
     """The least-squares problem of one objective: bounds, prior and inequalities around it.
 
-    Only the parameters of the indices `free` move, all by default; the priors of those in `lifted` are left out.
+    Only the parameters of the indices `free` move, all by default; the priors of those in `released` are left out.
     """
 
     def __init__(
         self, objective: Objective, *, poisson: tuple[float, float] | None = None, free: Sequence[int] | None = None,
-        lifted: Collection[int] = (),
+        released: Collection[int] = (),
     ) -> None:
         self.objective, self.parameters = objective, objective.parameters
         self.free = np.arange(len(self.parameters)) if free is None else np.array(sorted(free), dtype=int)
@@ -83,7 +83,7 @@ class Search:
         self.high = np.array([p.high for p in self.parameters])
         self.scale = np.array([p.scale for p in self.parameters])
         self.centre = np.array([p.start for p in self.parameters])
-        self.precision = np.array([0.0 if p.prior is None or i in lifted else 1.0 / p.prior
+        self.precision = np.array([0.0 if p.prior is None or i in released else 1.0 / p.prior
                                    for i, p in enumerate(self.parameters)])
         problems = [r.problem for r in objective.recordings]
         moving = [self.parameters[i] for i in self.free]
