@@ -100,12 +100,17 @@ class Coefficients:
         """g_q (n, count) at angular frequencies (n,)."""
         return summed(self.groups(omega, values), omega.size, self.count)
 
-    def slopes(self, values: Values, name: str) -> dict[Shape, Complex]:
-        """The derivatives of the coefficients by a complex parameter: constants (count,) by shape over frequency.
+    def slopes(self, values: Values, names: Sequence[str]) -> tuple[dict[Shape, Complex], ...]:
+        """The derivatives of the coefficients by complex parameters: of each, constants (count,) by shape.
 
         Raises:
             KeyError: a parameter without a value.
         """
+        factors = self._factor_values(values)
+        return tuple(self._slopes(values, name, factors) for name in names)
+
+    def _slopes(self, values: Values, name: str, factors: Complex) -> dict[Shape, Complex]:
+        """See :meth:`slopes`, for one parameter; `factors` as of :meth:`_factor_values`."""
         found: dict[Shape, Complex] = {}
 
         def add(shape: Shape, members: Indices, constants: Complex) -> None:
@@ -113,7 +118,6 @@ class Coefficients:
                 known = found.setdefault(shape, np.zeros(self.count, dtype=complex))
                 known[members] += constants
 
-        factors = self._factor_values(values)
         depending = [k for k, each in enumerate(self.factors) if name in _parameters(each)]
         if depending:
             slopes = np.zeros(len(self.factors) + 1, dtype=complex)

@@ -66,16 +66,17 @@ def solve_dense(factors: Complex, matrices: Complex) -> Sweep:
     rank, count = inner.shape[1], factors.shape[1]
     right = loads.T @ factors
     electrode = matrices[:, -1, -1]
-    span = _projected(factors, inner, loads, electrode) if rank >= LARGE and count >= MANY else None
-    if span is None:
+    projected = _projected(factors, inner, loads, electrode) if rank >= LARGE and count >= MANY else None
+    span = None
+    if projected is None:
         x, remainder = _solved(factors, inner, loads, right)
     else:
-        x = span.basis @ span.coordinates
-        remainder = right - _product(factors, inner @ span.basis, span.coordinates)
+        vectors, images, small = projected
+        x, remainder = vectors @ small, right - _product(factors, images, small)
         # The electrode is a vector of its own, with the coordinate one.
-        basis = np.zeros((rank + 1, span.basis.shape[1] + 1), dtype=complex)
-        basis[:-1, :-1], basis[-1, -1] = span.basis, 1.0
-        span = Span(basis, np.vstack([span.coordinates, np.ones(count)]))
+        basis = np.zeros((rank + 1, vectors.shape[1] + 1), dtype=complex)
+        basis[:-1, :-1], basis[-1, -1] = vectors, 1.0
+        span = Span(basis, np.vstack([small, np.ones(count)]))
     norm = np.linalg.norm(right, axis=0)
     residual = np.linalg.norm(remainder, axis=0) / np.where(norm > 0.0, norm, 1.0)
     # x^T A x = x^T (A x) + 2 x^T a + a_ee with A x = -a - remainder.
@@ -104,12 +105,17 @@ def _product(factors: Complex, matrices: Complex, x: Complex) -> Complex:
     return np.asarray(sum((each @ x) * h for h, each in zip(factors, matrices, strict=True)))
 
 
-def _projected(factors: Complex, matrices: Complex, loads: Complex, electrode: Complex) -> Span | None:
+def _projected(
+    factors: Complex, matrices: Complex, loads: Complex, electrode: Complex
+) -> tuple[Complex, Complex, Complex] | None:
     """States (r, n) in the Krylov spaces of a few factorisations; None where those would be most of the system.
 
     With A_0 factorised at one frequency and dA the change to the next one, the states nearby lie close to the Krylov
     space of A_0^-1 dA started at the state there (see `solve.System.krylov`). Frequencies are added where the residual
     is largest, until they change the charge by less than :data:`CHANGED` anywhere. `electrode` (g,) as `loads` (g, r).
+
+    Returns:
+        vectors (r, k), their images (g, r, k) by the matrices, and the coordinates (k, n) of the states.
     """
     count, rank = factors.shape[1], matrices.shape[1]
     watched = np.unique(np.linspace(0, count - 1, min(count, 2 * MANY)).astype(int))
@@ -137,7 +143,7 @@ def _projected(factors: Complex, matrices: Complex, loads: Complex, electrode: C
         small = solve_each(some, inner, held.T @ some)
         before, charge = charge, np.sum(small * (held.T @ some), axis=0) - electrode @ some
         if (np.abs(charge - before) <= CHANGED * np.abs(charge)).all():
-            return Span(basis, solve_each(factors, inner, held.T @ factors))
+            return basis, images, solve_each(factors, inner, held.T @ factors)
         residual = np.linalg.norm(right - _product(some, images, small), axis=0) / norm
         worst = [int(k) for k in np.argsort(-residual) if int(k) not in done]
         wanted = [k for i, k in enumerate(worst[: 4 * FURTHER])

@@ -8,19 +8,10 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-
-class Drawn(Protocol):
-    """A spectrum to be drawn: ``frequency`` (n,) Hz and ``impedance`` (n,) ohm, e^{+j w t}."""
-
-    @property
-    def frequency(self) -> NDArray[np.float64]: ...
-    @property
-    def impedance(self) -> NDArray[np.complex128]: ...
+if TYPE_CHECKING:
+    from workbench.render.plots import SpectrumLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +20,7 @@ class Summary:
 
     title: str
     rows: tuple[tuple[str, ...], ...]
-    spectra: Mapping[str, Drawn] = field(default_factory=dict)
+    spectra: Mapping[str, SpectrumLike] = field(default_factory=dict)
     measured: tuple[str, ...] = ()
 
 

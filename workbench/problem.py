@@ -119,12 +119,12 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
         InputError: unknown state or material, a transducer that is not piezoelectric, or one material given two
             densities.
     """
-    chosen = chip.state(state)
+    chosen, registry = chip.state(state), Registry() if registry is None else registry
     found: dict[str, Material] = {}
     for region, name in chip.materials(chosen.name).items():
         if name == VACUUM:
             continue
-        material = _load(chip, chosen, region, name, Registry() if registry is None else registry)
+        material = _load(chip, chosen, region, name, registry)
         density = None if region == CAVITY else chip.layer(region).density
         if density is not None:
             material = replace(material, density=density)

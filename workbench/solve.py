@@ -109,8 +109,8 @@ class Solution:
             raise KeyError(f"no coefficient depends on {unknown[0]!r}; known: "
                            f"{', '.join(sorted(coefficients.parameters))}")
         # By column and shape over frequency: constants of the integrals.
-        rows = {(column, shape): constants for column, name in enumerate(names)
-                for shape, constants in coefficients.slopes(values, name).items()}
+        rows = {(column, shape): constants for column, slopes in enumerate(coefficients.slopes(values, names))
+                for shape, constants in slopes.items()}
         result = np.zeros((self.frequency.size, len(names)), dtype=complex)
         shapes = {shape: shape(self.omega, values) for _, shape in rows}
         kept = [key for key in rows if shapes[key[1]].any()]
@@ -286,8 +286,8 @@ class System:
         omega = np.array([2.0 * np.pi * frequency])
         coefficients = self.operators.coefficients
         slopes = np.zeros((coefficients.count, len(names)), dtype=complex)
-        for column, name in enumerate(names):
-            for shape, constants in coefficients.slopes(self.values, name).items():
+        for column, by_shape in enumerate(coefficients.slopes(self.values, names)):
+            for shape, constants in by_shape.items():
                 slopes[:, column] += shape(omega, self.values)[0] * constants
         return self.operators.images(state, slopes)
 

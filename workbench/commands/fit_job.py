@@ -123,7 +123,7 @@ def known(job: Job, settings: Settings, folder: Path) -> dict[str, Any] | None:
 
 def _filling(member: Member, registry: Registry) -> dict[str, Material]:
     chip = read_chip(member.chip)
-    state = chip.states[-1].name if member.state is None else member.state
+    state = chip.state(member.state).name
     if member.material is not None:
         chip = with_material(chip, state, free_region(chip, state, member.kind, member.region), member.material)
     return dict(fill(chip, state, registry).materials)
