@@ -1,0 +1,79 @@
+"""The figures that a chip is judged by: names, units, and what they mean.
+
+All are of one frequency at which the chip is driven, its resonance f0 unless another is stated, and of one drive. Fields
+are those of the cavity's fluid; traps those of the particle that the chip's state names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from workbench.files.errors import InputError, choose
+
+#: How the name of the share of the power that is lost in a region begins; the region follows.
+LOSS_SHARE = "loss."
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure by ``name``; ``unit`` SI, ``dimension`` as of `workbench.files.quantities.UNITS`, ``shown`` the unit it
+    is told in and ``factor`` what one of that is in SI."""
+
+    name: str
+    unit: str
+    dimension: str
+    words: str
+    shown: str
+    factor: float = 1.0
+
+
+_ALL = (
+    Figure("f0", "Hz", "frequency", "frequency of the smallest |Z|", "MHz", 1e6),
+    Figure("z_min", "ohm", "resistance", "smallest |Z|", "ohm"),
+    Figure("q", "1", "dimensionless", "quality factor, half power of |Y|", ""),
+    Figure("voltage", "V", "peak-to-peak voltage", "peak-to-peak voltage at the electrodes", "Vpp"),
+    Figure("power", "W", "power", "electrical input power", "W"),
+    Figure("p0", "Pa", "pressure", "largest pressure amplitude in the cavity", "kPa", 1e3),
+    Figure("e_ac", "J/m^3", "energy density", "energy density of a standing wave of p0, p0^2/(4 rho c^2)", "J/m^3"),
+    Figure("mean_e_ac", "J/m^3", "energy density", "mean acoustic energy density in the cavity", "J/m^3"),
+    Figure("trap_height", "m", "length", "height of the deepest trap above the cavity's floor", "um", 1e-6),
+    Figure("trap_offset", "m", "length", "height of the deepest trap above mid-height of the cavity", "um", 1e-6),
+    Figure("trap_radius", "m", "length", "radius of the deepest trap", "um", 1e-6),
+    Figure("trap_depth", "J", "energy", "depth of the deepest trap", "fJ", 1e-15),
+    Figure("axial_stiffness", "N/m", "stiffness", "axial stiffness of the deepest trap", "pN/um", 1e-6),
+    Figure("radial_stiffness", "N/m", "stiffness", "radial stiffness of the deepest trap", "pN/um", 1e-6),
+    Figure("focus_time", "s", "time", "time from 90 to 10 % of a quarter wavelength above the deepest trap", "s"),
+    Figure("heating", "K", "temperature difference", "loss budget times the stated thermal resistances", "K"),
+)
+
+#: Figures by name; ``loss.<region>`` besides, for every region of a chip.
+FIGURES: Mapping[str, Figure] = {each.name: each for each in _ALL}
+
+
+def figure(name: str) -> Figure:
+    """The figure of that name.
+
+    Raises:
+        KeyError: there is none.
+    """
+    if name.startswith(LOSS_SHARE):
+        return Figure(name, "1", "dimensionless", f"share of the power lost in {name.removeprefix(LOSS_SHARE)}", "%",
+                      1e-2)
+    return FIGURES[name]
+
+
+def check_figures(names: Iterable[str], regions: Iterable[str], *, source: str, field: str) -> tuple[str, ...]:
+    """`names`, each a figure of a chip with these `regions`, once each.
+
+    Raises:
+        InputError: a name that is none, or one that is there twice.
+    """
+    found: list[str] = []
+    known = [*FIGURES, *(LOSS_SHARE + region for region in regions)]
+    for name in names:
+        choose(name, known, source=source, field=field)
+        if name in found:
+            raise InputError(source, field, name, "every figure once")
+        found.append(name)
+    return tuple(found)
