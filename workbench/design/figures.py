@@ -1,7 +1,7 @@
 """The figures that a chip is judged by: names, units, and what they mean.
 
-All are of one frequency at which the chip is driven, its resonance f0 unless another is stated, and of one drive. Fields
-are those of the cavity's fluid; traps those of the particle that the chip's state names.
+All are of one frequency at which the chip is driven, its resonance f0 unless another is stated, and of one drive.
+Fields are those of the cavity's fluid; traps those of the particle that the chip's state names.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class Operation:
     """How a chip is operated: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
     ``thermal_resistance`` (K/W) of regions for :attr:`heating`, the key "" standing for all regions not named."""
 
-    drive: Drive = VoltageDrive()
+    drive: Drive = field(default_factory=VoltageDrive)
     frequency: float | None = None
     thermal_resistance: Mapping[str, float] = field(default_factory=dict)
 
@@ -38,8 +38,8 @@ class Operation:
 class Evaluation:
     """Figures of one chip.
 
-    ``values`` the numbers it was asked for (SI, by parameter name); ``figures`` SI, by name, NaN where there is none and
-    ``missing`` says why, by the figure's name; ``gradient`` by figure, (len(values),) in the order of ``values``,
+    ``values`` the numbers it was asked for (SI, by parameter name); ``figures`` SI, by name, NaN where there is none
+    and ``missing`` says why, by the figure's name; ``gradient`` by figure, (len(values),) in the order of ``values``,
     None where not asked for; ``frequency`` (Hz) it is driven at; ``error`` estimated relative error of Z there.
     """
 
