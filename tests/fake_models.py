@@ -1,4 +1,4 @@
-"""Models of a study that are closed formulas: for tests of all that is around the real ones, also in other processes."""
+"""Models of a study that are closed formulas, for tests of all around the real ones, in other processes too."""
 
 from __future__ import annotations
 

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from workbench.bench.sweep import measure as measure
     from workbench.comparison import Comparison as Comparison
     from workbench.comparison import compare as compare
+    from workbench.design.plan import Study as Study
+    from workbench.design.plan import read_study as read_study
+    from workbench.design.study import study as study
+    from workbench.design.study_result import StudyResult as StudyResult
     from workbench.diagnosis.campaign import Campaign as Campaign
     from workbench.diagnosis.campaign import read_campaign as read_campaign
     from workbench.diagnosis.procedure import diagnose as diagnose
@@ -67,6 +71,8 @@ PUBLIC = {
     "Simulation": "workbench.simulation",
     "Snapshot": "workbench.simulation",
     "Spectrum": "workbench.spectrum",
+    "Study": "workbench.design.plan",
+    "StudyResult": "workbench.design.study_result",
     "compare": "workbench.comparison",
     "diagnose": "workbench.diagnosis.procedure",
     "draw_spectra": "workbench.render.plots",
@@ -80,8 +86,10 @@ PUBLIC = {
     "read_campaign": "workbench.diagnosis.campaign",
     "read_chip": "geometry.chip",
     "read_recording": "workbench.readers",
+    "read_study": "workbench.design.plan",
     "simulate": "workbench.simulation",
     "snapshot": "workbench.simulation",
+    "study": "workbench.design.study",
 }
 
 __all__ = sorted(PUBLIC)
