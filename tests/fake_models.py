@@ -19,6 +19,31 @@ from workbench.ranges import Progress
 
 Real = NDArray[np.float64]
 
+#: A chip the size of a pea, with ports and one tolerance.
+CHIP = """
+[chip]
+name = "small chip"
+band = ["0.95 MHz", "1.1 MHz"]
+[cavity]
+ports = { diameter = "0.4 mm" }
+[states.empty]
+cavity = "vacuum"
+[states.filled]
+cavity = "water"
+temperature = "20 degC"
+""" + "".join(f'''
+[[layers]]
+role = "{role}"
+material = "{material}"
+thickness = {thickness}
+radius = "3 mm"
+{hole}
+''' for role, material, thickness, hole in (
+    ("transducer", "pzt4/acevedo_2026_fitted", '"2 mm"', ""), ("couplant", "coupling_gel", '"20 um"', ""),
+    ("substrate", "pla", '"0.85 mm"', ""),
+    ("sidewall", "pla", '{ value = "0.72 mm", tolerance = "20 um" }', 'cavity_radius = "1.5 mm"'),
+    ("superstrate", "pmma", '"1 mm"', "")))
+
 
 @dataclass(frozen=True)
 class FormulaModel:
