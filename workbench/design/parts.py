@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from workbench.design.axes import centred, with_materials
 from workbench.design.evaluation import Evaluation
-from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation, of_range_model
+from workbench.design.model import DesignModel, Evaluator, full_evaluation, of_range_model
 from workbench.design.plan import Study
 from workbench.parameter_names import part as part_of
 from workbench.problem import fill
-from workbench.ranges import Progress, Ranges, load
+from workbench.ranges import Progress, Ranges, load, range_model
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+#: Frequencies of the band in which resonances are first looked for.
+FREQUENCIES = 161
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +99,17 @@ class ReducedModels:
             NotCovered: more full solves are needed than the study allows.
             InputError: what is kept at `path` is of something else.
         """
-        if path.exists():
-            kept = load(path, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
-            progress(1.0)
-            return of_range_model(kept, part.chip, part.state, figures=study.figures, operation=study.operation,
-                                  registry=study.registry)
-        made = design_model(
-            part.chip, part.state, ranges_of(study, part), figures=study.figures, operation=study.operation,
-            registry=study.registry, band=study.band, tolerance=study.tolerance, limit=study.limit,
-            accuracy=study.accuracy, progress=progress)
-        assert made.range_model is not None  # this process made it
-        made.range_model.save(path)
-        return made
+        if not path.exists():
+            made = range_model(
+                part.chip, part.state, ranges_of(study, part), registry=study.registry, band=study.band,
+                points=FREQUENCIES, tolerance=study.tolerance, limit=study.limit, accuracy=study.accuracy,
+                progress=progress)
+            made.save(path)
+        # Read in any case: arrays that are laid out otherwise in memory give other last bits.
+        kept = load(path, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
+        progress(1.0)
+        return of_range_model(kept, part.chip, part.state, figures=study.figures, operation=study.operation,
+                              registry=study.registry)
 
     def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
         """The figures at one point of a part, by full solves."""
