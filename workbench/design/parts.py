@@ -44,17 +44,10 @@ class Part:
     points: Real
 
 
-class Divisible(Protocol):
-    """A model of a part, that gives faster models for points that lie together (`workbench.design.model`)."""
-
-    def divided(self, points: Real) -> list[Indices]: ...
-    def local(self, points: Real) -> Evaluator: ...
-
-
 class Models(Protocol):
     """Where the models of a study come from. What is done by :meth:`confirmed` may be done in another process."""
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> Divisible:
+    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> Evaluator:
         """The model of a part: the one kept at `path` if there is one, which it is otherwise once this returns."""
 
     def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:

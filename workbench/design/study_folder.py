@@ -2,7 +2,7 @@
 
     begun.json          what was asked; a study that asks something else is refused
     models/0.npz        the model of a part, see `workbench.ranges.RangeModel.save`
-    points/00000000.npz finished points, called after the first of them
+    points/00000000.npz  finished points, called after the first of them
     points/full.00000042.npz   the full solve of a point
 
 A run that is killed at any moment goes on from here: nothing is ever half there, and what is not there is done again.

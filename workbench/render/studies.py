@@ -87,7 +87,8 @@ def draw_parallel(columns: Sequence[Column], colour: Column, path: Path, *, titl
     axes.add_collection(lines)
     for place, (column, (low, high)) in enumerate(zip(columns, ends, strict=True)):
         axes.axvline(place, color="#404040", linewidth=0.9)
-        marks = [(k, _broken(word)) for k, word in enumerate(column.words)] if column.words else [(low, f"{low:.4g}"), (high, f"{high:.4g}")]
+        marks = [(float(k), _broken(word)) for k, word in enumerate(column.words)]
+        marks = marks or [(end, f"{end:.4g}") for end in (low, high)]
         for value, text in marks:
             height = (value - low) / (high - low)
             axes.annotate(text, (place, height), (3, 4 if height > 0.5 else -10), textcoords="offset points",
