@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -79,18 +80,19 @@ class FormulaModels:
     without: float = math.inf
     made: str = ""
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> FormulaModel:
+    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
         if not path.exists():
-            write_atomic(path, b"a formula needs nothing")
+            write_atomic(path, pickle.dumps(self.formula(study, part, 1e-6)))
             if self.made:
                 (Path(self.made) / f"{part.number}-{time.time_ns()}").touch()
         progress(1.0)
-        return self._formula(study, part, 1e-6)
+        return path.read_bytes()
 
     def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
-        return self._formula(study, part, 0.0)(named(study, point))
+        return self.formula(study, part, 0.0)(named(study, point))
 
-    def _formula(self, study: Study, part: Part, off: float) -> FormulaModel:
+    def formula(self, study: Study, part: Part, off: float) -> FormulaModel:
+        """The model of a part."""
         return FormulaModel(tuple(axis.name for axis in study.numbers), study.figures,
                             tuple(abs(axis.high) for axis in study.numbers), float(part.number), self.pause,
                             self.without, off)

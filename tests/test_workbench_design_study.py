@@ -83,7 +83,7 @@ def test_the_table_is_what_the_models_say(tmp_path: Path) -> None:
     found = run(plan, tmp_path / "out", models=models)
     assert found.rows.index.tolist() == list(range(240))
     for part in parts_of(plan):
-        model = models.model(plan, part, tmp_path / "none", lambda fraction: None)
+        model = models.formula(plan, part, 1e-6)
         for row, point in zip(part.rows, part.points, strict=True):
             said = model(dict(zip(model.names, map(float, point), strict=True)))
             # The same formula of the same numbers: the same bits.
@@ -154,7 +154,7 @@ def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
     first = run(plan, tmp_path / "out", models=FormulaModels(made=str(made)))
     assert len(list(made.iterdir())) == 4
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "points").iterdir()}
-    again = run(plan, tmp_path / "out", models=FormulaModels(made=str(made), pause=1e3))
+    again = run(plan, tmp_path / "out", models=FormulaModels(made=str(made)))
     assert same(first, again)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "points").iterdir()} == before
     # Some points are lost: they alone are done again.

@@ -80,7 +80,8 @@ def timed(plan: Study, folder: Path, jobs: int, kept: Measurements) -> bytes:
     print(f"{plan.size} points: " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages.items()))
     (part,) = parts_of(plan)
     models = ReducedModels()
-    model = models.model(plan, part, folder / "models" / "0.npz", lambda fraction: None)
+    kept_model = models.model(plan, part, folder / "models" / "0.pickle", lambda fraction: None)
+    model = pickle.loads(kept_model)
     taken = []
     for point in part.points[:100]:
         started = time.perf_counter()
@@ -90,7 +91,7 @@ def timed(plan: Study, folder: Path, jobs: int, kept: Measurements) -> bytes:
     overhead = 1.0 - plan.size * alone / (jobs * stages["points"])
     kept.add("a point alone", alone, "s")
     kept.add("share of the time for points that is not spent on them", overhead, "1")
-    size = len(pickle.dumps(model)) / 1e6
+    size = len(kept_model) / 1e6
     print(f"a point alone {1e3 * alone:.1f} ms, model {size:.0f} MB; {100.0 * overhead:.1f} % of the {jobs} processes' "
           "time is not spent on points")
     for name in plan.figures:

@@ -136,7 +136,7 @@ class _Run:
         if left.size:
             self.show(part.label, "model", 0.0)
             model = models.model(self.plan, part, self.kept.model(part), partial(self.show, part.label, "model"))
-            self._work(self._point_tasks(pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL), part, left))
+            self._work(self._point_tasks(model, part, left))
         self.show(part.label, "points", 1.0)
 
     def _point_tasks(self, model: bytes, part: Part, left: Indices) -> Iterator[_Task]:

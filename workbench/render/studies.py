@@ -145,6 +145,7 @@ def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title:
         raise ValueError(f"{len(parameters)} parameters; pairs are drawn of 2 to {MOST_IN_PAIRS}")
     size = len(parameters) - 1
     figure = new_figure(2.3 * size + 2.4, 2.1 * size + 1.2)
+    figure.set_layout_engine("constrained")
     panels = figure.subplots(size, size, squeeze=False, sharex="col", sharey="row")
     means = {(i, j): _mean_over(parameters[j], parameters[i], found)
              for i in range(1, len(parameters)) for j in range(i)}
@@ -161,7 +162,6 @@ def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title:
         for axes in panels[row, row + 1:]:
             axes.set_visible(False)
     figure.suptitle(title)
-    figure.tight_layout()
     figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), ax=panels, label=found.label, fraction=0.05, pad=0.02)
     return save(figure, path)
 
