@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from workbench.commands.asked import output_folder
+from workbench.commands.study_tables import confirmed_table, extremes_table, missing_table, statistics_table
 from workbench.commands.terminal import print_table, progress_bars
 from workbench.design.axes import NumberAxis
 from workbench.design.figures import figure
@@ -21,7 +22,6 @@ from workbench.design.study_result import STATE, StudyResult
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.report.page import Block, Note, Picture, Table, write_report
-from workbench.report.studies import confirmed_table, extremes_table, missing_table, statistics_table
 
 if TYPE_CHECKING:
     from rich.console import Console
