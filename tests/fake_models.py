@@ -60,6 +60,7 @@ class FormulaModel:
     pause: float = 0.0
     without: float = math.inf
     off: float = 0.0
+    ballast: bytes = b""
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
         time.sleep(self.pause)
@@ -74,11 +75,13 @@ class FormulaModel:
 
 @dataclass(frozen=True)
 class FormulaModels:
-    """Where they come from; ``made`` is a folder in which every model that is made leaves a file."""
+    """Where they come from; ``made`` is a folder in which every model that is made leaves a file, ``ballast`` what
+    makes models as heavy as real ones (bytes)."""
 
     pause: float = 0.0
     without: float = math.inf
     made: str = ""
+    ballast: int = 0
 
     def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
         if not path.exists():
@@ -95,4 +98,4 @@ class FormulaModels:
         """The model of a part."""
         return FormulaModel(tuple(axis.name for axis in study.numbers), study.figures,
                             tuple(abs(axis.high) for axis in study.numbers), float(part.number), self.pause,
-                            self.without, off)
+                            self.without, off, bytes(self.ballast))

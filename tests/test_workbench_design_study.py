@@ -256,7 +256,7 @@ def test_killed_again_and_again_it_ends_with_the_same_table(tmp_path: Path) -> N
     script.write_text(SCRIPT.format(root=str(ROOT), tests=str(ROOT / "tests"), folder=str(tmp_path)), encoding="utf-8")
     whole = run(plan, tmp_path / "whole")
     points, workers, draw_number = tmp_path / "out" / "points", set[int](), random.Random(0)
-    for _ in range(4):
+    for _ in range(3):
         with subprocess.Popen([sys.executable, str(script), "out"], stderr=subprocess.PIPE, text=True) as process:
             # At any moment after the first new points: until there are any, a kill would only repeat the start.
             before = len(list(points.glob("*.npz")))
@@ -295,7 +295,7 @@ def run_rows(folder: Path) -> set[int]:
 @pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    from workbench.design.executors import dask_cluster
+    from workbench.design.executors import LARGE, dask_cluster
 
     plan = read(tmp_path, SOBOL)
     environment = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
@@ -307,7 +307,9 @@ def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
                                       protocol="tcp") as cluster, dask_cluster(cluster.scheduler_address) as found:
             executor, threads = found
             assert threads == 2
-            table = study(plan, tmp_path / "dask", executor=executor, jobs=threads, models=FormulaModels())
+            # Heavy enough to be sent apart from the tasks.
+            heavy = FormulaModels(ballast=2 * LARGE)
+            table = study(plan, tmp_path / "dask", executor=executor, jobs=threads, models=heavy)
     assert same(table, run(plan, tmp_path / "threads"))
 
 
