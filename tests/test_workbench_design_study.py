@@ -324,6 +324,18 @@ def test_a_cluster_that_does_not_answer_is_a_clear_error(
     assert f"--dask: received '{address}'" in capsys.readouterr().err
 
 
+def test_no_jobs_and_another_study_are_mistakes_of_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(read(tmp_path, SOBOL), tmp_path / "out")
+    asked = ["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out")]
+    assert main([*asked, "--jobs", "0"]) == 2
+    assert "--jobs: received 0" in capsys.readouterr().err
+    read(tmp_path, SOBOL.replace("seed = 5", "seed = 6"))
+    assert main(asked) == 2
+    assert "sample.seed: received '6'; expected '5', with which the study in" in capsys.readouterr().err
+
+
 def test_pictures_of_every_state(tmp_path: Path) -> None:
     plan = read(tmp_path, SOBOL.replace('"superstrate.material"', '"couplant.thickness" = { values = ["10 um", "20 um"]'
                                         ' }\n"superstrate.material"'))
