@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,7 +150,8 @@ class Uncertainty:
     def without(self, names: Sequence[str]) -> Uncertainty:
         """The same with the numbers called `names` at their means."""
         kept = [k for k, each in enumerate(self.inputs) if each.name not in names]
-        return replace(self, inputs=tuple(self.inputs[k] for k in kept), correlation=self.correlation[np.ix_(kept, kept)])
+        return replace(self, inputs=tuple(self.inputs[k] for k in kept),
+                       correlation=self.correlation[np.ix_(kept, kept)])
 
     def draw(self, count: int, seed: int = 0) -> Samples:
         """`count` samples; those outside of what is admissible are drawn again as a whole, which keeps the law.
@@ -192,9 +193,9 @@ class Uncertainty:
             floor = min(0.0, smallest_dissipation(material)) - ARITHMETIC * max(abs(v) for v in known.values())
             for row in np.flatnonzero(inside):
                 numbers = placed(known, {key: float(points[row, k]) for key, k in own.items()})
-                there = replace(material, **{key.removeprefix(f"{name}."): (
-                    number.real if key.endswith(".density") else number) for key, number in numbers.items()})
-                inside[row] = smallest_dissipation(there) >= floor
+                changed: dict[str, Any] = {key.removeprefix(f"{name}."): number for key, number in numbers.items()}
+                changed["density"] = changed["density"].real
+                inside[row] = smallest_dissipation(replace(material, **changed)) >= floor
         return inside
 
 
