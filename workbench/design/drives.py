@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import LOSS_SHARE, Figure, figure
-from workbench.design.model import DesignModel, Evaluator
+from workbench.design.model import DesignModel
 from workbench.design.requirement import Requirement
 from workbench.drive import Drive
 
@@ -77,10 +77,6 @@ class Driven:
             (mine, replace(self.model, figures=tuple(each.figure.name for each in mine),
                            operation=replace(self.operation, drive=mine[0].drive))(values, gradient=gradient))
             for mine in by_drive(self.asked)])
-
-    def localised(self, points: Real) -> list[tuple[NDArray[np.int64], Evaluator]]:
-        """Faster evaluators for `points` (n, len(names)), with the indices that each is for."""
-        return [(group, replace(self, model=local)) for group, local in self.model.localised(points)]
 
 
 def by_drive(asked: Sequence[Quantity]) -> list[tuple[Quantity, ...]]:

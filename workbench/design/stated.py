@@ -203,16 +203,19 @@ def _tied(chip: Chip, name: str) -> tuple[str, ...]:
 
 def _coefficients(material: Material, found: _Collected) -> None:
     """What a registry entry states of its numbers, with the correlation that a fit left among them."""
-    numbers = material.parameters()
+    numbers, left_out = material.parameters(), []
     for field, value in material.values.items():
         for key, spread in ((field, value.uncertainty), (field + LOSS, value.loss_uncertainty)):
             if not spread:
                 continue
             if field not in numbers or (isinstance(material, Fluid) and field not in FLUID_NUMBERS):
-                found.notes.append(f"{material.name}.{key}: no number of the model, its uncertainty is left out")
+                left_out.append(key)
                 continue
             mean = numbers[field].imag if key.endswith(LOSS) else numbers[field].real
             found.put(from_standard(f"{material.name}.{key}", mean, spread, origin=material.name))
+    if left_out:
+        found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out, since the model has "
+                           "no such number of its own")
     if material.fit is not None and material.fit.correlation is not None:
         stored = material.fit.correlation
         names = tuple(f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names)

@@ -266,7 +266,7 @@ def _sampled(
     there = model(known.nominal()).figures
     nominal = found.sensitivities.figures
     off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}
-    found = replace(found, model=ModelFacts(made.rank, made.error, spent, off))
+    found = replace(found, model=ModelFacts(made.bases.operating.size, made.error, spent, off))
     if samples:
         drawn = known.draw(samples, found.seed)
         outcomes = evaluate(model, known, drawn.points, progress=lambda done: say("samples", done))

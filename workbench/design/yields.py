@@ -150,27 +150,38 @@ def yields(
         seed: of the further samples of the linear estimate.
     """
     many = uncertainty.draw(LINEAR_SAMPLES, seed + 1).points
-    met = np.array([each.met(values[each.label]) for each in bounds])
-    linear_met = np.array([each.met(linear.values(points, each.label)) for each in bounds])
-    many_met = np.array([each.met(linear.values(many, each.label)) for each in bounds])
-    missing = np.array([np.isnan(values[each.label]) for each in bounds])
-    found = [_compared(each, met[k], linear_met[k], many_met[k], missing[k]) for k, each in enumerate(bounds)]
-    all_met, all_linear, all_many = met.all(axis=0), linear_met.all(axis=0), many_met.all(axis=0)
-    together = _compared(None, all_met, all_linear, all_many, missing.any(axis=0))
-    tightened = [_tightened(k, uncertainty, points, many, all_met, all_linear, all_many)
-                 for k in range(len(uncertainty.inputs))]
+    each_met = [_Met(each.met(values[each.label]), each.met(linear.values(points, each.label)),
+                     each.met(linear.values(many, each.label)), np.isnan(values[each.label])) for each in bounds]
+    found = [_compared(each, met) for each, met in zip(bounds, each_met, strict=True)]
+    all_met = _Met(np.all([met.model for met in each_met], axis=0), np.all([met.linear for met in each_met], axis=0),
+                   np.all([met.many for met in each_met], axis=0), np.any([met.missing for met in each_met], axis=0))
+    together = _compared(None, all_met)
+    tightened = [_tightened(k, uncertainty, points, many, all_met) for k in range(len(uncertainty.inputs))]
     return Yields(tuple(found), together, tuple(sorted(tightened, key=lambda each: -each.gain)))
 
 
-def _compared(of: Bound | None, met: Bools, linear_met: Bools, many_met: Bools, missing: Bools) -> RequirementYield:
-    off = met.astype(float) - linear_met
-    return RequirementYield(of, share(met), float(many_met.mean()), float(off.mean()),
-                            float(off.std() / math.sqrt(off.size)), int(missing.sum()))
+@dataclass(frozen=True, eq=False)
+class _Met:
+    """Which samples meet a requirement: by the ``model`` (n,), by its linearisation (n,), and of the ``many`` (m,) that
+    only the linearisation was asked for; ``missing`` (n,) those without the figure."""
+
+    model: Bools
+    linear: Bools
+    many: Bools
+    missing: Bools
+
+    @property
+    def off(self) -> Real:
+        """What the model says and its linearisation does not (n,): 1, 0 or -1."""
+        return self.model.astype(float) - self.linear
 
 
-def _tightened(
-    k: int, uncertainty: Uncertainty, points: Real, many: Real, met: Bools, linear_met: Bools, many_met: Bools
-) -> Tightening:
+def _compared(of: Bound | None, met: _Met) -> RequirementYield:
+    return RequirementYield(of, share(met.model), float(met.many.mean()), float(met.off.mean()),
+                            float(met.off.std() / math.sqrt(met.off.size)), int(met.missing.sum()))
+
+
+def _tightened(k: int, uncertainty: Uncertainty, points: Real, many: Real, met: _Met) -> Tightening:
     """What half the uncertainty of input `k` buys: the samples weighed as if they were of the narrower law.
 
     The linear estimate of the gain comes of many samples, and the few of the model correct it where they differ.
@@ -179,7 +190,7 @@ def _tightened(
     weights = each.halved_weights(many[:, k])
     # What is cut off from the law is missing from the mean of the weights.
     size = float(weights.mean())
-    gains = (weights / size - 1.0) * many_met
-    off = (each.halved_weights(points[:, k]) / size - 1.0) * (met.astype(float) - linear_met)
+    gains = (weights / size - 1.0) * met.many
+    off = (each.halved_weights(points[:, k]) / size - 1.0) * met.off
     error = math.sqrt(float(gains.var()) / gains.size + float(off.var()) / off.size)
     return Tightening(each.name, float(gains.mean() + off.mean()), error, float(gains.mean()))
