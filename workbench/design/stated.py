@@ -214,8 +214,8 @@ def _coefficients(material: Material, found: _Collected) -> None:
             mean = numbers[field].imag if key.endswith(LOSS) else numbers[field].real
             found.put(from_standard(f"{material.name}.{key}", mean, spread, origin=material.name))
     if left_out:
-        found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out, since the model has "
-                           "no such number of its own")
+        found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out: no number of the "
+                           "model")
     if material.fit is not None and material.fit.correlation is not None:
         stored = material.fit.correlation
         names = tuple(f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names)
