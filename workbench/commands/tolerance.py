@@ -98,9 +98,9 @@ def _tell(found: Tolerance, console: Console) -> None:
     for text in found.findings:
         print_line(text)
     if found.model is not None and found.outcomes is not None:
-        console.print(f"{len(found.outcomes.points)} samples on {found.model.rank} unknowns, relative error of the model "
-                      f"{100.0 * found.model.error:.2g} %, of which the model took {found.model.seconds:.0f} s of "
-                      f"{found.seconds:.0f} s", markup=False)
+        console.print(f"{len(found.outcomes.points)} samples on a model of {found.model.rank} unknowns, relative error "
+                      f"{100.0 * found.model.error:.2g} %; it took {found.model.seconds:.0f} of {found.seconds:.0f} s",
+                      markup=False)
 
 
 def _driven(found: Tolerance) -> str:

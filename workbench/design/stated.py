@@ -38,7 +38,8 @@ from workbench.problem import FilledChip, fill
 FLUID_NUMBERS = ("density", "sound_speed")
 
 _STATEMENT = re.compile(r"\s*(?P<name>[^=\s]+)\s*=\s*(?P<amount>.*?)\s*")
-_AMOUNT = re.compile(r"(?P<amount>.*?)(?:\s+(?P<word>[A-Za-z]{5,}))?")
+#: An amount, and the word behind its unit: what follows a bare number is a unit.
+_AMOUNT = re.compile(r"(?P<amount>.*?)(?:(?<=[^\d\s])\s+(?P<word>[A-Za-z]{5,}))?")
 _WORDS = (*get_args(Law), "standard")
 
 
