@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from workbench.bench.sweep import measure as measure
     from workbench.comparison import Comparison as Comparison
     from workbench.comparison import compare as compare
+    from workbench.design.stated import stated_uncertainty as stated_uncertainty
+    from workbench.design.tolerance import Tolerance as Tolerance
+    from workbench.design.tolerance import tolerance as tolerance
     from workbench.diagnosis.campaign import Campaign as Campaign
     from workbench.diagnosis.campaign import read_campaign as read_campaign
     from workbench.diagnosis.procedure import diagnose as diagnose
@@ -67,6 +70,7 @@ PUBLIC = {
     "Simulation": "workbench.simulation",
     "Snapshot": "workbench.simulation",
     "Spectrum": "workbench.spectrum",
+    "Tolerance": "workbench.design.tolerance",
     "compare": "workbench.comparison",
     "diagnose": "workbench.diagnosis.procedure",
     "draw_spectra": "workbench.render.plots",
@@ -82,6 +86,8 @@ PUBLIC = {
     "read_recording": "workbench.readers",
     "simulate": "workbench.simulation",
     "snapshot": "workbench.simulation",
+    "stated_uncertainty": "workbench.design.stated",
+    "tolerance": "workbench.design.tolerance",
 }
 
 __all__ = sorted(PUBLIC)

@@ -171,6 +171,12 @@ def _histograms(found: Tolerance, folder: Path) -> Picture:
     return Picture(draw_histograms(panels, folder / "samples.png"), "samples, limits, and the chip as stated")
 
 
+def _short(name: str) -> str:
+    """The name of a number for a picture: a material without its source."""
+    material, slash, rest = name.partition("/")
+    return f"{material}.{rest.partition('.')[2]}" if slash else name
+
+
 def _tornado(found: Tolerance, folder: Path) -> list[Block]:
     from workbench.render.tolerances import Tornado, draw_tornado
 
@@ -179,7 +185,7 @@ def _tornado(found: Tolerance, folder: Path) -> list[Block]:
         unit, factor = change_unit(each.figure)
         changes = known.changes(each.label) / factor
         order = [k for k in known.ranked(each.label) if abs(changes[k]) >= 0.0]
-        labels = tuple(f"{known.names[k]}, {amount(known.names[k], known.steps[k])}" for k in order)
+        labels = tuple(f"{_short(known.names[k])}, {amount(known.names[k], known.steps[k])}" for k in order)
         if order:
             panels.append(Tornado(f"change of {each.label}" + (f" ({unit})" if unit else ""), labels, changes[order]))
     if not panels:

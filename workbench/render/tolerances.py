@@ -65,7 +65,7 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
     bars = max(min(BARS, len(each.labels)) for each in panels)
     across = min(2, len(panels))
     rows = -(-len(panels) // across)
-    figure = new_figure(7.2 * across, 0.6 + rows * (1.1 + 0.3 * bars))
+    figure = new_figure(5.4 * across, 0.5 + rows * (0.9 + 0.26 * bars))
     grid = np.ravel(figure.subplots(rows, across, squeeze=False))
     for axes, each in zip(grid, panels, strict=False):
         changes = each.changes[:BARS]
@@ -145,8 +145,8 @@ def draw_yields(bars: Sequence[YieldBar], path: Path, *, title: str = "") -> Pat
     axes.set_ylim(len(bars) - 0.4, -0.6)
     axes.set_xlim(0.0, 104.0)
     axes.set_xlabel("yield (%)")
-    axes.set_title(title)
-    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.4, -0.35), ncols=2, fontsize=8)
+    axes.set_title(title, loc="right")
+    axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8)
     tidy(axes)
     figure.tight_layout()
     return save(figure, path)

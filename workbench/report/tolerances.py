@@ -72,8 +72,10 @@ def figures_table(found: Tolerance) -> Table:
     return Table(("figure", "as stated", "standard uncertainty", "95 % of samples"), tuple(rows))
 
 
-def _per_cent(value: float) -> str:
-    return f"{100.0 * value:.1f} %"
+def _per_cent(value: float, *, signed: bool = False) -> str:
+    # Zero has no sign.
+    rounded = round(100.0 * value, 1) + 0.0
+    return f"{rounded:+.1f} %" if signed else f"{rounded:.1f} %"
 
 
 def yields_table(found: Tolerance) -> Table:
@@ -84,7 +86,7 @@ def yields_table(found: Tolerance) -> Table:
         nominal = "" if each.bound is None else shown(each.bound.requirement.figure, each.bound.nominal)
         rows.append((each.name, nominal, _per_cent(each.sampled.value),
                      f"{100.0 * each.sampled.low:.1f} to {100.0 * each.sampled.high:.1f} %", _per_cent(each.linear),
-                     f"{100.0 * each.difference:+.1f} % (standard error {100.0 * each.difference_error:.1f} %)",
+                     f"{_per_cent(each.difference, signed=True)} (standard error {_per_cent(each.difference_error)})",
                      str(each.missing) if each.missing else ""))
     return Table(("requirement", "as stated", "yield", f"{CONFIDENCE:.0%} interval", "linear estimate",
                   "sampled less linear", "no figure"), tuple(rows))
@@ -95,8 +97,8 @@ def tightening_table(found: Tolerance) -> Table:
     assert found.yields is not None
     inputs = {each.name: each for each in found.uncertainty.inputs}
     return Table(("halve the uncertainty of", "now", "adds to the yield", "standard error", "linear estimate"), tuple(
-        (each.name, law_in_words(inputs[each.name]), f"{100.0 * each.gain:+.1f} %", f"{100.0 * each.error:.1f} %",
-         f"{100.0 * each.linear:+.1f} %") for each in found.yields.tightenings))
+        (each.name, law_in_words(inputs[each.name]), _per_cent(each.gain, signed=True),
+         _per_cent(each.error), _per_cent(each.linear, signed=True)) for each in found.yields.tightenings))
 
 
 def sensitivities_table(found: Tolerance) -> Table:
