@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from workbench.readers import read_recording as read_recording
     from workbench.render.gallery import draw_state as draw_state
     from workbench.render.plots import draw_spectra as draw_spectra
+    from workbench.render.tolerances import draw_tolerance as draw_tolerance
     from workbench.simulation import Simulation as Simulation
     from workbench.simulation import Snapshot as Snapshot
     from workbench.simulation import simulate as simulate
@@ -75,6 +76,7 @@ PUBLIC = {
     "diagnose": "workbench.diagnosis.procedure",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
+    "draw_tolerance": "workbench.render.tolerances",
     "figures": "workbench.merit",
     "fit": "workbench.fitting.recordings",
     "measure": "workbench.bench.sweep",

@@ -16,10 +16,8 @@ from workbench.design.stated import Statement, parse_statement, read_statements,
 from workbench.design.tolerance import Tolerance, check, tolerance
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
-from workbench.report.page import Block, Note, Picture, Table, write_json, write_report
+from workbench.report.page import Block, Note, Table, write_json, write_report
 from workbench.report.tolerances import (
-    amount,
-    change_unit,
     figures_table,
     inputs_table,
     sensitivities_table,
@@ -109,13 +107,16 @@ def _driven(found: Tolerance) -> str:
 
 def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
     """``report.html`` with its pictures."""
+    from workbench.render.tolerances import draw_tolerance
+
+    pictures = draw_tolerance(found, folder)
     blocks: list[tuple[str, list[Block]]] = []
     first: list[Block] = [Note(text) for text in found.findings]
     first.append(f"{_driven(found)}; {found.drive}" + ("" if found.outcomes is None else
                  f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
     first.append(figures_table(found))
     if found.yields is not None:
-        first += [yields_table(found), _yield_picture(found, folder), _histograms(found, folder)]
+        first += [yields_table(found), pictures["yield"], pictures["samples"]]
         first.append(
             "The linear estimate takes every figure as linear in the uncertain numbers, with the exact derivatives of "
             "full solves at their means. Beside it is what the samples' yield has more, on the same samples.")
@@ -127,7 +128,8 @@ def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
             "well that half of its uncertainty is left; what a fit correlates with it becomes narrower too."]))
     else:
         blocks.append(("Figures", first))
-    blocks.append(("What matters", [*_tornado(found, folder), sensitivities_table(found)]))
+    matters: list[Block] = [pictures["tornado"]] if "tornado" in pictures else []
+    blocks.append(("What matters", [*matters, sensitivities_table(found)]))
     if found.sobol is not None:
         blocks.append(("Shares of the variance", [
             sobol_table(found), f"Sobol indices by {found.sobol.evaluations} evaluations, with bootstrap intervals of "
@@ -146,50 +148,3 @@ def _model_table(found: Tolerance) -> Table:
     rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
              for label, off in found.model.off.items()]
     return Table(("", ""), tuple(rows))
-
-
-def _yield_picture(found: Tolerance, folder: Path) -> Picture:
-    from workbench.render.tolerances import YieldBar, draw_yields
-
-    assert found.yields is not None
-    bars = [YieldBar(each.name, each.sampled.value, each.sampled.low, each.sampled.high, each.linear)
-            for each in (*found.yields.each, found.yields.together)]
-    return Picture(draw_yields(bars, folder / "yield.png"), "yield of each requirement and of all together")
-
-
-def _histograms(found: Tolerance, folder: Path) -> Picture:
-    from workbench.render.tolerances import Histogram, draw_histograms
-
-    assert found.outcomes is not None
-    panels = []
-    for each in found.bounds:
-        named = each.requirement.figure
-        panels.append(Histogram(
-            f"{each.requirement.text}\n{each.label}" + (f" ({named.shown})" if named.shown else ""),
-            found.outcomes.column(each.label) / named.factor, each.nominal / named.factor, each.low / named.factor,
-            each.high / named.factor))
-    return Picture(draw_histograms(panels, folder / "samples.png"), "samples, limits, and the chip as stated")
-
-
-def _short(name: str) -> str:
-    """The name of a number for a picture: a material without its source."""
-    material, slash, rest = name.partition("/")
-    return f"{material}.{rest.partition('.')[2]}" if slash else name
-
-
-def _tornado(found: Tolerance, folder: Path) -> list[Block]:
-    from workbench.render.tolerances import Tornado, draw_tornado
-
-    known, panels = found.sensitivities, []
-    for each in found.asked:
-        unit, factor = change_unit(each.figure)
-        changes = known.changes(each.label) / factor
-        order = [k for k in known.ranked(each.label) if abs(changes[k]) >= 0.0]
-        labels = tuple(f"{_short(known.names[k])}, {amount(known.names[k], known.steps[k])}" for k in order)
-        if order:
-            panels.append(Tornado(f"change of {each.label}" + (f" ({unit})" if unit else ""), labels, changes[order]))
-    if not panels:
-        return []
-    return [Picture(draw_tornado(panels, folder / "tornado.png"),
-                    "change of each figure as a number grows (dark) or shrinks (light) by its standard uncertainty, or "
-                    "by 1 % of itself where none is stated; first order, exact derivatives")]

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.render.canvas import new_figure, save
 from workbench.render.plots import LINE_COLOURS, tidy
+from workbench.report.page import Picture
+from workbench.report.tolerances import amount, change_unit
+
+if TYPE_CHECKING:
+    from workbench.design.tolerance import Tolerance
 
 Real = NDArray[np.float64]
 
@@ -52,6 +58,58 @@ class YieldBar:
     low: float
     high: float
     linear: float
+
+
+def draw_tolerance(found: Tolerance, folder: Path) -> dict[str, Picture]:
+    """The pictures of a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``, written to `folder`.
+
+    Figures without derivatives are left out of the tornado.
+    """
+    pictures: dict[str, Picture] = {}
+    panels = _tornados(found)
+    if panels:
+        pictures["tornado"] = Picture(
+            draw_tornado(panels, folder / "tornado.png"),
+            "change of each figure as a number grows (dark) or shrinks (light) by its standard uncertainty, or by 1 % "
+            "of itself where none is stated; first order, exact derivatives")
+    if found.yields is not None and found.outcomes is not None:
+        bars = [YieldBar(each.name, each.sampled.value, each.sampled.low, each.sampled.high, each.linear)
+                for each in (*found.yields.each, found.yields.together)]
+        pictures["yield"] = Picture(draw_yields(bars, folder / "yield.png"),
+                                    "yield of each requirement and of all together")
+        pictures["samples"] = Picture(draw_histograms(_histograms(found), folder / "samples.png"),
+                                      "samples, limits, and the chip as stated")
+    return pictures
+
+
+def _histograms(found: Tolerance) -> list[Histogram]:
+    assert found.outcomes is not None
+    panels = []
+    for each in found.bounds:
+        named = each.requirement.figure
+        panels.append(Histogram(
+            f"{each.requirement.text}\n{each.label}" + (f" ({named.shown})" if named.shown else ""),
+            found.outcomes.column(each.label) / named.factor, each.nominal / named.factor, each.low / named.factor,
+            each.high / named.factor))
+    return panels
+
+
+def _tornados(found: Tolerance) -> list[Tornado]:
+    known, panels = found.sensitivities, []
+    for each in found.asked:
+        unit, factor = change_unit(each.figure)
+        changes = known.changes(each.label) / factor
+        order = [k for k in known.ranked(each.label) if np.isfinite(changes[k])]
+        labels = tuple(f"{_short(known.names[k])}, {amount(known.names[k], known.steps[k])}" for k in order)
+        if order:
+            panels.append(Tornado(f"change of {each.label}" + (f" ({unit})" if unit else ""), labels, changes[order]))
+    return panels
+
+
+def _short(name: str) -> str:
+    """The name of a number for a picture: a material without its source."""
+    material, slash, rest = name.partition("/")
+    return f"{material}.{rest.partition('.')[2]}" if slash else name
 
 
 def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> Path:
@@ -117,9 +175,9 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
         tidy(axes)
     for axes in grid[len(panels):]:
         axes.set_visible(False)
-    grid[0].legend(frameon=False, fontsize=8)
     figure.suptitle(title)
-    figure.tight_layout()
+    figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
+    figure.legend(*grid[0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="lower center", ncols=4)
     return save(figure, path)
 
 
