@@ -14,10 +14,7 @@ from workbench.design.figures import check_figures
 from workbench.design.requirement import parse_requirements
 from workbench.design.stated import Statement, parse_statement, read_statements, stated_uncertainty
 from workbench.design.tolerance import Tolerance, check, tolerance
-from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
-from workbench.report.page import Block, Note, Table, write_json, write_report
-from workbench.report.tolerances import (
+from workbench.design.tolerance_report import (
     figures_table,
     inputs_table,
     sensitivities_table,
@@ -27,6 +24,9 @@ from workbench.report.tolerances import (
     write_samples,
     yields_table,
 )
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.report.page import Block, Note, Table, write_json, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console

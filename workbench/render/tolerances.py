@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.design.tolerance_report import amount, change_unit
 from workbench.render.canvas import new_figure, save
 from workbench.render.plots import LINE_COLOURS, tidy
 from workbench.report.page import Picture
-from workbench.report.tolerances import amount, change_unit
 
 if TYPE_CHECKING:
     from workbench.design.tolerance import Tolerance
