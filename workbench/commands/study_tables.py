@@ -60,13 +60,14 @@ def confirmed_table(result: StudyResult) -> Table:
             shown = figure(name)
             known = [each for each in both if not math.isnan(each.difference)]
             worst = max(known, key=lambda each: abs(each.difference), default=None)
-            extent = next(s.highest - s.lowest for s in result.statistics if (s.state, s.figure) == (state, name))
+            extent, size = next((s.highest - s.lowest, abs(s.highest)) for s in result.statistics
+                                if (s.state, s.figure) == (state, name))
             rows.append((
                 _headed(name, shown.shown), state, str(len(both)), str(len(both) - len(known)),
                 *(("", "", "", "") if worst is None else (
                     _told(worst.reduced, shown.factor), _told(worst.full, shown.factor),
                     number(100.0 * abs(worst.difference / worst.full), 2) if worst.full else "",
-                    number(100.0 * abs(worst.difference) / extent, 2) if extent > 0.0 else ""))))
+                    number(100.0 * abs(worst.difference) / extent, 2) if extent > CONSTANT * size else ""))))
     return Table(("figure", "state", "solved in full", "one of both lacks it", "reduced, where it is off most",
                   "full there", "difference (%)", "of the range in the study (%)"), tuple(rows))
 
@@ -86,6 +87,10 @@ def missing_table(result: StudyResult) -> Table | None:
 
 #: Reasons that a report lists.
 MOST_REASONS = 12
+
+#: A figure whose range is no more than this of itself is the same everywhere, such as the power of a drive that states
+#: it: ten times this would hide what a tolerance of a ten thousandth does.
+CONSTANT = 1e-6
 
 
 def _headed(name: str, unit: str) -> str:
