@@ -154,7 +154,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=10_000)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--kills", type=int, default=0)
-    parser.add_argument("--within", default="60 s", help="a kill comes at most so long after the begin")
+    parser.add_argument("--within", default="40 s", help="a kill comes at most so long after the begin")
     parser.add_argument("--dask", action="store_true")
     with_json(parser)
     arguments = parser.parse_args()
