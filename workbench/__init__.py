@@ -33,7 +33,11 @@ if TYPE_CHECKING:
     from workbench.design.model import DesignModel as DesignModel
     from workbench.design.model import design_model as design_model
     from workbench.design.model import full_evaluation as full_evaluation
+    from workbench.design.plan import Study as Study
+    from workbench.design.plan import read_study as read_study
     from workbench.design.stated import stated_uncertainty as stated_uncertainty
+    from workbench.design.study import study as study
+    from workbench.design.study_result import StudyResult as StudyResult
     from workbench.design.tolerance import Tolerance as Tolerance
     from workbench.design.tolerance import tolerance as tolerance
     from workbench.diagnosis.campaign import Campaign as Campaign
@@ -80,6 +84,8 @@ PUBLIC = {
     "Snapshot": "workbench.simulation",
     "Spectrum": "workbench.spectrum",
     "Tolerance": "workbench.design.tolerance",
+    "Study": "workbench.design.plan",
+    "StudyResult": "workbench.design.study_result",
     "compare": "workbench.comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.procedure",
@@ -96,10 +102,12 @@ PUBLIC = {
     "read_campaign": "workbench.diagnosis.campaign",
     "read_chip": "geometry.chip",
     "read_recording": "workbench.readers",
+    "read_study": "workbench.design.plan",
     "simulate": "workbench.simulation",
     "snapshot": "workbench.simulation",
     "stated_uncertainty": "workbench.design.stated",
     "tolerance": "workbench.design.tolerance",
+    "study": "workbench.design.study",
 }
 
 __all__ = sorted(PUBLIC)

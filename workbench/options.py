@@ -89,6 +89,20 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _study(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("study", type=Path, metavar="STUDY.toml", help="a chip, what varies, the figures asked for; see "
+                     "workbench/design/plan.py")
+    sub.add_argument("--jobs", type=int, metavar="N",
+                     help="pieces of work at a time (default: one for each core, or for each thread of the cluster)")
+    sub.add_argument("--dask", metavar="ADDRESS",
+                     help='a Dask cluster, by the address of its scheduler, such as "tcp://127.0.0.1:8786" (default: '
+                     "processes of this machine)")
+    sub.add_argument("--overwrite", action="store_true",
+                     help="begin anew in a folder that holds another study (default: refused; the same one goes on)")
+    _with_materials(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
 def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("recording", type=Path, metavar="RECORDING")
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
@@ -347,6 +361,7 @@ def _import(sub: argparse.ArgumentParser) -> None:
 #: What every command is for, and what adds its options.
 COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
+    "study": ("figures of a chip over ranges of its dimensions and materials, resumable, with pictures", _study),
     "compare": ("compare a recorded impedance with the simulation of a chip", _compare),
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
