@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.chip import Chip
+from geometry.names import whole
 from geometry.stretch import tied
 from materials.registry import Registry
 from workbench.coefficients import Coefficients
@@ -184,7 +185,7 @@ class RangeModel:
     @cached_property
     def compact(self) -> ReducedModel:
         """The reduced model with what no parameter of the ranges moves summed up."""
-        return compacted(self.reduced, _keys(self.ranges), self.problem.values)
+        return compacted(self.reduced, keys(self.ranges), self.problem.values)
 
     def grown(
         self, tolerance: float | None = None, *, limit: int = LIMIT, seed: int = 1, progress: Progress | None = None
@@ -280,7 +281,7 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
     return flexed, found
 
 
-def _keys(ranges: Ranges) -> set[str]:
+def keys(ranges: Ranges) -> set[str]:
     """The complex values that numbers with `ranges` are parts of."""
     return {ParameterName.parse(name).key for name in ranges}
 
@@ -292,7 +293,7 @@ def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress:
     sampler = qmc.Sobol(len(ranges), seed=seed)
     watched = np.linspace(model.frequency[0], model.frequency[-1], WATCHED)
     spent, error, first, share = 0, np.inf, 0.0, 0.0
-    moving = _keys(ranges)
+    moving = keys(ranges)
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(2, os.cpu_count() or 1))) as pool:
         while True:
             points = low + (high - low) * sampler.random(LOOKED_AT)
@@ -339,24 +340,28 @@ def _solved(
     return states, system.charge(frequency, states[:, 0]), residual
 
 
-def compacted(model: ReducedModel, moving: set[str], values: Mapping[str, complex]) -> ReducedModel:
+def compacted(
+    model: ReducedModel, moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
+) -> ReducedModel:
     """`model` for parameters of which only those named `moving` change: what depends on them alike is one integral.
 
-    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow.
+    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow. With `by_place` each
+    region and boundary keeps integrals of its own.
     """
-    groups: dict[Coefficient, dict[int, complex]] = {}
+    groups: dict[tuple[Coefficient, str], dict[int, complex]] = {}
     for q, integral in enumerate(model.operators.integrals):
         coefficient, constant = _separated(integral.coefficient, moving, values)
         if constant != 0.0:
-            groups.setdefault(coefficient, {})[q] = constant
+            place = whole(integral.place) if by_place else ""
+            groups.setdefault((coefficient, place), {})[q] = constant
     integrals: list[Integral] = []
     weights: list[Real] = []
-    for coefficient, members in groups.items():
+    for (coefficient, place), members in groups.items():
         constants = np.zeros(len(model.operators.integrals), dtype=complex)
         constants[list(members)] = list(members.values())
         for turn, each in ((1.0, constants.real), (1j, constants.imag)):
             if each.any():
-                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), "", ()))
+                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), place, ()))
                 weights.append(each)
     combine = model.operators.by_form(np.array(weights, dtype=complex)).real
     matrices = np.tensordot(combine, model.operators.matrices, axes=1)
