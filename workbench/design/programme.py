@@ -1,0 +1,168 @@
+"""A design task as a nonlinear programme: unknowns between 0 and 1, one number to make small, margins to keep above 0.
+
+An unknown is a length over its range; the number is the logarithm of the objective's figure (its negative where that is
+to be large), so that it does not depend on units; a margin is the distance to a bound in scales (`workbench.design.
+bounds`). Derivatives are exact as far as the evaluator's are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.bounds import Bound
+from workbench.design.evaluation import Evaluation
+from workbench.design.goal import Objective
+from workbench.design.model import Evaluator
+from workbench.design.spread import Spread
+from workbench.design.variables import Length
+
+Real = NDArray[np.float64]
+
+#: A margin (in scales) that still counts as kept: far below the 1 % that a full solve confirms.
+KEPT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point of a programme.
+
+    ``x`` (n,) the unknowns, ``lengths`` what they are (SI); ``objective`` to be small and its ``slope`` (n,);
+    ``margins`` (m,) in the order of the bounds and their ``jacobian`` (m, n); ``evaluation`` the figures of the nominal
+    chip. Where a figure that is needed does not exist, the numbers are NaN and ``missing`` says why.
+    """
+
+    x: Real
+    lengths: Mapping[str, float]
+    objective: float
+    slope: Real
+    margins: Real
+    jacobian: Real
+    evaluation: Evaluation
+    missing: str = ""
+
+    @property
+    def exists(self) -> bool:
+        """Whether every figure that is needed does."""
+        return not self.missing
+
+    @property
+    def violation(self) -> float:
+        """How far (in scales) the worst margin is below zero, 0 where all bounds hold, infinite without figures."""
+        return max(0.0, *(-self.margins), 0.0) if self.exists else math.inf
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Sorts points: those that keep all bounds by the objective, before all others by their violation."""
+        broken = self.violation > KEPT
+        return broken, self.violation if broken else self.objective
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """What is to be small over which lengths, on an evaluator.
+
+    ``variables`` the unknowns with the range each has here; ``fixed`` all other lengths (SI) by name, of which the
+    evaluator is told those it knows; ``spread`` what figures are a quantile or a mean over, None for the nominal chip.
+    """
+
+    evaluator: Evaluator
+    variables: tuple[Length, ...]
+    objective: Objective
+    bounds: tuple[Bound, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    spread: Spread | None = None
+
+    @property
+    def low(self) -> Real:
+        """(n,) m."""
+        return np.array([each.low for each in self.variables])
+
+    @property
+    def extent(self) -> Real:
+        """(n,) m, from the lowest to the highest length."""
+        return np.array([each.high - each.low for each in self.variables])
+
+    def lengths(self, x: Real) -> dict[str, float]:
+        """The lengths (m) that the unknowns `x` (n,) are, by name."""
+        values = self.low + self.extent * np.clip(x, 0.0, 1.0)
+        return {each.name: float(value) for each, value in zip(self.variables, values, strict=True)}
+
+    def unknowns(self, lengths: Mapping[str, float]) -> Real:
+        """The unknowns (n,) at these lengths (m), the nearest within their ranges."""
+        values = np.array([lengths[each.name] for each in self.variables])
+        return np.clip((values - self.low) / self.extent, 0.0, 1.0)
+
+    def holding(self, lengths: Mapping[str, float]) -> Programme:
+        """The programme whose variables among `lengths` (m) stay at these."""
+        rest = tuple(each for each in self.variables if each.name not in lengths)
+        return replace(self, variables=rest, fixed={**self.fixed, **lengths})
+
+    def __call__(self, x: Real, *, gradient: bool = True) -> Point:
+        """The point at the unknowns `x` (n,); without derivatives, which are NaN, if no `gradient` is asked for."""
+        lengths = self.lengths(x)
+        nominal = self._evaluate(lengths, {}, gradient=gradient)
+        evaluations = [nominal] if self.spread is None else [
+            self._evaluate(lengths, sample, gradient=gradient) for sample in self.spread.samples]
+        return self._point(x, lengths, nominal, evaluations)
+
+    def _evaluate(self, lengths: Mapping[str, float], offsets: Mapping[str, float], *, gradient: bool) -> Evaluation:
+        values = {**self.fixed, **lengths}
+        known = {name: values[name] for name in self.evaluator.names if name in values}
+        moved = {name: known.get(name, 0.0) + offset for name, offset in offsets.items()}
+        return self.evaluator({**known, **moved}, gradient=gradient)
+
+    def _point(
+        self, x: Real, lengths: Mapping[str, float], nominal: Evaluation, evaluations: Sequence[Evaluation]
+    ) -> Point:
+        all_lengths = {**self.fixed, **lengths}
+        n, m = len(self.variables), len(self.bounds)
+        losses, slopes = np.empty(len(evaluations)), np.empty((len(evaluations), n))
+        margins, jacobians = np.empty((len(evaluations), m)), np.empty((len(evaluations), m, n))
+        for k, each in enumerate(evaluations):
+            missing = self._missing(each)
+            if missing:
+                nothing = np.full(n, math.nan)
+                return Point(x, lengths, math.nan, nothing, np.full(m, math.nan), np.full((m, n), math.nan), nominal,
+                             missing)
+            losses[k], slopes[k] = self._loss(each)
+            for j, bound in enumerate(self.bounds):
+                margins[k, j], jacobians[k, j] = self._margin(bound, each, all_lengths)
+        if self.spread is None:
+            return Point(x, lengths, float(losses[0]), slopes[0], margins[0], jacobians[0], nominal)
+        weights = self.spread.weights(losses)
+        objective, slope = float(weights @ losses), weights @ slopes
+        kept = np.stack([self.spread.weights(-column) for column in margins.T]) if m else np.zeros((0, len(losses)))
+        return Point(x, lengths, objective, slope, np.einsum("jk,kj->j", kept, margins),
+                     np.einsum("jk,kjn->jn", kept, jacobians), nominal)
+
+    def _missing(self, evaluation: Evaluation) -> str:
+        """Why a figure that is needed does not exist; empty if all do."""
+        needed = [self.objective.figure, *(each.figure for each in self.bounds if not each.of_lengths)]
+        for name in needed:
+            if not math.isfinite(evaluation.figures[name]):
+                return f"{name}: {evaluation.missing.get(name, 'not a number')}"
+        value = evaluation.figures[self.objective.figure]
+        return "" if value > 0.0 else f"{self.objective.figure}: {value:g} is not above zero"
+
+    def _loss(self, evaluation: Evaluation) -> tuple[float, Real]:
+        sign, value = -1.0 if self.objective.maximise else 1.0, evaluation.figures[self.objective.figure]
+        return sign * math.log(value), sign * self._slope(evaluation, self.objective.figure) / value
+
+    def _margin(self, bound: Bound, evaluation: Evaluation, lengths: Mapping[str, float]) -> tuple[float, Real]:
+        if bound.of_lengths:
+            slopes = np.array([bound.slope(each.name) for each in self.variables])
+            return bound.margin(lengths), slopes * self.extent
+        slope = bound.slope(bound.figure) * self._slope(evaluation, bound.figure)
+        return bound.margin(evaluation.figures), slope
+
+    def _slope(self, evaluation: Evaluation, name: str) -> Real:
+        """d figure / d unknown (n,)."""
+        if evaluation.gradient is None:
+            return np.full(len(self.variables), math.nan)
+        by_name = dict(zip(self.evaluator.names, evaluation.gradient[name], strict=True))
+        return np.array([by_name[each.name] for each in self.variables]) * self.extent
