@@ -171,13 +171,7 @@ class RangeModel:
             KeyError: a name that the model has no range for.
             OutOfRange: a number outside its range.
         """
-        numbers = {name: part(self.problem.values, name) for name in self.ranges} | dict(values or {})
-        for name, number in numbers.items():
-            if name not in self.ranges:
-                raise KeyError(f"the model has no range for {name!r}; it has {', '.join(self.ranges)}")
-            low, high = self.ranges[name]
-            if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
-                raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
+        numbers = within(self.ranges, self.problem.values, values or {})
         placed_there = placed(self.problem.values, numbers)
         solution = self.compact.solve(self.frequency, placed_there)
         return Response(numbers, Prediction(solution, self.compact, placed_there))
@@ -252,6 +246,23 @@ def range_model(
     first = covering(operators, frequency, centre, moves, tolerance=SLACK * tolerance, nodes=FIRST, depth=FIRST_DEPTH)
     model = RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
     return _grown(model, tolerance, limit, seed, progress)
+
+
+def within(ranges: Ranges, own: Mapping[str, complex], values: Mapping[str, float]) -> dict[str, float]:
+    """A number for each of `ranges`: that of `values`, or else the one among the `own` complex parameters.
+
+    Raises:
+        KeyError: a name that there is no range for.
+        OutOfRange: a number outside its range.
+    """
+    numbers = {name: part(own, name) for name in ranges} | dict(values)
+    for name, number in numbers.items():
+        if name not in ranges:
+            raise KeyError(f"the model has no range for {name!r}; it has {', '.join(ranges)}")
+        low, high = ranges[name]
+        if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
+            raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
+    return numbers
 
 
 def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, Ranges]:

@@ -25,6 +25,7 @@ from workbench.drive import Drive, VoltageDrive
 from workbench.linearised import Linearised, around, by_frequency, slope_columns
 from workbench.merit import NoResonance
 from workbench.parameter_names import ParameterName
+from workbench.solve import Solution
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -100,9 +101,26 @@ class Question:
 class Answer:
     """Figures with their derivatives, why others are missing, and the frequency (Hz) that the chip is driven at."""
 
+    question: Question
     figures: Mapping[str, Dual]
     missing: Mapping[str, str]
     frequency: float
+    state: Linearised | None
+
+    def evaluation(self, values: Mapping[str, float], estimate: Callable[[Solution], float] | None) -> Evaluation:
+        """For the numbers asked for, with the estimated error of the state's charge (none: of a full solve)."""
+        names = self.question.figures
+        nothing = Dual(math.nan, np.full(len(self.question.names), math.nan))
+        found = {name: self.figures.get(name, nothing) for name in names}
+        error = math.nan if self.state is None else 0.0 if estimate is None else estimate(self.state.solution)
+        return Evaluation(dict(values), {name: each.value for name, each in found.items()}, self.missing,
+                          self.frequency, error,
+                          {name: each.gradient for name, each in found.items()} if self.question.names else None)
+
+
+def needs_resonance(question: Question) -> bool:
+    """Whether an answer begins with a spectrum."""
+    return question.operation.frequency is None or bool(set(question.figures) & set(OF_RESONANCE))
 
 
 def answer(
@@ -115,12 +133,12 @@ def answer(
     found: dict[str, Dual] = {}
     resonance: Resonance | None = None
     operation, missing = question.operation, dict[str, str]()
-    if operation.frequency is None or set(question.figures) & set(OF_RESONANCE):
+    if needs_resonance(question):
         try:
             resonance = find_resonance(model, frequency, charge, question.keys, final)
         except NoResonance as error:
             missing = dict.fromkeys(question.figures if operation.frequency is None else OF_RESONANCE, error.reason)
-    driven = operation.frequency
+    driven, state = operation.frequency, None
     if resonance is not None:
         gradients = resonance.gradients(question.turns)
         found = {name: Dual(value, each) for name, value, each in zip(
@@ -140,8 +158,8 @@ def answer(
             if wanted:
                 compute(wanted, found, missing)
     kept = {name: found[name] for name in question.figures if name in found}
-    return Answer(kept, {name: why for name, why in missing.items() if name in question.figures},
-                  math.nan if driven is None else driven)
+    return Answer(question, kept, {name: why for name, why in missing.items() if name in question.figures},
+                  math.nan if driven is None else driven, state)
 
 
 OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)

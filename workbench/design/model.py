@@ -5,15 +5,11 @@
     found = model({"substrate.thickness": 0.83e-3}, gradient=True)
     found.figures["e_ac"], found.gradient["e_ac"]
 
-The basis of a range model serves all of the ranges; a part of them needs less of it, and dense solves cost the cube of
-its rank. Many points are therefore divided into groups (:meth:`DesignModel.divided`), each served by the part of the
-basis that it needs (:meth:`DesignModel.local`; local reduced bases: Amsallem, Zahr and Farhat 2012, Int. J. Numer.
-Meth. Eng. 92, 891).
+What figures need of a range model is far less than its spectra (`workbench.design.bases`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -26,37 +22,26 @@ from geometry.names import CAVITY
 from geometry.stretch import tied
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
+from workbench.design.bases import Bases, bases_of
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
-from workbench.design.evaluation import OF_FIELD, OF_RESONANCE, Evaluation, Operation, Question, answer
+from workbench.design.evaluation import OF_FIELD, Evaluation, Operation, Question, answer, needs_resonance
 from workbench.design.figures import LOSS_SHARE, check_figures
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
-from workbench.energy_norm import estimated_error
 from workbench.files.errors import InputError, nearest_names
-from workbench.forms import combined
 from workbench.linearised import FullSystem, ReducedSystem
 from workbench.operators import FullOperators, assemble
-from workbench.parameter_names import Kind, ParameterName, part, placed
+from workbench.parameter_names import Kind, ParameterName, placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import FilledChip, Problem, build, fill
-from workbench.ranges import LIMIT, OutOfRange, Progress, RangeModel, Ranges, compacted, keys, range_model
-from workbench.reduced_operators import ReducedOperators
-from workbench.reduction import reduced, smallest
-from workbench.solve import Solution, one_thread
-from workbench.spectrum import Origin, Spectrum
+from workbench.ranges import LIMIT, Progress, RangeModel, Ranges, range_model, within
+from workbench.reduction import reduced
+from workbench.solve import one_thread
+from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Points of a group: a local basis costs about as much as twenty evaluations of the whole model, and more points in a
-#: group need a larger basis.
-GROUP = 200
-#: States of a local basis are taken at so many points of its group, and it is checked at so many others.
-TAKEN, CHECKED = 16, 3
-#: Frequencies that states are taken at.
-WATCHED = 81
-#: A local basis that is not as good as asked for keeps directions smaller by this.
-FINER = 0.4
 #: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come of full solves.
 TOLERANCE = 1e-5
 
@@ -83,13 +68,10 @@ class Evaluator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DesignModel:
-    """An :class:`Evaluator` on a range model, which can be pickled for other processes.
+    """An :class:`Evaluator` on reduced models, which can be pickled for other processes.
 
-    ``frequency`` (n,) Hz of the spectrum that resonances are first looked for in; ``values`` the problem's own complex
-    parameters; ``operators`` and ``sketch`` the reduced model with what no parameter moves summed up, of ``gram``
-    (r - 1, r - 1) the energy of its vectors; ``rows`` (n, m, r) the pressure at the cavity's nodes, None without
-    ``cavity``, and ``reason`` says why. ``error`` is the largest relative error of Z found by full solves, and by a
-    check of this part of the basis if it is a local one. ``range_model`` stays with the process that made it.
+    ``values`` the problem's own complex parameters; ``bases`` what it is computed on; ``cavity`` the places of the
+    pressure, None where there is none, and ``reason`` says why. ``range_model`` stays with the process that made it.
     """
 
     chip: Chip
@@ -97,16 +79,10 @@ class DesignModel:
     figures: tuple[str, ...]
     operation: Operation
     ranges: Ranges
-    frequency: Real
     values: Mapping[str, complex]
-    operators: ReducedOperators
-    sketch: Real
-    gram: Real
+    bases: Bases
     cavity: Cavity | None
-    rows: Real | None
     reason: str
-    tolerance: float
-    error: float
     range_model: RangeModel | None
 
     @property
@@ -114,41 +90,34 @@ class DesignModel:
         return tuple(self.ranges)
 
     @property
-    def rank(self) -> int:
-        """Unknowns of the reduced model."""
-        return self.operators.size
+    def error(self) -> float:
+        """Largest relative error of Z at f0, and of the pressure's root mean square, found against full solves."""
+        return max(self.bases.error, self.bases.pressure_error)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "range_model": None}
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
-        numbers = self.numbers(values)
+        numbers, bases = self.numbers(values), self.bases
         there = placed(self.values, numbers)
+        question = Question(self.figures, self.names if gradient else (), there, self.operation, self.cavity,
+                            self.reason, bases.pressure)
         with one_thread():
-            system = ReducedSystem(self.operators, there)
-            sweep = system.sweep(self.frequency) if self._needs_spectrum else None
-            charge = np.zeros(0, dtype=complex) if sweep is None else sweep.charge
-            question = Question(self.figures, self.names if gradient else (), there, self.operation, self.cavity,
-                                self.reason, None if self.rows is None else self._pressure)
-            found = answer(question, system, self.frequency, charge)
-            error = math.nan
-            if math.isfinite(found.frequency):
-                error = float(self._estimate(system.sweep(np.array([found.frequency])))[0])
-        return Evaluation(
-            numbers, {name: found.figures[name].value if name in found.figures else math.nan
-                      for name in self.figures},
-            found.missing, found.frequency, error,
-            {name: found.figures[name].gradient if name in found.figures else np.full(len(self.names), math.nan)
-             for name in self.figures} if gradient else None)
+            system = ReducedSystem(bases.operating, there)
+            charge = np.zeros(0, dtype=complex)
+            if needs_resonance(question):
+                charge = ReducedSystem(bases.sweeping, there).sweep(bases.frequency).charge
+            return answer(question, system, bases.frequency, charge).evaluation(numbers, bases.estimate)
 
     def spectrum(self, values: Mapping[str, float] | None = None) -> Spectrum:
-        """The impedance at these numbers, at :attr:`frequency`."""
-        return Spectrum(self.frequency, np.conj(self.solution(values or {}).impedance), origin=Origin("simulated"))
+        """The impedance at these numbers over the band, of the range model.
 
-    def solution(self, values: Mapping[str, float]) -> Solution:
-        """Reduced states at :attr:`frequency`, e^{-i w t}."""
-        with one_thread():
-            return ReducedSystem(self.operators, placed(self.values, self.numbers(values))).sweep(self.frequency)
+        Raises:
+            ValueError: this is a copy in another process, without the range model.
+        """
+        if self.range_model is None:
+            raise ValueError("a design model that was sent to another process has no spectrum over the band")
+        return self.range_model(values).spectrum
 
     def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
         """All numbers of the model, those given in the place of the chip's own.
@@ -157,97 +126,7 @@ class DesignModel:
             KeyError: a name that is no parameter.
             OutOfRange: a number outside the ranges.
         """
-        found = {name: part(self.values, name) for name in self.ranges} | dict(values)
-        for name, number in found.items():
-            if name not in self.ranges:
-                raise KeyError(f"the model has no range for {name!r}; it has {', '.join(self.ranges)}")
-            low, high = self.ranges[name]
-            if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
-                raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
-        return found
-
-    def divided(self, points: Real) -> list[NDArray[np.int64]]:
-        """Groups of `points` (n, len(names)), each the indices (k,) of points that lie together.
-
-        A group is halved across the parameter that moves its spectrum most, until it has no more than :data:`GROUP`.
-        """
-        low, high = points.min(axis=0), points.max(axis=0)
-        middle = dict(zip(self.names, map(float, 0.5 * (low + high)), strict=True))
-        with one_thread():
-            there = placed(self.values, self.numbers(middle))
-            solution = ReducedSystem(self.operators, there).sweep(self._watched)
-            slopes = solution.parameter_gradient(there, tuple(ParameterName.parse(n).key for n in self.names))
-        influence = np.sqrt(np.mean(np.abs(slopes / solution.impedance[:, None]) ** 2, axis=0))
-        groups, waiting = [], [np.arange(len(points))]
-        while waiting:
-            group = waiting.pop()
-            extent = np.ptp(points[group], axis=0) * influence
-            if group.size <= GROUP or not extent.any():
-                groups.append(group)
-                continue
-            order = group[np.argsort(points[group, int(np.argmax(extent))], kind="stable")]
-            waiting += [np.sort(order[group.size // 2 :]), np.sort(order[: group.size // 2])]
-        return groups
-
-    def local(self, points: Real) -> DesignModel:
-        """The model for `points` (n, len(names)) that lie together: as good there, and faster.
-
-        The directions kept are those that states at some of the points have more energy in than the tolerance allows;
-        at others the impedance is compared with this model's, and more are kept until it is within the tolerance.
-        """
-        chosen = np.unique(np.linspace(0, len(points) - 1, TAKEN + CHECKED).astype(int))
-        checked = chosen[1 :: max(2, chosen.size // CHECKED)][:CHECKED]
-        every = {int(k): self._states(points[k]) for k in chosen}
-        taken = [every[int(k)] for k in chosen if k not in checked] or list(every.values())
-        whole = np.concatenate([each.states[:-1] / np.sqrt(np.abs(each.charge)) for each in taken], axis=1)
-        root = np.linalg.cholesky(self.gram).T
-        directions, sizes, _ = np.linalg.svd(root @ np.column_stack([whole.real, whole.imag]), full_matrices=False)
-        least = smallest(self.tolerance)
-        while True:
-            kept = sizes > least
-            basis = np.zeros((self.rank, int(kept.sum()) + 1))
-            basis[:-1, :-1], basis[-1, -1] = np.linalg.solve(root, directions[:, kept]), 1.0
-            found = self._within(basis)
-            off = max(float(np.abs(found._states(points[k]).charge / every[int(k)].charge - 1.0).max())
-                      for k in (checked if checked.size else chosen))
-            if off <= self.tolerance or kept.all():
-                return replace(found, error=max(self.error, off))
-            least *= FINER
-
-    def localised(self, points: Real) -> list[tuple[NDArray[np.int64], DesignModel]]:
-        """:meth:`local` models for `points` (n, len(names)), with the indices that each is for."""
-        return [(group, self.local(points[group])) for group in self.divided(points)]
-
-    @property
-    def _needs_spectrum(self) -> bool:
-        return self.operation.frequency is None or bool(set(self.figures) & set(OF_RESONANCE))
-
-    @property
-    def _watched(self) -> Real:
-        return np.linspace(self.frequency[0], self.frequency[-1], min(WATCHED, self.frequency.size))
-
-    def _states(self, point: Real) -> Solution:
-        there = placed(self.values, dict(zip(self.names, map(float, point), strict=True)))
-        with one_thread():
-            return ReducedSystem(self.operators, there).sweep(self._watched)
-
-    def _within(self, basis: Real) -> DesignModel:
-        """The model on a part (r, k) of its basis, given in that, its lift last."""
-        inner = basis[:-1, :-1]
-        return replace(
-            self, operators=replace(self.operators, matrices=basis.T @ self.operators.matrices @ basis),
-            sketch=self.sketch @ basis, gram=inner.T @ self.gram @ inner,
-            rows=None if self.rows is None else self.rows @ basis, range_model=None)
-
-    def _pressure(self, states: Complex) -> Complex:
-        assert self.rows is not None
-        return np.asarray(self.rows @ states.real + 1j * (self.rows @ states.imag))
-
-    def _estimate(self, solution: Solution) -> Real:
-        """Estimated relative error (n,) of the impedance, see `workbench.reduction.ReducedModel.error`."""
-        sketches = combined(self.operators.by_form(np.array([c for _, c in solution.groups])), self.sketch)
-        residual = sum(h * (sketch @ solution.states) for (h, _), sketch in zip(solution.groups, sketches, strict=True))
-        return estimated_error(np.asarray(residual), solution.charge)
+        return within(self.ranges, self.values, values)
 
 
 def design_model(
@@ -275,14 +154,14 @@ def design_model(
     check_figures(figures, chip.regions, source=chip.file, field="figures")
     made = range_model(chip, state, ranges, registry=registry, band=band, points=points, tolerance=tolerance,
                        limit=limit, seed=seed, progress=progress, accuracy=accuracy)
-    return of_range_model(made, chip, state, figures=figures, operation=operation, registry=registry)
+    return of_range_model(made, chip, state, figures=figures, operation=operation, registry=registry, seed=seed)
 
 
 def of_range_model(
     made: RangeModel, chip: Chip, state: str | None, *, figures: Sequence[str], operation: Operation | None = None,
-    registry: Registry | None = None,
+    registry: Registry | None = None, seed: int = 0,
 ) -> DesignModel:
-    """The figures on a range model of that chip and state.
+    """The figures on a range model of that chip and state; `seed` of the points its bases are made and checked at.
 
     Raises:
         InputError: something in the chip, its materials or the figures.
@@ -291,13 +170,10 @@ def of_range_model(
     operation = operation or Operation()
     device, problem = fill(chip, state, registry), made.problem
     cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted, registry)
-    apart = any(name == "heating" or name.startswith(LOSS_SHARE) for name in wanted)
-    model = compacted(made.reduced, keys(made.ranges), problem.values, by_place=True) if apart else made.compact
-    inner = made.reduced.basis[:-1, :-1]
-    return DesignModel(
-        chip, device.state.name, wanted, operation, made.ranges, made.frequency, problem.values,
-        model.operators, model.sketch, inner.T @ (made.reduced.energy @ inner), cavity,
-        None if cavity is None else cavity.pressure_rows(made.reduced.basis), reason, made.tolerance, made.error, made)
+    by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in wanted)
+    bases = bases_of(made, operation.frequency, cavity, by_place=by_place, seed=seed)
+    return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
+                       made)
 
 
 def full_evaluation(
@@ -404,9 +280,4 @@ def _evaluated(
     with one_thread():
         found = answer(question, ReducedSystem(small.operators, problem.values), frequency, sweep.charge,
                        FullSystem(operators, problem.values))
-    nothing = np.full(len(numbers), math.nan)
-    return Evaluation(
-        dict(numbers), {name: found.figures[name].value if name in found.figures else math.nan for name in figures},
-        found.missing, found.frequency, 0.0,
-        {name: found.figures[name].gradient if name in found.figures else nothing for name in figures}
-        if gradient else None)
+    return found.evaluation(numbers, None)

@@ -117,7 +117,8 @@ def find_resonance(
         raise NoResonance(f"the smallest |Z| is at an edge of {bounds}, {found}", frequency=least[0],
                           impedance=least[1])
     start = _vertex(frequency[lowest - 1 : lowest + 2], level[lowest - 1 : lowest + 2])
-    at = _root(model, (float(frequency[lowest - 1]), float(frequency[lowest + 1])), start,
+    # The points may be those of a rougher model: one further to either side.
+    at = _root(model, (float(frequency[max(lowest - 2, 0)]), float(frequency[min(lowest + 2, last)])), start,
                lambda state: (slope(state), curvature(state)), rising=True)
     half = log_impedance(at) + 0.5 * math.log(2.0)
     below, above = np.flatnonzero(level[:lowest] >= half), np.flatnonzero(level[lowest + 1 :] >= half)
@@ -126,7 +127,7 @@ def find_resonance(
                           frequency=least[0], impedance=least[1])
     sides = []
     for outer, step in ((int(below[-1]), 1), (lowest + 1 + int(above[0]), -1)):
-        ends = sorted((float(frequency[outer]), _inner(float(frequency[outer + step]), at.frequency, step)))
+        ends = sorted((float(frequency[min(max(outer - step, 0), last)]), at.frequency))
         sides.append(_root(model, (ends[0], ends[1]), _crossing(frequency, level, outer, step, half, at),
                            lambda state: (log_impedance(state) - half, slope(state)), rising=step < 0))
     states = (at, *sides)
@@ -176,11 +177,11 @@ def _root(
         else:
             low = frequency
         step = -value / derivative if derivative else math.inf
-        following = frequency + step
-        if not low <= following <= high:
-            following = 0.5 * (low + high)
-        if abs(following - frequency) <= CONVERGED * frequency:
+        if abs(step) <= CONVERGED * frequency:
             return state
-        frequency = following
+        following = frequency + step
+        frequency = following if low < following < high else 0.5 * (low + high)
+        if high - low <= CONVERGED * frequency:
+            break
     raise NoResonance(f"no resonance between {ends[0]:.9g} and {ends[1]:.9g} Hz", frequency=frequency,
                       impedance=math.exp(log_impedance(state)))
