@@ -24,7 +24,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,8 @@ from materials.registry import Registry
 from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
-from workbench.design.variables import MATERIAL, Length, MaterialChoice, Stock, Variable, together
+from workbench.design.uncertainty import Law
+from workbench.design.variables import MATERIAL, Length, MaterialChoice, Stock, Variable, first_name, together
 from workbench.drive import parse_drive
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
@@ -75,8 +76,8 @@ class Search:
     """
 
     starts: int = 10
-    looked_at: int = 12
-    descended: int = 2
+    looked_at: int = 32
+    descended: int = 3
     seed: int = 0
     evaluations: int = 60
     reach: float = 0.1
@@ -89,11 +90,18 @@ class Search:
 
 @dataclass(frozen=True)
 class Robust:
-    """A figure stands for what is left of it over the uncertainty of the chip: its ``quantile`` on the bad side (0.05:
-    what 95 % of the chips reach), or its mean where that is None; by so many ``samples``."""
+    """A figure stands for what is left of it over the uncertainty of the chip.
+
+    That is its ``quantile`` on the bad side (0.05: what 95 % of the chips reach), or its mean where that is None, by so
+    many ``samples`` of the tolerances, with ``law``, of the chip file; of the uncertainties of the ``materials`` if
+    asked for; and of what fits left open, by their files (``posteriors``).
+    """
 
     quantile: float | None = 0.05
-    samples: int = 64
+    samples: int = 32
+    law: Law = "uniform"
+    materials: bool = False
+    posteriors: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -119,6 +127,12 @@ class Goal:
     @property
     def lengths(self) -> tuple[Length, ...]:
         return tuple(each for each in self.variables if isinstance(each, Length))
+
+    @property
+    def unknowns(self) -> tuple[Length, ...]:
+        """The lengths that a model is of: the stock lengths too, from end to end, in an evolutionary search."""
+        stock = self.stock if self.search.evolutionary else ()
+        return (*self.lengths, *(Length(each.name, each.values[0], each.values[-1]) for each in stock))
 
     @property
     def stock(self) -> tuple[Stock, ...]:
@@ -150,7 +164,7 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
     if not variables:
         raise root.error("variables", 'at least one, such as substrate.thickness = { from = "0.7 mm", to = "1 mm" }')
     drive = parse_drive(head.text("drive", "10 Vpp"), source=str(path), field="goal.drive")
-    bounds = tuple(bound for index, text in enumerate(head.texts("constraints", ()))
+    bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
                    for bound in parse_bounds(text, chip.dimensions(), chip.regions, drive, source=str(path),
                                              field=f"goal.constraints[{index}]"))
     operation = Operation(drive, thermal_resistance=_resistance(root.table("thermal"), chip))
@@ -158,6 +172,16 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
                 _robust(root.table("robust")) if "robust" in root else None, search)
     _check(goal)
     return goal
+
+
+def _by_first_names(bound: Bound, chip: Chip) -> Bound:
+    """A bound of lengths with radii that coincide under one name."""
+    if not bound.of_lengths:
+        return bound
+    weights: dict[str, float] = {}
+    for name, weight in bound.weights.items():
+        weights[first_name(chip, name)] = weights.get(first_name(chip, name), 0.0) + weight
+    return replace(bound, weights=weights)
 
 
 def _objectives(head: Table, chip: Chip) -> tuple[Objective, ...]:
@@ -202,7 +226,10 @@ def _variables(table: Table, chip: Chip, registry: Registry | None) -> Iterator[
                                  f"one of the two: it coincides with {seen[alike]}, and they change together")
             seen[alike] = name
         inner.only(_VARIABLE_KEYS)
-        yield _material(inner, name, chip, registry) if name.endswith(MATERIAL) else _length(inner, name)
+        if name.endswith(MATERIAL):
+            yield _material(inner, name, chip, registry)
+        else:
+            yield _length(inner, first_name(chip, name))
 
 
 def _flat(table: Table) -> Iterator[tuple[str, Table]]:
@@ -260,16 +287,17 @@ def _resistance(table: Table, chip: Chip) -> dict[str, float]:
 
 
 def _robust(table: Table) -> Robust:
-    table.only(("quantile", "mean", "samples"))
+    table.only(("quantile", "mean", "samples", "law", "materials", "posteriors"))
     samples = table.whole("samples", Robust.samples, low=8, high=4096)
-    if table.flag("mean"):
-        if "quantile" in table:
-            raise table.error("quantile", "either mean = true or a quantile")
-        return Robust(None, samples)
-    quantile = table.quantity("quantile", "dimensionless", 0.05)
-    if not 1.0 / samples <= quantile <= 0.5:
+    if table.flag("mean") and "quantile" in table:
+        raise table.error("quantile", "either mean = true or a quantile")
+    quantile = None if table.flag("mean") else table.quantity("quantile", "dimensionless", Robust.quantile)
+    if quantile is not None and not 1.0 / samples <= quantile <= 0.5:
         raise table.error("quantile", f"a share from {100.0 / samples:.2g} % (one of {samples} samples) to 50 %")
-    return Robust(quantile, samples)
+    law: Law = "normal" if table.choice("law", ("uniform", "normal"), "uniform") == "normal" else "uniform"
+    folder = Path(table.source).parent
+    return Robust(quantile, samples, law, table.flag("materials"),
+                  tuple(folder / name for name in table.texts("posteriors", (), expected="files fit.json of fits")))
 
 
 def _search(table: Table) -> Search:

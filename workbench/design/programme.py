@@ -102,43 +102,45 @@ class Programme:
         rest = tuple(each for each in self.variables if each.name not in lengths)
         return replace(self, variables=rest, fixed={**self.fixed, **lengths})
 
+    def under(self, objective: Objective) -> Programme:
+        """The programme with another objective."""
+        return replace(self, objective=objective)
+
     def __call__(self, x: Real, *, gradient: bool = True) -> Point:
         """The point at the unknowns `x` (n,); without derivatives, which are NaN, if no `gradient` is asked for."""
-        lengths = self.lengths(x)
-        nominal = self._evaluate(lengths, {}, gradient=gradient)
-        evaluations = [nominal] if self.spread is None else [
-            self._evaluate(lengths, sample, gradient=gradient) for sample in self.spread.samples]
-        return self._point(x, lengths, nominal, evaluations)
+        return self.point(x, self.evaluations(x, gradient=gradient))
 
-    def _evaluate(self, lengths: Mapping[str, float], offsets: Mapping[str, float], *, gradient: bool) -> Evaluation:
-        values = {**self.fixed, **lengths}
+    def evaluations(self, x: Real, *, gradient: bool) -> tuple[Evaluation, ...]:
+        """The figures at the unknowns `x` (n,): of the nominal chip first, then those of every sample of the spread."""
+        values = {**self.fixed, **self.lengths(x)}
         known = {name: values[name] for name in self.evaluator.names if name in values}
-        moved = {name: known.get(name, 0.0) + offset for name, offset in offsets.items()}
-        return self.evaluator({**known, **moved}, gradient=gradient)
+        offsets: tuple[Mapping[str, float], ...] = ({}, *(self.spread.samples if self.spread else ()))
+        return tuple(self.evaluator({**known, **{name: known.get(name, 0.0) + offset for name, offset in each.items()}},
+                                    gradient=gradient) for each in offsets)
 
-    def _point(
-        self, x: Real, lengths: Mapping[str, float], nominal: Evaluation, evaluations: Sequence[Evaluation]
-    ) -> Point:
-        all_lengths = {**self.fixed, **lengths}
-        n, m = len(self.variables), len(self.bounds)
-        losses, slopes = np.empty(len(evaluations)), np.empty((len(evaluations), n))
-        margins, jacobians = np.empty((len(evaluations), m)), np.empty((len(evaluations), m, n))
-        for k, each in enumerate(evaluations):
-            missing = self._missing(each)
-            if missing:
-                nothing = np.full(n, math.nan)
-                return Point(x, lengths, math.nan, nothing, np.full(m, math.nan), np.full((m, n), math.nan), nominal,
-                             missing)
+    def point(self, x: Real, evaluations: Sequence[Evaluation]) -> Point:
+        """What `evaluations`, those of the unknowns `x` (n,), are worth."""
+        lengths = self.lengths(x)
+        nominal, judged = evaluations[0], evaluations[1:] if self.spread else evaluations
+        missing = next(filter(None, map(self._missing, evaluations)), "")
+        n, m, count = len(self.variables), len(self.bounds), len(judged)
+        if missing:
+            return Point(x, lengths, math.nan, np.full(n, math.nan), np.full(m, math.nan), np.full((m, n), math.nan),
+                         nominal, missing)
+        everything = {**self.fixed, **lengths}
+        losses, margins = np.empty(count), np.empty((m, count))
+        slopes, jacobians = np.empty((count, n)), np.empty((m, count, n))
+        for k, each in enumerate(judged):
             losses[k], slopes[k] = self._loss(each)
             for j, bound in enumerate(self.bounds):
-                margins[k, j], jacobians[k, j] = self._margin(bound, each, all_lengths)
-        if self.spread is None:
-            return Point(x, lengths, float(losses[0]), slopes[0], margins[0], jacobians[0], nominal)
-        weights = self.spread.weights(losses)
-        objective, slope = float(weights @ losses), weights @ slopes
-        kept = np.stack([self.spread.weights(-column) for column in margins.T]) if m else np.zeros((0, len(losses)))
-        return Point(x, lengths, objective, slope, np.einsum("jk,kj->j", kept, margins),
-                     np.einsum("jk,kjn->jn", kept, jacobians), nominal)
+                margins[j, k], jacobians[j, k] = self._margin(bound, each, everything)
+        weights = self._weights(losses)
+        kept = np.array([self._weights(-row) for row in margins]).reshape(m, count)
+        return Point(x, lengths, float(weights @ losses), weights @ slopes, np.einsum("jk,jk->j", kept, margins),
+                     np.einsum("jk,jkn->jn", kept, jacobians), nominal)
+
+    def _weights(self, losses: Real) -> Real:
+        return self.spread.weights(losses) if self.spread else np.ones(1)
 
     def _missing(self, evaluation: Evaluation) -> str:
         """Why a figure that is needed does not exist; empty if all do."""

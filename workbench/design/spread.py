@@ -22,6 +22,11 @@ class Spread:
     samples: tuple[Mapping[str, float], ...]
     quantile: float | None
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The numbers that samples move."""
+        return tuple(self.samples[0])
+
     def weights(self, losses: Real) -> Real:
         """Weights (k,) of the samples with which their sum is the quantile, or the mean, of `losses` (k,).
 

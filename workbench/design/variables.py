@@ -94,6 +94,11 @@ def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Ite
                             {each.region: name for each, name in zip(materials, names, strict=True)})
 
 
+def first_name(chip: Chip, name: str) -> str:
+    """What a length is called: of radii that coincide, which change together, the first one's name."""
+    return tied(chip).get(name, name)
+
+
 def together(chip: Chip, name: str) -> tuple[str, ...]:
     """The lengths of a chip that change with `name`: of radii all that coincide with it (`geometry.stretch.tied`)."""
     first = tied(chip)
