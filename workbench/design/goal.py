@@ -23,6 +23,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -331,5 +332,13 @@ def _check(goal: Goal) -> None:
         raise InputError(goal.source, "goal.state", goal.state, f"a state that names a particle, for {trapped[0]}")
     if goal.objectives[0].figure == TOLERANCE and not goal.bounds:
         raise InputError(goal.source, "goal.constraints", None, "constraints that the tolerances must leave in force")
-    if not goal.lengths and not goal.stock and not any(isinstance(each, MaterialChoice) for each in goal.variables):
-        raise InputError(goal.source, "variables", None, "at least one variable")
+    choices = math.prod(len(each.values) if isinstance(each, Stock) else len(each.materials)
+                        for each in goal.variables if isinstance(each, MaterialChoice)
+                        or (isinstance(each, Stock) and not goal.search.evolutionary))
+    if choices > ENUMERATED:
+        raise InputError(goal.source, "variables", f"{choices} choices of stock lengths and materials",
+                         f"at most {ENUMERATED}; of stock lengths alone more, with evolutionary = true in [search]")
+    if len(goal.objectives) > 1 and not goal.search.evolutionary:
+        raise InputError(goal.source, "search.evolutionary", False, "true, for a front between two objectives")
+    if goal.search.evolutionary and not goal.unknowns:
+        raise InputError(goal.source, "search.evolutionary", True, "lengths to vary, besides materials")
