@@ -22,8 +22,12 @@ from workbench.design.stated import stated_uncertainty
 from workbench.design.variables import Selection, changed, first_name
 from workbench.discretisation import Discretisation
 from workbench.files.errors import InputError
+from workbench.operators import assemble
 from workbench.parameter_names import Kind, ParameterName
+from workbench.problem import build, fill
 from workbench.ranges import NotCovered, Progress
+from workbench.reduction import reduced
+from workbench.spectrum import Origin, Spectrum
 
 #: Called with a row of the progress, what is done there, and the share of it that is done.
 Report = Callable[[str, str, float], None]
@@ -35,6 +39,9 @@ SOLVES = 250
 
 #: A box may be halved so often before a model of it is given up.
 HALVED = 4
+
+#: Frequencies of a spectrum that is drawn, and its relative error, which nobody sees.
+DRAWN, DRAWN_WITHIN = 481, 1e-3
 
 
 def quiet(_row: str, _activity: str, _share: float) -> None:
@@ -73,6 +80,13 @@ class ChipSolver:
         goal = self.goal
         return full_evaluation(chip, goal.state, {}, figures=goal.figures, operation=goal.operation,
                                registry=self.registry, band=goal.band, accuracy=self.accuracy)
+
+    def spectrum(self, chip: Chip) -> Spectrum:
+        """The impedance of `chip` over the band."""
+        problem = build(fill(chip, self.goal.state, self.registry), band=self.goal.band, accuracy=self.accuracy)
+        frequency = np.linspace(*problem.band, DRAWN)
+        _, solution = reduced(assemble(problem.mesh, problem.terms), frequency, problem.values, tolerance=DRAWN_WITHIN)
+        return Spectrum.from_solver(frequency, solution.impedance, origin=Origin("simulated"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 from materials.registry import Registry
@@ -45,7 +45,7 @@ class Design:
     searched: tuple[Searched, ...]
     front: tuple[Confirmed | Candidate, ...] = ()
     why_not: str = ""
-    seconds: Mapping[str, float] | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def chosen(self) -> Searched:
