@@ -29,6 +29,9 @@ ACTIVE = 1e-4
 #: point, whose half-width (in ranges) shrinks by this factor from the whole range down to the last one.
 SHRINKING, SMALLEST = 0.25, 0.02
 
+#: Times that it goes on without finding anything better.
+IDLE = 2
+
 #: What a point without figures is worse by than the worst point known, in units of the objective.
 PENALTY = 1.0
 
@@ -84,22 +87,27 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
         points.append(programme(x))
         return points[-1]
 
-    centre, width = np.clip(np.asarray(start, dtype=float), 0.0, 1.0), 1.0
+    centre, width, idle = np.clip(np.asarray(start, dtype=float), 0.0, 1.0), 1.0, 0
     try:
-        evaluate(centre)
-        while width >= SMALLEST and programme.variables:
+        best = evaluate(centre)
+        while width >= SMALLEST and idle < IDLE and programme.variables:
+            before = best
             _follow(programme, evaluate, points, centre, width)
             best = min(points, key=lambda each: each.rank)
             if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
                 break
-            # From another point: the last way down may have been cut short.
-            width = SHRINKING * width if np.array_equal(best.x, centre) or width < 1.0 else SHRINKING
-            centre = best.x
+            idle = 0 if _better(best, before) else idle + 1
+            width, centre = SHRINKING * width, best.x
     except _Spent:
         pass
     best = min(points, key=lambda each: each.rank)
     return Descent(np.asarray(start, dtype=float), best, multipliers(best),
                    tuple((each.objective, each.violation) for each in points))
+
+
+def _better(one: Point, other: Point) -> bool:
+    """Whether one point is better than another by more than a descent ends with."""
+    return one.rank[0] < other.rank[0] or (one.rank[0] == other.rank[0] and one.rank[1] < other.rank[1] - CONVERGED)
 
 
 def _follow(
