@@ -139,9 +139,9 @@ def _told(bound: Bound) -> str:
 
 
 def _step(bound: Bound, multiplier: float) -> tuple[str, float]:
-    """A tenth of a bound's scale in its unit, and the gain for it."""
+    """A hundredth of a bound's scale in its unit, and the gain for it."""
     factor, unit = (1e-6, "um") if bound.of_lengths else (figure(bound.figure).factor, figure(bound.figure).shown)
-    return f"{0.1 * bound.scale / factor:.3g} {unit}".strip(), 0.1 * multiplier
+    return f"{0.01 * bound.scale / factor:.3g} {unit}".strip(), 0.01 * multiplier
 
 
 def confirmed(goal: Goal, candidate: Candidate, after: Evaluation) -> Confirmed:
@@ -164,4 +164,7 @@ def confirmed(goal: Goal, candidate: Candidate, after: Evaluation) -> Confirmed:
         statement = f"rejected: by the full solve it does not keep {', '.join(missed)}"
     else:
         statement = f"confirmed by a full solve: at most {100.0 * differences[worst]:.2g} % from the model, in {worst}"
+        past = [(bound.margin(after.figures), bound.text) for bound in goal.bounds if not bound.of_lengths]
+        if past and min(past)[0] < 0.0:
+            statement += f"; {min(past)[1]} is missed by {-100.0 * min(past)[0]:.1g} % of it"
     return Confirmed(candidate, after, differences, differences[worst] <= CONFIRMED and not missed, statement)

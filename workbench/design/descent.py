@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +37,16 @@ IDLE = 2
 PENALTY = 1.0
 
 
+#: Evaluations without anything better after which a round ends: a line search takes ten at most.
+PATIENCE = 12
+
+
 class _Spent(Exception):
     """The evaluations of a descent are used up."""
+
+
+class _Idle(Exception):
+    """A round finds nothing better any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +86,7 @@ class Descent:
 def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
     """The best point that is found from `start` (n,) by at most so many `evaluations`."""
     points: list[Point] = []
+    begun = 0
 
     def evaluate(x: Real) -> Point:
         for each in reversed(points):
@@ -84,6 +94,8 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
                 return each
         if len(points) >= evaluations:
             raise _Spent
+        if len(points) - max(begun, _last_gain(points)) > PATIENCE:
+            raise _Idle
         points.append(programme(x))
         return points[-1]
 
@@ -91,8 +103,9 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
     try:
         best = evaluate(centre)
         while width >= SMALLEST and idle < IDLE and programme.variables:
-            before = best
-            _follow(programme, evaluate, points, centre, width)
+            before, begun = best, len(points)
+            with suppress(_Idle):
+                _follow(programme, evaluate, points, centre, width)
             best = min(points, key=lambda each: each.rank)
             if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
                 break
@@ -103,6 +116,11 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
     best = min(points, key=lambda each: each.rank)
     return Descent(np.asarray(start, dtype=float), best, multipliers(best),
                    tuple((each.objective, each.violation) for each in points))
+
+
+def _last_gain(points: list[Point]) -> int:
+    """How many points there were when the best one was found."""
+    return 0 if not points else 1 + min(range(len(points)), key=lambda k: points[k].rank)
 
 
 def _better(one: Point, other: Point) -> bool:

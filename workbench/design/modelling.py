@@ -131,7 +131,7 @@ class Modelling:
         if not isinstance(model, DesignModel) or model.range_model is None:
             return {}
         made = model.range_model
-        return {"rank": float(made.rank), "full_solves": float(made.reduced.solves), "error": made.error}
+        return {"rank": float(made.rank), "full_solves": float(made.reduced.solves), "error": model.error}
 
 
 def modelled(
