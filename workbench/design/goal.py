@@ -83,7 +83,7 @@ class Search:
     evaluations: int = 60
     reach: float = 0.1
     moves: int = 3
-    tolerance: float = 2e-3
+    tolerance: float = 1e-3
     evolutionary: bool = False
     population: int = 24
     generations: int = 20
