@@ -1,4 +1,4 @@
-"""The three design tasks of the examples: what is gained, how many starts agree, what full solves say, how long it takes.
+"""The three design tasks of the examples: what is gained, how many starts agree, what full solves say, the time.
 
     .venv/bin/python tests/benchmarks/design.py [half_wave_chip stock_glass beads_at_one_watt] [--workers 2]
 

@@ -19,7 +19,6 @@ from workbench.commands.asked import asked_accuracy, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.design.candidate import Candidate, Confirmed
 from workbench.design.executors import processes
-from workbench.design.figures import figure
 from workbench.design.goal import Objective, read_goal
 from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
@@ -30,6 +29,7 @@ from workbench.report.designs import (
     before_after_table,
     choices_table,
     design_record,
+    figure,
     front_table,
     lengths_table,
     models_table,

@@ -137,6 +137,7 @@ def _on_steps(
             continue
         say("steps", index / len(ends))
         found.append(settled(goal, programme, each, selection, goal.search.evaluations))
+    say("steps", 1.0)
     return tuple(sorted(found, key=lambda each: each.point.rank))
 
 
@@ -147,7 +148,7 @@ def _evolved(
     programme = replace(modelling.programme, spread=spread)
     programmes = [programme.under(each) for each in goal.objectives]
     present, first = programme.unknowns(present_of(goal)), []
-    if not goal.stock:
+    if not goal.stock and programme.sampled:
         # The ends of the front, by descents: a population alone comes near them only.
         for each in programmes:
             first.append(attempt(each, goal.search, 0, present).best.point.lengths)
@@ -156,8 +157,8 @@ def _evolved(
     chips = [proposed(goal, programme, each.lengths, selection) for each in members]
     if len(programmes) > 1:
         return Searched(selection, modelling, 1, (), (), tuple(chips), tuple(chips))
-    if not members:
-        return Searched(selection, modelling, 1, (), (), ())
+    if not members or not programme.sampled:
+        return Searched(selection, modelling, 1, (), (), tuple(chips))
     held = programme.holding({each.name: members[0].lengths[each.name] for each in goal.stock})
     start = held.unknowns(members[0].lengths)
     end = Optimum(descend(held, start, evaluations=goal.search.evaluations), (0,))

@@ -41,7 +41,8 @@ from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
 
-#: The objective that is the largest common factor of all tolerances with which every constraint still holds.
+#: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
+#: 95 % of the chips.
 TOLERANCE = "tolerance"
 
 #: Figures of either sign, which can be kept to but not be best at.
@@ -330,8 +331,11 @@ def _check(goal: Goal) -> None:
     trapped = sorted(name for name in asked if name.startswith(("trap_", "axial_", "radial_", "focus_")))
     if trapped and state.particle is None:
         raise InputError(goal.source, "goal.state", goal.state, f"a state that names a particle, for {trapped[0]}")
-    if goal.objectives[0].figure == TOLERANCE and not goal.bounds:
-        raise InputError(goal.source, "goal.constraints", None, "constraints that the tolerances must leave in force")
+    if goal.objectives[0].figure == TOLERANCE:
+        if all(bound.of_lengths for bound in goal.bounds):
+            raise InputError(goal.source, "goal.constraints", None, "figures that the tolerances must leave in bounds")
+        if not goal.search.evolutionary:
+            raise InputError(goal.source, "search.evolutionary", False, f'true: "{TOLERANCE}" has no slope to follow')
     choices = math.prod(len(each.values) if isinstance(each, Stock) else len(each.materials)
                         for each in goal.variables if isinstance(each, MaterialChoice)
                         or (isinstance(each, Stock) and not goal.search.evolutionary))

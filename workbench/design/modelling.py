@@ -14,7 +14,7 @@ from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.design.boxes import Box, Reach, middle, within
 from workbench.design.evaluation import Evaluation
-from workbench.design.goal import Goal
+from workbench.design.goal import TOLERANCE, Goal, Robust
 from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
 from workbench.design.programme import Programme
 from workbench.design.spread import Spread
@@ -186,7 +186,7 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
     Raises:
         InputError: nothing is uncertain, or a tolerance or a posterior cannot be used.
     """
-    robust = goal.robust
+    robust = goal.robust or (Robust() if goal.objectives[0].figure == TOLERANCE else None)
     if robust is None:
         return None
     stated = stated_uncertainty(goal.chip, goal.state, registry=registry, law=robust.law, posteriors=robust.posteriors)
@@ -198,7 +198,7 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
     nominal = {name: each.value for name, each in goal.chip.dimensions().items()}
     points = stated.draw(robust.samples, goal.search.seed).points
     return Spread(tuple({name: value - nominal.get(name, 0.0) for name, value in stated.values(point).items()}
-                        for point in points), robust.quantile)
+                        for point in points), robust.quantile, stated.covariance)
 
 
 def reach_of(goal: Goal) -> Reach:

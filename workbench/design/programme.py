@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.design.bounds import Bound
 from workbench.design.evaluation import Evaluation
-from workbench.design.goal import Objective
+from workbench.design.goal import TOLERANCE, Objective
 from workbench.design.model import Evaluator
 from workbench.design.spread import Spread
 from workbench.design.variables import Length
@@ -25,6 +25,11 @@ Real = NDArray[np.float64]
 
 #: A margin (in scales) that still counts as kept: far below the 1 % that a full solve confirms.
 KEPT = 1e-6
+
+#: Standard deviations that 95 % of a normal law are below: with them every bound holds for 95 % of the chips.
+ONE_SIDED = 1.645
+#: The smallest common factor of tolerances that is told from none.
+NO_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +107,11 @@ class Programme:
         rest = tuple(each for each in self.variables if each.name not in lengths)
         return replace(self, variables=rest, fixed={**self.fixed, **lengths})
 
+    @property
+    def sampled(self) -> bool:
+        """Whether figures are over the samples of a spread; tolerances themselves are judged by slopes."""
+        return self.objective.figure != TOLERANCE
+
     def under(self, objective: Objective) -> Programme:
         """The programme with another objective."""
         return replace(self, objective=objective)
@@ -114,14 +124,17 @@ class Programme:
         """The figures at the unknowns `x` (n,): of the nominal chip first, then those of every sample of the spread."""
         values = {**self.fixed, **self.lengths(x)}
         known = {name: values[name] for name in self.evaluator.names if name in values}
-        offsets: tuple[Mapping[str, float], ...] = ({}, *(self.spread.samples if self.spread else ()))
-        return tuple(self.evaluator({**known, **{name: known.get(name, 0.0) + offset for name, offset in each.items()}},
-                                    gradient=gradient) for each in offsets)
+        offsets: list[Mapping[str, float]] = [{}]
+        if self.spread is not None and self.sampled:
+            offsets += self.spread.samples
+        moved = ({name: known.get(name, 0.0) + offset for name, offset in each.items()} for each in offsets)
+        # Tolerances are judged by slopes.
+        return tuple(self.evaluator({**known, **each}, gradient=gradient or not self.sampled) for each in moved)
 
     def point(self, x: Real, evaluations: Sequence[Evaluation]) -> Point:
         """What `evaluations`, those of the unknowns `x` (n,), are worth."""
         lengths = self.lengths(x)
-        nominal, judged = evaluations[0], evaluations[1:] if self.spread else evaluations
+        nominal, judged = evaluations[0], evaluations[1:] if self.spread and self.sampled else evaluations
         missing = next(filter(None, map(self._missing, evaluations)), "")
         n, m, count = len(self.variables), len(self.bounds), len(judged)
         if missing:
@@ -140,20 +153,39 @@ class Programme:
                      np.einsum("jk,jkn->jn", kept, jacobians), nominal)
 
     def _weights(self, losses: Real) -> Real:
-        return self.spread.weights(losses) if self.spread else np.ones(1)
+        return self.spread.weights(losses) if self.spread and self.sampled else np.ones(1)
 
     def _missing(self, evaluation: Evaluation) -> str:
         """Why a figure that is needed does not exist; empty if all do."""
-        needed = [self.objective.figure, *(each.figure for each in self.bounds if not each.of_lengths)]
+        needed = [*([self.objective.figure] if self.sampled else []), *(each.figure for each in self.bounds if not each.of_lengths)]
         for name in needed:
             if not math.isfinite(evaluation.figures[name]):
                 return f"{name}: {evaluation.missing.get(name, 'not a number')}"
+        if not self.sampled:
+            return ""
         value = evaluation.figures[self.objective.figure]
         return "" if value > 0.0 else f"{self.objective.figure}: {value:g} is not above zero"
 
     def _loss(self, evaluation: Evaluation) -> tuple[float, Real]:
+        if not self.sampled:
+            return -math.log(max(self._tolerance(evaluation), NO_TOLERANCE)), np.full(len(self.variables), math.nan)
         sign, value = -1.0 if self.objective.maximise else 1.0, evaluation.figures[self.objective.figure]
         return sign * math.log(value), sign * self._slope(evaluation, self.objective.figure) / value
+
+    def _tolerance(self, evaluation: Evaluation) -> float:
+        """The largest factor of all tolerances with which every bound of a figure still holds for 95 % of the chips, by
+        slopes; zero or less where one does not hold for the chip itself."""
+        assert self.spread is not None
+        assert evaluation.gradient is not None
+        found = [math.inf]
+        for bound in self.bounds:
+            if bound.of_lengths:
+                continue
+            slopes = zip(self.evaluator.names, evaluation.gradient[bound.figure], strict=True)
+            deviation = self.spread.deviation({name: bound.slope(bound.figure) * float(each) for name, each in slopes})
+            if deviation > 0.0:
+                found.append(bound.margin(evaluation.figures) / (ONE_SIDED * deviation))
+        return min(found)
 
     def _margin(self, bound: Bound, evaluation: Evaluation, lengths: Mapping[str, float]) -> tuple[float, Real]:
         if bound.of_lengths:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,22 @@ class Spread:
     """Offsets (SI, by parameter name) of every sample from the chip as stated, common to all chips that are compared.
 
     Of numbers that no chip varies, the sample's own values. ``quantile`` on the bad side (0.05: what 95 % of the chips
-    reach), None for the mean.
+    reach), None for the mean. ``covariance`` (k, k) of the numbers, SI, in the order of :attr:`names`.
     """
 
     samples: tuple[Mapping[str, float], ...]
     quantile: float | None
+    covariance: Real = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def names(self) -> tuple[str, ...]:
         """The numbers that samples move."""
         return tuple(self.samples[0])
+
+    def deviation(self, slopes: Mapping[str, float]) -> float:
+        """Standard deviation of what has these `slopes` (by SI unit, by name) over the uncertain numbers."""
+        along = np.array([slopes.get(name, 0.0) for name in self.names])
+        return float(np.sqrt(along @ self.covariance @ along))
 
     def weights(self, losses: Real) -> Real:
         """Weights (k,) of the samples with which their sum is the quantile, or the mean, of `losses` (k,).

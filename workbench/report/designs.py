@@ -9,14 +9,22 @@ from typing import Any
 from workbench.design.candidate import Candidate, Confirmed
 from workbench.design.choice import Searched
 from workbench.design.evaluation import Evaluation
-from workbench.design.figures import figure
-from workbench.design.goal import Goal, Objective
+from workbench.design.figures import Figure
+from workbench.design.figures import figure as catalogued
+from workbench.design.goal import TOLERANCE, Goal, Objective
 from workbench.design.optimisation import Design
 from workbench.design.search import Optimum
 from workbench.report.page import Table, number
 
 #: Optima of one choice that a report lists.
 LISTED = 8
+
+_TOLERANCE = Figure(TOLERANCE, "1", "dimensionless", "common factor of all tolerances that the constraints allow", "")
+
+
+def figure(name: str) -> Figure:
+    """The figure of that name, the factor of tolerances too."""
+    return _TOLERANCE if name == TOLERANCE else catalogued(name)
 
 
 def shown(name: str, value: float, digits: int = 5) -> str:
@@ -37,9 +45,12 @@ def before_after_table(design: Design) -> Table:
     for name in goal.figures:
         old = design.before.figures[name]
         new = math.nan if after is None else after.figures[name]
-        rows.append((figure(name).words, _or_none(name, old), _or_none(name, new),
+        rows.append((name, _or_none(name, old), _or_none(name, new),
                      "" if model is None else _or_none(name, model.figures[name]), _change(name, old, new),
                      _wanted(goal, name, design.before, after)))
+    if goal.objectives[0].figure == TOLERANCE and design.best is not None:
+        factor = value_of(goal.objectives[0], design.best.candidate.point.objective)
+        rows.append((TOLERANCE, "", "", shown(TOLERANCE, factor), "", str(goal.objectives[0])))
     return Table(("figure", "before", "after", "after, by the model", "change", "asked for"), tuple(rows))
 
 
@@ -80,7 +91,7 @@ def lengths_table(design: Design, chosen: Confirmed | Candidate) -> Table:
 def active_table(candidate: Candidate, objective: Objective) -> Table:
     """What holds the optimum, and what moving it is worth."""
     verb = "more" if objective.maximise else "less"
-    return Table(("held by", "moved outwards by", f"{figure(objective.figure).words}"), tuple(
+    return Table(("held by", "moved outwards by", objective.figure), tuple(
         (each.text, each.step, f"{100.0 * each.gain:.3g} % {verb}") for each in candidate.active))
 
 
