@@ -1,8 +1,8 @@
 """A half-wave chip in PLA
 =======================
 
-The strongest field of a chip that is printed in PLA, lid included, on a disc of 1 MHz: thicknesses in layers of 20 um, the
-trap within 50 um of mid-height, f0 in the band of the amplifier.
+The strongest field of a chip that is printed in PLA, lid included, on a disc of 1 MHz: thicknesses in layers of 20 um,
+the trap within 50 um of mid-height, f0 in the band of the amplifier.
 
 Reference number: REF16
 

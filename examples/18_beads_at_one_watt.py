@@ -24,7 +24,8 @@ GOAL = Path(__file__).resolve().parent / "design" / "beads_at_one_watt.toml"
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, default=Path("out/beads_at_one_watt"), help="folder for the report")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/beads_at_one_watt"),
+                        help="folder for the report")
     options = parser.parse_args()
     return workbench(["design", str(GOAL), "-o", str(options.output)])
 

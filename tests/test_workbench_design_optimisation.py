@@ -262,11 +262,9 @@ def test_boxes_keep_to_the_bounds() -> None:
     variables = (Length("a", 1.0, 2.0), Length("b", 1.0, 1.1))
     reach = Reach.relative({"a": 1.5, "b": 1.05}, 0.2)
     box = reach.about({"a": 1.2, "b": 1.05}, variables)
-    assert box["a"] == pytest.approx((1.0, 1.6))
-    assert box["b"] == pytest.approx((1.0, 1.1))
+    assert box["a"] == pytest.approx((1.0, 1.6)) and box["b"] == pytest.approx((1.0, 1.1))
     box = reach.about({"a": 1.5, "b": 1.0}, variables)
-    assert box["a"] == pytest.approx((1.2, 1.8))
-    assert box["b"] == pytest.approx((1.0, 1.1))
+    assert box["a"] == pytest.approx((1.2, 1.8)) and box["b"] == pytest.approx((1.0, 1.1))
     assert sides_within({"a": 1.8, "b": 1.1}, box, variables) == ("a",)
     assert reach.halved().half_widths == pytest.approx({"a": 0.15, "b": 0.105})
 
@@ -347,8 +345,7 @@ def test_a_goal_ends_in_a_confirmed_chip(tmp_path: Path) -> None:
 def test_an_optimum_that_a_full_solve_contradicts_is_rejected() -> None:
     found = optimise(goal(), solver=FakeSolver(off=1.02))
     assert found.best is None
-    assert found.why_not == "rejected: the full solve
-    assert the model differ by 2 % in e_ac"
+    assert found.why_not == "rejected: the full solve and the model differ by 2 % in e_ac"
     assert optimise(goal(), solver=FakeSolver(off=1.005)).best is not None
 
 
@@ -443,23 +440,6 @@ def test_a_robust_optimum_keeps_away_from_a_bound() -> None:
         optimise(replace(task, chip=base.chip), solver=FakeSolver())
 
 
-def test_the_widest_tolerance_lies_where_the_nearest_bounds_are_equally_far() -> None:
-    # f0 within 1.00 and 1.04 MHz is the substrate within 0.85/1.04 and 0.85 mm; a tolerance moves both ends alike (to
-    # the slope of f0, 4 % apart), so the middle is best. Nothing else has a tolerance.
-    base = goal(Length(SUBSTRATE, 0.8e-3, 0.86e-3), Length(SIDEWALL, 0.70e-3, 0.75e-3),
-                texts=("f0 within [1.00 MHz, 1.04 MHz]",))
-    layers = tuple(replace(each, thickness=replace(each.thickness, tolerance=5e-6)) if each.region == "substrate"
-                   else each for each in base.chip.layers)
-    task = replace(base, chip=replace(base.chip, layers=layers), objectives=(Objective("tolerance", maximise=True),),
-                   search=Search(evolutionary=True, population=16, generations=15))
-    best = optimise(task, solver=FakeSolver()).best.candidate
-    frequency = best.point.evaluation.figures["f0"]
-    assert frequency == pytest.approx(1.02e6, rel=1e-3)
-    # 0.02 MHz over 1.645 standard deviations, each 5 um / sqrt(3) times the slope of f0.
-    deviation = 5e-6 / math.sqrt(3.0) * frequency / best.lengths[SUBSTRATE]
-    assert math.exp(-best.point.objective) == pytest.approx(0.02e6 / (1.645 * deviation), rel=0.02)
-
-
 def test_the_quantile_is_the_one_of_numpy() -> None:
     losses: NDArray[np.float64] = np.random.default_rng(0).normal(size=33)
     for quantile in (0.05, 0.2, 0.5):
@@ -500,8 +480,7 @@ def written(text: str, folder: Path) -> Path:
 
 def test_a_goal_is_read(tmp_path: Path) -> None:
     found = read_goal(written(GOAL, tmp_path))
-    assert found.state == "filled"
-    assert str(found.operation.drive).startswith("1 W")
+    assert found.state == "filled" and str(found.operation.drive).startswith("1 W")
     assert found.operation.thermal_resistance == {"": 12.0, "cavity": 3.0}
     assert [each.name for each in found.lengths] == [SUBSTRATE, SIDEWALL, "substrate.radius"]
     assert found.lengths[0].step == pytest.approx(20e-6)
@@ -542,8 +521,6 @@ def test_a_goal_is_read(tmp_path: Path) -> None:
     ("starts = 4", "starts = 0", "search.starts", "a whole number from 1 to 1000"),
     ("starts = 4", 'reach = "120 %"', "search.reach", "between 0 and 100 %"),
     ('maximise = "e_ac"', 'minimise = "focus_time"', "goal.state", "a state that names a particle"),
-    ('maximise = "e_ac"', 'maximise = "tolerance"', "search.evolutionary", "has no slope to follow"),
-    ('maximise = "e_ac"', 'maximise = ["e_ac", "f0"]', "search.evolutionary", "a front between two objectives"),
     ('"0.5 mm"]', '"0.5 mm", "0.6 mm", "0.7 mm", "0.8 mm", "0.9 mm", "1.1 mm"]', "variables", "at most 12"),
 ])
 def test_mistakes_in_goals_are_named(old: str, new: str, field: str, expected: str, tmp_path: Path) -> None:

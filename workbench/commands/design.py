@@ -158,7 +158,7 @@ def _label(objective: Objective) -> str:
 def _report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> None:
     goal, chosen, best = found.goal, found.chosen, found.best
     objectives = " and ".join(str(each) for each in goal.objectives)
-    outcome: list[Block] = [f"{objectives} at {goal.operation.drive}, state {goal.state}."]
+    outcome: list[Block] = [f"Asked for: {objectives} at {goal.operation.drive}, state {goal.state}."]
     outcome += [Note(line) if found.best is None else line for line in summary_lines(found)]
     outcome += [Note(each.statement) for each in found.rejected]
     outcome += [before_after_table(found), *pictures["spectra"]]

@@ -58,7 +58,7 @@ class Point:
     @property
     def violation(self) -> float:
         """How far (in scales) the worst margin is below zero, 0 where all bounds hold, infinite without figures."""
-        return max(0.0, *(-self.margins), 0.0) if self.exists else math.inf
+        return float(-min(0.0, *self.margins, 0.0)) if self.exists else math.inf
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -157,7 +157,8 @@ class Programme:
 
     def _missing(self, evaluation: Evaluation) -> str:
         """Why a figure that is needed does not exist; empty if all do."""
-        needed = [*([self.objective.figure] if self.sampled else []), *(each.figure for each in self.bounds if not each.of_lengths)]
+        needed = [self.objective.figure] if self.sampled else []
+        needed += [each.figure for each in self.bounds if not each.of_lengths]
         for name in needed:
             if not math.isfinite(evaluation.figures[name]):
                 return f"{name}: {evaluation.missing.get(name, 'not a number')}"

@@ -166,8 +166,9 @@ def starts_text(searched: Searched) -> str:
     """How many starts ended at the best optimum."""
     if not searched.attempts:
         return "an evolutionary search: one population"
-    return (f"{searched.at_best} of {len(searched.attempts)} starts ended at the best optimum; "
-            f"{len(searched.optima)} distinct ends of {sum(len(a.descents) for a in searched.attempts)} descents")
+    descents, ends = sum(len(each.descents) for each in searched.attempts), len(searched.optima)
+    return (f"{searched.at_best} of {len(searched.attempts)} starts ended at the best optimum; {descents} descents have "
+            f"{ends} distinct {'end' if ends == 1 else 'ends'}")
 
 
 def design_record(design: Design) -> dict[str, Any]:
