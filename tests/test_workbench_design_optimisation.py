@@ -212,7 +212,6 @@ def test_a_start_depends_on_its_number_and_the_seed_alone() -> None:
 
 @pytest.mark.parametrize("texts", [(), ("f0 >= 1.05 MHz",), ("substrate.thickness + sidewall.thickness <= 1.51 mm",)])
 def test_steps_are_those_of_brute_force(texts: tuple[str, ...]) -> None:
-    # Of a hill that is narrow along a slanting line the nearest step is not the best one.
     step = 0.04e-3
     one = programme(*texts, step=step)
     _, found = settle(one, descend(one, np.array([0.5, 0.5]), evaluations=60), evaluations=60)
@@ -262,9 +261,11 @@ def test_boxes_keep_to_the_bounds() -> None:
     variables = (Length("a", 1.0, 2.0), Length("b", 1.0, 1.1))
     reach = Reach.relative({"a": 1.5, "b": 1.05}, 0.2)
     box = reach.about({"a": 1.2, "b": 1.05}, variables)
-    assert box["a"] == pytest.approx((1.0, 1.6)) and box["b"] == pytest.approx((1.0, 1.1))
+    assert box["a"] == pytest.approx((1.0, 1.6))
+    assert box["b"] == pytest.approx((1.0, 1.1))
     box = reach.about({"a": 1.5, "b": 1.0}, variables)
-    assert box["a"] == pytest.approx((1.2, 1.8)) and box["b"] == pytest.approx((1.0, 1.1))
+    assert box["a"] == pytest.approx((1.2, 1.8))
+    assert box["b"] == pytest.approx((1.0, 1.1))
     assert sides_within({"a": 1.8, "b": 1.1}, box, variables) == ("a",)
     assert reach.halved().half_widths == pytest.approx({"a": 0.15, "b": 0.105})
 
@@ -480,7 +481,8 @@ def written(text: str, folder: Path) -> Path:
 
 def test_a_goal_is_read(tmp_path: Path) -> None:
     found = read_goal(written(GOAL, tmp_path))
-    assert found.state == "filled" and str(found.operation.drive).startswith("1 W")
+    assert found.state == "filled"
+    assert str(found.operation.drive).startswith("1 W")
     assert found.operation.thermal_resistance == {"": 12.0, "cavity": 3.0}
     assert [each.name for each in found.lengths] == [SUBSTRATE, SIDEWALL, "substrate.radius"]
     assert found.lengths[0].step == pytest.approx(20e-6)

@@ -3,7 +3,6 @@ the steps that lengths come in."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from workbench.design.search import Attempt, Optimum, attempt, optima, search_al
 from workbench.design.spread import Spread
 from workbench.design.variables import Selection, changed
 
-#: Called with the best chip so far and its point on the model, as each is found.
+#: Called with a chip that is not confirmed and its point on the model, as each is found.
 Keep = Callable[[Chip, Point], None]
 
 #: Distinct optima of a choice from which a robust one is looked for.
@@ -67,7 +66,7 @@ def search_choice(
         # A population is spread over all of the bounds.
         reach = replace(reach, half_widths={each.name: each.high - each.low for each in goal.unknowns})
         return _evolved(goal, selection, modelled(goal, selection, about, reach, solver, say, spread), spread,
-                        executor, say)
+                        executor, say, keep)
     open_sides: tuple[str, ...] = ()
     attempts: list[Attempt] = []
     for models in range(1, goal.search.moves + 2):
@@ -91,22 +90,24 @@ def _attempts(
     goal: Goal, selection: Selection, modelling: Modelling, about: Mapping[str, float], executor: Executor | None,
     say: Say, keep: Keep | None,
 ) -> list[Attempt]:
-    """All starts on a model; `keep` gets the chip of each that is better than those before."""
-    programme, best = modelling.programme, (True, math.inf)
-    ended = 0
+    """All starts on a model; `keep` gets the chip that each ends at."""
+    programme, ended = modelling.programme, 0
 
     def finished(one: Attempt) -> None:
-        nonlocal best, ended
+        nonlocal ended
         ended += 1
         say("starts", ended / goal.search.starts)
-        if keep is not None and one.best.point.rank < best:
-            best = one.best.point.rank
-            chip = changed(goal.chip, {**selection.stock, **one.best.point.lengths}, selection.materials,
-                           note=f"by {goal.source}, not confirmed")
-            keep(chip, one.best.point)
+        _kept(goal, selection, one.best.point.lengths, one.best.point, keep)
 
     say("starts", 0.0)
     return search_all(programme, goal.search, programme.unknowns(about), executor=executor, finished=finished)
+
+
+def _kept(goal: Goal, selection: Selection, lengths: Mapping[str, float], point: Point, keep: Keep | None) -> None:
+    """Hand the chip of these lengths (m) over, as one that is not confirmed."""
+    if keep is not None:
+        keep(changed(goal.chip, {**selection.stock, **lengths}, selection.materials,
+                     note=f"by {goal.source}, not confirmed"), point)
 
 
 def _robust(
@@ -142,7 +143,8 @@ def _on_steps(
 
 
 def _evolved(
-    goal: Goal, selection: Selection, modelling: Modelling, spread: Spread | None, executor: Executor | None, say: Say
+    goal: Goal, selection: Selection, modelling: Modelling, spread: Spread | None, executor: Executor | None, say: Say,
+    keep: Keep | None,
 ) -> Searched:
     """An evolutionary search: of one objective its best member, improved by a descent; of two the front."""
     programme = replace(modelling.programme, spread=spread)
@@ -153,7 +155,8 @@ def _evolved(
         for each in programmes:
             first.append(attempt(each, goal.search, 0, present).best.point.lengths)
     members = evolve(programmes, goal.stock, goal.search, [present_of(goal), *first], executor=executor,
-                     say=lambda share: say("generations", share))
+                     say=lambda share: say("generations", share),
+                     better=lambda each: _kept(goal, selection, each.lengths, each.points[0], keep))
     chips = [proposed(goal, programme, each.lengths, selection) for each in members]
     if len(programmes) > 1:
         return Searched(selection, modelling, 1, (), (), tuple(chips), tuple(chips))

@@ -48,11 +48,12 @@ def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> Memb
 def evolve(
     programmes: Sequence[Programme], stock: Sequence[Stock], search: Search,
     first: Sequence[Mapping[str, float]] = (), *, executor: Executor | None = None,
-    say: Callable[[float], None] | None = None,
+    say: Callable[[float], None] | None = None, better: Callable[[Member], None] | None = None,
 ) -> list[Member]:
     """The members of the last generation that none dominates: one under one objective, the front between two.
 
-    `first` are lengths (m) that the first generation has among its random ones. Members that keep all bounds go before
+    `first` are lengths (m) that the first generation has among its random ones; `better` is called with every member
+    that is better than all before under the first objective. Members that keep all bounds go before
     those that do not; where none does, the one nearest to it is returned.
     """
     from pymoo.core.mixed import MixedVariableGA, MixedVariableSampling
@@ -72,7 +73,11 @@ def evolve(
             # In a few parcels: the model goes with each.
             found = list(executor.map(judge, [programmes] * len(lengths), lengths,
                                       chunksize=max(1, math.ceil(len(lengths) / 4))))
-        seen.extend(found)
+        for each in found:
+            if better is not None and each.points[0].rank < min((one.points[0].rank for one in seen),
+                                                                default=(True, math.inf)):
+                better(each)
+            seen.append(each)
         if say is not None:
             say(min(1.0, len(seen) / total))
         return found

@@ -16,12 +16,14 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
 
+from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.design.candidate import Candidate, Confirmed, confirmed
 from workbench.design.choice import Keep, Searched, search_choice
 from workbench.design.evaluation import Evaluation
 from workbench.design.goal import Goal
 from workbench.design.modelling import ChipSolver, Report, Solver, quiet, spread_of
+from workbench.design.programme import Point
 from workbench.design.variables import selections
 from workbench.discretisation import ACCURACY, Discretisation
 
@@ -85,6 +87,7 @@ def optimise(
     report("before", "full solve", 0.0)
     before = solver.full(goal.chip)
     report("before", "full solve", 1.0)
+    keep = None if keep is None else _improving(keep)
     choices = tuple(selections(goal.variables, with_stock=not goal.search.evolutionary))
     searched = []
     for index, selection in enumerate(choices):
@@ -96,6 +99,19 @@ def optimise(
     total = time.perf_counter() - started
     return Design(goal, before, found.best, found.rejected, tuple(searched), found.front, found.why_not,
                   {"search": spent, "confirmation": total - spent, "total": total})
+
+
+def _improving(keep: Keep) -> Keep:
+    """`keep` called only with a chip that is better than all before."""
+    best = (True, math.inf)
+
+    def offered(chip: Chip, point: Point) -> None:
+        nonlocal best
+        if point.rank < best:
+            best = point.rank
+            keep(chip, point)
+
+    return offered
 
 
 @dataclass(frozen=True, eq=False)

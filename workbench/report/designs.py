@@ -167,8 +167,8 @@ def starts_text(searched: Searched) -> str:
     if not searched.attempts:
         return "an evolutionary search: one population"
     descents, ends = sum(len(each.descents) for each in searched.attempts), len(searched.optima)
-    return (f"{searched.at_best} of {len(searched.attempts)} starts ended at the best optimum; {descents} descents have "
-            f"{ends} distinct {'end' if ends == 1 else 'ends'}")
+    return (f"{searched.at_best} of {len(searched.attempts)} starts ended at the best optimum; {descents} descents "
+            f"have {ends} distinct {'end' if ends == 1 else 'ends'}")
 
 
 def design_record(design: Design) -> dict[str, Any]:
