@@ -1,8 +1,9 @@
-"""Models of a study that are closed formulas: for tests of all that is around the real ones, also in other processes."""
+"""Models of a study that are closed formulas, for tests of all around the real ones, in other processes too."""
 
 from __future__ import annotations
 
 import math
+import pickle
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,18 +13,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.evaluation import Evaluation
-from workbench.design.parts import Part
+from workbench.design.parts import Part, named
 from workbench.design.plan import Study
 from workbench.files.writing import write_atomic
 from workbench.ranges import Progress
 
 Real = NDArray[np.float64]
 
+#: A chip the size of a pea, with ports and one tolerance.
+CHIP = """
+[chip]
+name = "small chip"
+band = ["0.95 MHz", "1.1 MHz"]
+[cavity]
+ports = { diameter = "0.4 mm" }
+[states.empty]
+cavity = "vacuum"
+[states.filled]
+cavity = "water"
+temperature = "20 degC"
+""" + "".join(f'''
+[[layers]]
+role = "{role}"
+material = "{material}"
+thickness = {thickness}
+radius = "3 mm"
+{hole}
+''' for role, material, thickness, hole in (
+    ("transducer", "pzt4/acevedo_2026_fitted", '"2 mm"', ""), ("couplant", "coupling_gel", '"20 um"', ""),
+    ("substrate", "pla", '"0.85 mm"', ""),
+    ("sidewall", "pla", '{ value = "0.72 mm", tolerance = "20 um" }', 'cavity_radius = "1.5 mm"'),
+    ("superstrate", "pmma", '"1 mm"', "")))
+
 
 @dataclass(frozen=True)
 class FormulaModel:
-    """Every figure is ``offset`` and the sine of the numbers (in their own size); a local model is ``shifted`` by
-    1e-6 of the mean of its points, so that it matters which points share one.
+    """Every figure is ``offset`` and the sine of the numbers (in their own size), and is off by ``off``.
 
     ``pause`` (s) is what a point takes; where the first number is above ``without``, the second figure is missing.
     """
@@ -34,48 +59,43 @@ class FormulaModel:
     offset: float
     pause: float = 0.0
     without: float = math.inf
-    shifted: float = 0.0
+    off: float = 0.0
+    ballast: bytes = b""
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
         time.sleep(self.pause)
         x = np.array([values[name] for name in self.names]) / np.array(self.sizes)
-        found = {name: self.offset + k + float(np.sin((k + 1) * x).sum()) + self.shifted
+        found = {name: self.offset + k + float(np.sin((k + 1) * x).sum()) + self.off
                  for k, name in enumerate(self.figures)}
         missing = {}
         if values[self.names[0]] > self.without and len(self.figures) > 1:
             found[self.figures[1]], missing = math.nan, {self.figures[1]: "beyond the formula"}
         return Evaluation(dict(values), found, missing, 1e6 + self.offset, 1e-5)
 
-    def divided(self, points: Real) -> list[NDArray[np.int64]]:
-        """Groups of 40 by the first number."""
-        order = np.argsort(points[:, 0], kind="stable")
-        return [np.sort(order[at:at + 40]) for at in range(0, len(points), 40)]
-
-    def local(self, points: Real) -> FormulaModel:
-        mean = float((points / np.array(self.sizes)).mean())
-        return FormulaModel(self.names, self.figures, self.sizes, self.offset, self.pause, self.without, 1e-6 * mean)
-
 
 @dataclass(frozen=True)
 class FormulaModels:
-    """Where they come from; ``made`` is a folder in which every model that is made leaves a file."""
+    """Where they come from; ``made`` is a folder in which every model that is made leaves a file, ``ballast`` what
+    makes models as heavy as real ones (bytes)."""
 
     pause: float = 0.0
     without: float = math.inf
     made: str = ""
+    ballast: int = 0
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> FormulaModel:
+    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
         if not path.exists():
-            write_atomic(path, b"a formula needs nothing")
+            write_atomic(path, pickle.dumps(self.formula(study, part, 1e-6)))
             if self.made:
                 (Path(self.made) / f"{part.number}-{time.time_ns()}").touch()
         progress(1.0)
-        return self._formula(study, part)
+        return path.read_bytes()
 
     def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
-        return self._formula(study, part)(dict(zip([a.name for a in study.numbers], map(float, point), strict=True)))
+        return self.formula(study, part, 0.0)(named(study, point))
 
-    def _formula(self, study: Study, part: Part) -> FormulaModel:
+    def formula(self, study: Study, part: Part, off: float) -> FormulaModel:
+        """The model of a part."""
         return FormulaModel(tuple(axis.name for axis in study.numbers), study.figures,
                             tuple(abs(axis.high) for axis in study.numbers), float(part.number), self.pause,
-                            self.without)
+                            self.without, off, bytes(self.ballast))

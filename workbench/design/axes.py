@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.names import CAVITY, VACUUM
-from geometry.parts import State, millimetres
+from geometry.parts import Layer, State, millimetres
 from geometry.stretch import between, movable, tied
 from materials.entry import KINDS
 from materials.registry import Registry
@@ -338,12 +338,12 @@ def _choice(
 
 def with_materials(chip: Chip, chosen: Mapping[str, str], registry: Registry) -> Chip:
     """The chip with other materials by region, full names; one in place of another brings its own density."""
-    def same(one: str, other: str) -> bool:
-        return registry.find(one)[0] == other
+    def density(layer: Layer, name: str) -> float | None:
+        return layer.density if registry.find(layer.material)[0] == name else None
 
     layers = tuple(
-        layer if layer.region not in chosen or same(layer.material, chosen[layer.region])
-        else replace(layer, material=chosen[layer.region], density=None) for layer in chip.layers)
+        layer if (name := chosen.get(layer.region)) is None
+        else replace(layer, material=name, density=density(layer, name)) for layer in chip.layers)
     return replace(chip, layers=layers, states=tuple(_holding(state, chosen) for state in chip.states))
 
 

@@ -57,16 +57,22 @@ def _end_with_parent() -> None:
 
 
 class DaskExecutor(Executor):
-    """The executor of a Dask cluster, to whose workers a large argument is sent once."""
+    """The executor of a Dask cluster, to whose workers a large argument is sent once while it is the same."""
 
     def __init__(self, client: Client) -> None:
         self._client, self._executor = client, client.get_executor()
+        self._sent: tuple[bytes, Any] = b"", None
 
     def submit(self, task: Callable[..., T], /, *arguments: Any, **named: Any) -> Future[T]:
-        placed = [self._client.scatter(each, hash=True) if isinstance(each, bytes) and len(each) > LARGE else each
-                  for each in arguments]
+        placed = [self._placed(each) if isinstance(each, bytes) and len(each) > LARGE else each for each in arguments]
         found: Future[T] = self._executor.submit(task, *placed, **named)
         return found
+
+    def _placed(self, argument: bytes) -> Any:
+        """What stands for a large argument that a worker has."""
+        if argument is not self._sent[0]:
+            self._sent = argument, self._client.scatter(argument)
+        return self._sent[1]
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._executor.shutdown(wait=wait and not cancel_futures)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +14,18 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from workbench.design.axes import centred, with_materials
 from workbench.design.evaluation import Evaluation
-from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation, of_range_model
+from workbench.design.model import SWEEP, full_evaluation, of_range_model
 from workbench.design.plan import Study
+from workbench.files.writing import write_atomic
 from workbench.parameter_names import part as part_of
 from workbench.problem import fill
-from workbench.ranges import Progress, Ranges, load
+from workbench.ranges import Progress, Ranges, load, range_model
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+#: Frequencies of the band in which resonances are first looked for.
+FREQUENCIES = 161
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,18 +46,12 @@ class Part:
     points: Real
 
 
-class Divisible(Protocol):
-    """A model of a part, that gives faster models for points that lie together (`workbench.design.model`)."""
-
-    def divided(self, points: Real) -> list[Indices]: ...
-    def local(self, points: Real) -> Evaluator: ...
-
-
 class Models(Protocol):
     """Where the models of a study come from. What is done by :meth:`confirmed` may be done in another process."""
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> Divisible:
-        """The model of a part: the one kept at `path` if there is one, which it is otherwise once this returns."""
+    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
+        """The model of a part, an `Evaluator` pickled: what the file `path` holds if there is one, and does once this
+        returns. Files beside it, called alike, may keep what is known on the way."""
 
     def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
         """The figures at one point (numbers of the study,) of a part, by full solves."""
@@ -87,27 +86,33 @@ def ranges_of(study: Study, part: Part) -> Ranges:
 
 @dataclass(frozen=True)
 class ReducedModels:
-    """Range models, kept on disk; confirmed by full solves on a mesh of the chip's own."""
+    """Design models, kept on disk, and on the way the range models they are made from; confirmed by full solves on a
+    mesh of the chip's own.
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> DesignModel:
+    What is on the disk is used in any case, also right after it was made: arrays that are laid out otherwise in memory
+    give other last bits.
+    """
+
+    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
         """The model of a part.
 
         Raises:
-            NotCovered: more full solves are needed than the study allows.
-            InputError: what is kept at `path` is of something else.
+            NotCovered: more full solves are needed for the spectra than the study allows.
+            NotConfirmed: full solves found figures that are further off than the study's tolerance.
         """
-        if path.exists():
-            kept = load(path, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
-            progress(1.0)
-            return of_range_model(kept, part.chip, part.state, figures=study.figures, operation=study.operation,
-                                  registry=study.registry)
-        made = design_model(
-            part.chip, part.state, ranges_of(study, part), figures=study.figures, operation=study.operation,
-            registry=study.registry, band=study.band, tolerance=study.tolerance, limit=study.limit,
-            accuracy=study.accuracy, progress=progress)
-        assert made.range_model is not None  # this process made it
-        made.range_model.save(path)
-        return made
+        if not path.exists():
+            rough = path.with_suffix(".npz")
+            if not rough.exists():
+                range_model(part.chip, part.state, ranges_of(study, part), registry=study.registry, band=study.band,
+                            points=FREQUENCIES, tolerance=SWEEP, limit=study.limit, accuracy=study.accuracy,
+                            progress=lambda share: progress(0.5 * share)).save(rough)
+            kept = load(rough, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
+            made = of_range_model(
+                kept, part.chip, part.state, figures=study.figures, operation=study.operation, registry=study.registry,
+                tolerance=study.tolerance, progress=lambda share: progress(0.5 + 0.5 * share))
+            write_atomic(path, pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL))
+        progress(1.0)
+        return path.read_bytes()
 
     def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
         """The figures at one point of a part, by full solves."""

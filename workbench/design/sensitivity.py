@@ -10,6 +10,7 @@ which share of a figure's variance a number causes, alone (first order) and with
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -124,36 +125,43 @@ def sobol(
     Raises:
         InputError: see :func:`check_sobol`.
     """
-    from scipy.stats import sobol_indices
+    from scipy.stats import DegenerateDataWarning, sobol_indices
 
     check_sobol(uncertainty, count, source="sobol", field="count")
-    size, asked, done = len(uncertainty.inputs), tuple(evaluator.figures), [0]
+    size, asked, seen = len(uncertainty.inputs), tuple(evaluator.figures), list[Real]()
     whole = count * (2 + size)
 
     def outcome(points: Real) -> Real:
         # One row an input; scipy asks for A, B, and A with the columns of B, all at once.
+        before = sum(map(len, seen))
+
         def share(part: float) -> None:
             if progress is not None:
-                progress((done[0] + part * points.shape[1]) / whole)
+                progress((before + part * points.shape[1]) / whole)
 
-        found = evaluate(evaluator, uncertainty, points.T, progress=share)
-        done[0] += points.shape[1]
-        return found.values.T
+        seen.append(evaluate(evaluator, uncertainty, points.T, progress=share).values)
+        return seen[-1].T
 
     generator = np.random.default_rng(seed)
-    # Of a figure that is missing at a point all is unknown; numpy says so for each.
-    with np.errstate(invalid="ignore", divide="ignore"):
+    # An index that is the same in every resample has no interval, which is what the warning says.
+    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DegenerateDataWarning)
         found = sobol_indices(func=outcome, n=count, dists=[_distribution(each) for each in uncertainty.inputs],
                               rng=generator)
         spread = found.bootstrap(confidence_level=CONFIDENCE)
 
-    def rows(values: object) -> Real:
-        return np.asarray(values, dtype=float).reshape(len(asked), size)
+    values = np.concatenate(seen)
+    # Of these scipy says 0.
+    unknown = ~np.isfinite(values).all(axis=0) | (np.ptp(values, axis=0) == 0.0)
 
-    ends = [rows(each) for kind in (spread.first_order, spread.total_order)
-            for each in (kind.confidence_interval.low, kind.confidence_interval.high)]
-    return SobolIndices(asked, uncertainty.names, rows(found.first_order), ends[0], ends[1], rows(found.total_order),
-                        ends[2], ends[3], done[0])
+    def rows(indices: object) -> Real:
+        return np.where(unknown[:, None], np.nan, np.asarray(indices, dtype=float).reshape(len(asked), size))
+
+    first, total = rows(found.first_order), rows(found.total_order)
+    ends = [np.where(np.isnan(end), index, end) for index, kind in ((first, spread.first_order),
+                                                                    (total, spread.total_order))
+            for end in map(rows, (kind.confidence_interval.low, kind.confidence_interval.high))]
+    return SobolIndices(asked, uncertainty.names, first, ends[0], ends[1], total, ends[2], ends[3], len(values))
 
 
 def _distribution(each: Input) -> Any:

@@ -38,7 +38,8 @@ from workbench.problem import FilledChip, fill
 FLUID_NUMBERS = ("density", "sound_speed")
 
 _STATEMENT = re.compile(r"\s*(?P<name>[^=\s]+)\s*=\s*(?P<amount>.*?)\s*")
-_AMOUNT = re.compile(r"(?P<amount>.*?)(?:\s+(?P<word>[A-Za-z]{5,}))?")
+#: An amount, and the word behind its unit: what follows a bare number is a unit.
+_AMOUNT = re.compile(r"(?P<amount>.*?)(?:(?<=[^\d\s])\s+(?P<word>[A-Za-z]{5,}))?")
 _WORDS = (*get_args(Law), "standard")
 
 
@@ -214,8 +215,8 @@ def _coefficients(material: Material, found: _Collected) -> None:
             mean = numbers[field].imag if key.endswith(LOSS) else numbers[field].real
             found.put(from_standard(f"{material.name}.{key}", mean, spread, origin=material.name))
     if left_out:
-        found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out, since the model has "
-                           "no such number of its own")
+        found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out: no number of the "
+                           "model")
     if material.fit is not None and material.fit.correlation is not None:
         stored = material.fit.correlation
         names = tuple(f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names)

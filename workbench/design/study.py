@@ -3,22 +3,22 @@
     found = study(read_study("study.toml"), "out/study")
     found.columns["e_ac"]
 
-Points that lie together share a local model (`workbench.design.model.DesignModel.local`), which a worker makes; then
-workers do a few points at a time. Which points share a model does not depend on what is finished already, so a run that
-was interrupted ends with the same table to the last bit.
+Every part of a study, one state of the chip and one choice of materials, has one model; workers do a few points of it
+at a time. A model is the one on the disk, and each point is worked out alone, so a run that was interrupted ends with
+the same table to the last bit.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from workbench.design.evaluation import Evaluation
 from workbench.design.executors import processes
 from workbench.design.model import Evaluator
-from workbench.design.parts import Divisible, Models, Part, ReducedModels, parts_of
+from workbench.design.parts import Models, Part, ReducedModels, parts_of
 from workbench.design.plan import Study
 from workbench.design.study_folder import Rows, StudyFolder, opened
 from workbench.design.study_result import StudyResult
@@ -41,8 +41,9 @@ Indices = NDArray[np.int64]
 #: Called with a part of the study, what is being done for it, and the fraction of it that is done.
 Progress = Callable[[str, str, float], None]
 
-#: Points that a worker does at a time, about half a second's work: what a kill loses at most, for each worker.
-CHUNK = 25
+#: Points that a worker does at a time, about a second's work: what a kill loses at most, for each worker. Half as many
+#: would double the share of the time that goes into sending models, some 2 %.
+CHUNK = 50
 
 #: Tasks given to the workers for each that is being worked on: one waits while one is done.
 AHEAD = 2
@@ -112,98 +113,75 @@ def _workers(executor: Executor | None, jobs: int) -> Iterator[Executor]:
 
 @dataclass(frozen=True)
 class _Task:
-    """A piece of work: ``function`` of ``arguments``, done in another process; ``then`` takes its result in this one
-    and may give further tasks."""
+    """A piece of work: ``function`` of ``arguments`` in another process; this one does ``then`` with its result."""
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    then: Callable[[Any], Sequence[_Task]]
+    then: Callable[[Any], None]
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Run:
-    """What the steps of a run share."""
+    """What the steps of a run share; ``ahead`` tasks are given out at a time."""
 
     plan: Study
     kept: StudyFolder
     pool: Executor
     ahead: int
     show: Progress
-    done: set[int] = field(default_factory=set)
 
     def points_of(self, part: Part, models: Models) -> None:
         """All points of a part that are not finished yet."""
-        self.done = set(map(int, self.kept.rows().index)) & set(map(int, part.rows))
-        if len(self.done) == len(part.rows):
-            self.show(part.label, "points", 1.0)
-            return
-        self.show(part.label, "model", 0.0)
-        model = models.model(self.plan, part, self.kept.model(part), partial(self.show, part.label, "model"))
-        self._show_points(part)
-        self._work(self._local_tasks(model, part))
+        left = np.flatnonzero(~np.isin(part.rows, self.kept.rows().index))
+        if left.size:
+            self.show(part.label, "model", 0.0)
+            model = models.model(self.plan, part, self.kept.model(part), partial(self.show, part.label, "model"))
+            self._work(self._point_tasks(model, part, left))
+        self.show(part.label, "points", 1.0)
 
-    def _local_tasks(self, model: Divisible, part: Part) -> Iterator[_Task]:
-        """A local model for every group with points that are not finished; the points follow from it."""
-        whole = pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL)
-        for group in model.divided(part.points):
-            left = np.array([at for at in group if int(part.rows[at]) not in self.done], dtype=np.int64)
-            if left.size:
-                # Of all points of the group, finished or not: the same points always have the same model.
-                yield _Task(_local, (whole, part.points[group]), partial(self._point_tasks, part, left))
+    def _point_tasks(self, model: bytes, part: Part, left: Indices) -> Iterator[_Task]:
+        names, finished = [axis.name for axis in self.plan.numbers], len(part.rows) - left.size
 
-    def _point_tasks(self, part: Part, left: Indices, local: bytes) -> list[_Task]:
-        return [_Task(_evaluated, (local, [axis.name for axis in self.plan.numbers], part.rows[at], part.points[at],
-                                   self.plan.figures), partial(self._finished, part))
-                for at in np.split(left, range(CHUNK, left.size, CHUNK))]
+        def keep(rows: Rows) -> None:
+            nonlocal finished
+            self.kept.keep(rows)
+            finished += len(rows.index)
+            self.show(part.label, "points", finished / len(part.rows))
 
-    def _finished(self, part: Part, rows: Rows) -> list[_Task]:
-        self.kept.keep(rows)
-        self.done.update(map(int, rows.index))
-        self._show_points(part)
-        return []
-
-    def _show_points(self, part: Part) -> None:
-        self.show(part.label, "points", len(self.done) / len(part.rows))
+        self.show(part.label, "points", finished / len(part.rows))
+        for at in np.split(left, range(CHUNK, left.size, CHUNK)):
+            yield _Task(_evaluated, (model, names, part.rows[at], part.points[at], self.plan.figures), keep)
 
     def full_solves(self, parts: Sequence[Part], models: Models) -> None:
         """Full solves of some points of the table, drawn by the seed of the sample."""
         count = min(self.plan.confirmed, self.plan.size)
         drawn = np.random.default_rng(self.plan.sampling.seed).choice(self.plan.size, count, replace=False)
-        finished = set(map(int, self.kept.full_rows().index)) & set(map(int, drawn))
+        left = np.setdiff1d(drawn, self.kept.full_rows().index)
+        finished = count - left.size
 
-        def kept(row: int, found: Evaluation) -> list[_Task]:
+        def keep(row: int, found: Evaluation) -> None:
+            nonlocal finished
             self.kept.keep_full(Rows.of([row], [found], self.plan.figures))
-            finished.add(row)
-            self.show("confirmed", "full solves", len(finished) / count)
-            return []
+            finished += 1
+            self.show("confirmed", "full solves", finished / count)
 
-        self._work(_Task(models.confirmed, (self.plan, part, part.points[at]), partial(kept, int(part.rows[at])))
-                   for part in parts for at in np.flatnonzero(np.isin(part.rows, sorted({*drawn} - finished))))
+        self._work(_Task(models.confirmed, (self.plan, part, part.points[at]), partial(keep, int(part.rows[at])))
+                   for part in parts for at in np.flatnonzero(np.isin(part.rows, left)))
 
     def _work(self, tasks: Iterator[_Task]) -> None:
-        """Do all tasks and what follows from them, which comes first; only so many are given out at a time."""
-        ready: deque[_Task] = deque()
+        """Do all tasks, each result as soon as it is there."""
         given: dict[Future[Any], _Task] = {}
         try:
             while True:
-                while len(given) < self.ahead:
-                    task = ready.popleft() if ready else next(tasks, None)
-                    if task is None:
-                        break
+                for task in islice(tasks, self.ahead - len(given)):
                     given[self.pool.submit(task.function, *task.arguments)] = task
                 if not given:
                     return
                 for future in wait(given, return_when=FIRST_COMPLETED).done:
-                    ready.extend(given.pop(future).then(future.result()))
+                    given.pop(future).then(future.result())
         finally:
             for future in given:
                 future.cancel()
-
-
-def _local(whole: bytes, points: Real) -> bytes:
-    """The local model for `points` (k, numbers), pickled as the model that it is a part of."""
-    with one_thread():
-        return pickle.dumps(pickle.loads(whole).local(points), protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def _evaluated(model: bytes, names: Sequence[str], rows: Indices, points: Real, figures: tuple[str, ...]) -> Rows:

@@ -1,9 +1,10 @@
 """The folder of a study: what was asked, and every point that is finished, each file written whole or not at all.
 
     begun.json          what was asked; a study that asks something else is refused
-    models/0.npz        the model of a part, see `workbench.ranges.RangeModel.save`
-    points/00000000.npz finished points, called after the first of them
-    points/full.00000042.npz   the full solve of a point
+    models/0.npz                the range model of a part, see `workbench.ranges.RangeModel.save`
+    models/0.pickle             the model made from it (only a folder that one trusts is to be gone on with)
+    points/00000000.npz         finished points, called after the first of them
+    points/full.00000042.npz    the full solve of a point
 
 A run that is killed at any moment goes on from here: nothing is ever half there, and what is not there is done again.
 """
@@ -91,7 +92,7 @@ class StudyFolder:
 
     def model(self, part: Part) -> Path:
         """The file of the model of a part."""
-        return self.path / _MODELS / f"{part.number}.npz"
+        return self.path / _MODELS / f"{part.number}.pickle"
 
     def keep(self, rows: Rows) -> None:
         """Put finished points on the disk; they are there when this returns."""

@@ -47,8 +47,8 @@ Real = NDArray[np.float64]
 #: Called with what is being done and the share of it that is done.
 Progress = Callable[[str, float], None]
 
-#: Samples unless told otherwise: the interval of a yield is then at most 4.5 % to either side.
-SAMPLES = 500
+#: Samples unless told otherwise: the interval of a yield is then at most 2.2 % to either side.
+SAMPLES = 2000
 
 #: Figures that are shown whether or not they are required.
 ALWAYS = ("f0", "z_min", "q")
@@ -177,7 +177,7 @@ def tolerance(
     extra = check_figures(figures, chip.regions, source=chip.file, field="figures")
     drive = drive or VoltageDrive()
     asked = quantities(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
-    _check(known, required, samples, sobol_points, chip)
+    check(known, required, samples, sobol_points, chip, source="tolerance")
     say("full solves", 0.0)
     full = _Full(chip, state, asked, Operation(thermal_resistance=thermal_resistance or {}), registry, band, accuracy)
     if not tracking:
@@ -199,14 +199,22 @@ def _required(requirements: Sequence[Requirement | str], chip: Chip) -> tuple[Re
     return tuple(next(parsed) if isinstance(each, str) else each for each in requirements)
 
 
-def _check(known: Uncertainty, required: Sequence[Requirement], samples: int, sobol_points: int, chip: Chip) -> None:
+def check(
+    known: Uncertainty, required: Sequence[Requirement], samples: int, sobol_points: int, chip: Chip, *,
+    source: str = "command line", names: tuple[str, str] = ("samples", "sobol_points"),
+) -> None:
+    """Refuse what :func:`tolerance` cannot do, before anything is solved; `names` are those of the two counts.
+
+    Raises:
+        InputError: nothing uncertain, no sample, or Sobol indices that are not defined.
+    """
     if samples < 1:
-        raise InputError("tolerance", "samples", samples, "one sample at least")
+        raise InputError(source, names[0], samples, "one sample at least")
     if required and not known.inputs:
         raise InputError(chip.file, "uncertainty", "nothing", 'something uncertain: a tolerance in the chip file, an '
                          'uncertainty in the registry, or a word such as "substrate.thickness = 20 um"')
     if sobol_points:
-        check_sobol(known, sobol_points, source="tolerance", field="sobol")
+        check_sobol(known, sobol_points, source=source, field=names[1])
 
 
 @dataclass(frozen=True, eq=False)

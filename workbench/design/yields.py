@@ -67,7 +67,7 @@ class Bound:
 
     def met(self, values: Real) -> Bools:
         """Which figures (n,) will do; one that does not exist, NaN, will not."""
-        return (values >= self.low) & (values <= self.high)
+        return self.requirement.met(values, self.nominal)
 
 
 def bound(requirement: Requirement, label: str, nominal: float) -> Bound:
