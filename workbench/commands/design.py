@@ -188,6 +188,6 @@ def _tell(found: Design) -> None:
         if found.best.candidate.active:
             print_table("", active_table(found.best.candidate, found.goal.objectives[0]))
     if found.front:
-        print_table("front", front_table(found))
+        print_table(f"of {len(found.front)} chips between the objectives", front_table(found, confirmed_only=True))
     for line in summary_lines(found):
         print_line(line)

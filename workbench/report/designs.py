@@ -135,11 +135,13 @@ def choices_table(design: Design) -> Table:
     return Table(("choice", objective.figure, "remark", "starts at its best"), tuple(rows))
 
 
-def front_table(design: Design) -> Table:
-    """The chips between two objectives."""
+def front_table(design: Design, *, confirmed_only: bool = False) -> Table:
+    """The chips between two objectives, or those of them that a full solve was made of."""
     names = [each.name for each in design.goal.unknowns]
     rows = []
     for each in design.front:
+        if confirmed_only and not isinstance(each, Confirmed):
+            continue
         candidate = each.candidate if isinstance(each, Confirmed) else each
         values = [shown(o.figure, value_of(o, v)) for o, v in zip(design.goal.objectives, candidate.objectives,
                                                                   strict=True)]
