@@ -19,6 +19,7 @@ from materials.kinds import Piezoelectric
 from materials.passivity import smallest_dissipation
 from materials.registry import Registry
 from workbench.design import stated
+from workbench.design.centre import centred
 from workbench.design.stated import numbers_of, parse_statement, read_statements, stated_uncertainty
 from workbench.design.uncertainty import CUT, Input, Uncertainty, from_limits, from_standard
 from workbench.files.errors import InputError
@@ -212,6 +213,21 @@ def test_a_fit_is_taken_with_its_correlations_and_without_its_bench(tmp_path: Pa
     # The chip's own numbers belong to what a model has to cover.
     low, high = known.ranges(numbers_of(fill(chip())))[f"{PZT}.c33"]
     assert low <= fill(chip()).materials["transducer"].parameters()["c33"].real <= high
+
+
+def test_a_chip_at_the_means_of_a_fit_has_its_numbers(tmp_path: Path) -> None:
+    known = stated_uncertainty(chip(), posteriors=[fitted_json(tmp_path)])
+    there = fill(*reordered(centred(chip(), None, known.nominal())))
+    numbers = numbers_of(there)
+    assert {name: numbers[name] for name in known.names} == pytest.approx(known.nominal(), rel=1e-12)
+    before = numbers_of(fill(chip()))
+    others = set(before) - set(known.names)
+    assert {name: numbers[name] for name in others} == {name: before[name] for name in others}
+
+
+def reordered(found: tuple[Chip, Registry]) -> tuple[Chip, None, Registry]:
+    """The arguments of `fill`, for the state of the chip itself."""
+    return found[0], None, found[1]
 
 
 def test_a_fit_of_a_material_that_was_saved_is_known_by_that_name(tmp_path: Path) -> None:

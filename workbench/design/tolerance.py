@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.registry import Registry
+from workbench.design.centre import centred
 from workbench.design.drives import Driven, Quantity, by_drive, label_of, quantities, together
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import check_figures
@@ -179,7 +180,10 @@ def tolerance(
     asked = quantities(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
     check(known, required, samples, sobol_points, chip, source="tolerance")
     say("full solves", 0.0)
-    full = _Full(chip, state, asked, Operation(thermal_resistance=thermal_resistance or {}), registry, band, accuracy)
+    # What a fit says may lie far from what chip file and registry do: a model of both would be large for nothing.
+    there, with_means = centred(chip, registry, known.nominal())
+    operation = Operation(thermal_resistance=thermal_resistance or {})
+    full = _Full(there, device.state.name, asked, operation, with_means, band, accuracy)
     if not tracking:
         full = replace(full, operation=replace(full.operation, frequency=full.resonance(known.nominal())))
     names = names_to_ask(known, list(numbers_of(device)), every=every)
@@ -189,7 +193,7 @@ def tolerance(
                       sensitivities(nominal, known), bounds, seed)
     if known.inputs and (bounds or sobol_points):
         found = _sampled(found, full, samples if bounds else 0, sobol_points, model_tolerance, say,
-                         known.ranges(numbers_of(device)))
+                         known.ranges(numbers_of(fill(there, state, with_means))))
     return replace(found, seconds=time.perf_counter() - started)
 
 
@@ -222,7 +226,7 @@ class _Full:
     """Full solves of one chip at the drives of what is asked."""
 
     chip: Chip
-    state: str | None
+    state: str
     asked: tuple[Quantity, ...]
     operation: Operation
     registry: Registry | None

@@ -190,7 +190,8 @@ def _tightened(k: int, uncertainty: Uncertainty, points: Real, many: Real, met: 
     weights = each.halved_weights(many[:, k])
     # What is cut off from the law is missing from the mean of the weights.
     size = float(weights.mean())
-    gains = (weights / size - 1.0) * met.many
+    # Less the yield itself, which changes no mean and is known where all samples pass.
+    gains = (weights / size - 1.0) * (met.many - met.many.mean())
     off = (each.halved_weights(points[:, k]) / size - 1.0) * met.off
     error = math.sqrt(float(gains.var()) / gains.size + float(off.var()) / off.size)
     return Tightening(each.name, float(gains.mean() + off.mean()), error, float(gains.mean()))
