@@ -117,26 +117,32 @@ class Bench:
                 "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
-def whole_way(folder: Path) -> None:
-    """All stages; everything they leave is below `folder`, which must not exist."""
-    bench = Bench(folder)
-    hidden = ("--materials", "truth", *FINER)
+#: What only the simulated bench is told.
+HIDDEN = ("--materials", "truth", *FINER)
 
+
+def measured_materials(bench: Bench) -> None:
+    """The disc and the printed sample, measured, fitted and saved."""
     for name, held in (("open", "open"), ("short", "short"), ("load", "50 ohm")):
         bench.measure(name, "--connect", held, compensated=False)
 
-    bench.measure("disc", "truth/disc.toml", *hidden)
+    bench.measure("disc", "truth/disc.toml", *HIDDEN)
     bench.run("fit", "pzt", "disc.csv", "--chip", "disc.toml", "--material", "pzt4/comsol_nominal",
               "--free", "default,bench.clock", "--save", "pzt_bench/disc", "-o", "fit_disc")
 
-    bench.measure("sample", "truth/disc_on_pla.toml", *hidden)
+    bench.measure("sample", "truth/disc_on_pla.toml", *HIDDEN)
     bench.run("fit", "polymer", "sample.csv", "--chip", "disc_on_pla.toml", "--material", "pla/acevedo_2026",
               "--free", "default,couplant.thickness,bench.clock", "--save", "pla_bench/print", "-o", "fit_sample")
 
+
+def whole_way(folder: Path) -> None:
+    """All stages; everything they leave is below `folder`, which must not exist."""
+    bench = Bench(folder)
+    measured_materials(bench)
     bench.run("materials", "list")
     bench.run("simulate", "chip.toml", "-o", "chip")
     for state in ("empty", "filled"):
-        bench.measure(f"chip_{state}", "truth/chip.toml", "--state", state, *hidden)
+        bench.measure(f"chip_{state}", "truth/chip.toml", "--state", state, *HIDDEN)
         bench.run("compare", f"chip_{state}.csv", "chip.toml", "--state", state, "-o", f"compare_{state}")
     if bench.has("diagnose"):
         bench.run("diagnose", "campaign.toml", "-o", "diagnosis")

@@ -31,7 +31,7 @@ from scipy.stats import qmc
 
 from geometry.chip import Chip
 from geometry.names import whole
-from geometry.stretch import tied
+from geometry.stretch import movable, tied
 from materials.registry import Registry
 from workbench.coefficients import Coefficients
 from workbench.dimensions import flexible
@@ -285,6 +285,10 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
         low, high = map(float, ends)
         if not low < high:
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}", "a lower number, then a higher one")
+        if known in first and movable(chip, known, low, high) != (low, high):
+            least, most = movable(chip, known)
+            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g} m", "a range that keeps away from the "
+                             f"next radii, within {least:g} to {most:g} m")
         if not low <= part(flexed.values, known) <= high:
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}",
                              f"a range that holds the present {part(flexed.values, known):g}")

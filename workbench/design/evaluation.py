@@ -267,7 +267,10 @@ class _Operating:
         if of_trap and cavity.particle is None:
             missing.update(dict.fromkeys(of_trap, "the state names no particle"))
         elif of_trap:
-            _trap_figures(find_trap(field_there), square, found, missing)
+            try:
+                _trap_figures(find_trap(field_there), square, found, missing)
+            except NoTrap as error:
+                missing.update(dict.fromkeys(of_trap, str(error)))
 
     def _field(self, cavity: Cavity) -> CavityField:
         question, pressure = self.question, self.question.pressure

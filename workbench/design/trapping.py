@@ -22,6 +22,12 @@ from workbench.traps import RASTER_POINTS
 
 Real = NDArray[np.float64]
 
+#: Shares of radius and height below which a step of Newton's method is the last one, and most steps of it.
+SETTLED, STEPS = 1e-9, 60
+#: A curvature of less than this share of the other one, by shares of radius and height, is none: rounding leaves 1e-12.
+FLAT = 1e-6
+#: Share of the radius by which a place leaves the axis where the potential has its maximum on it.
+OFF_AXIS = 1e-3
 #: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
 RULE = 24
 #: The part of a quarter wavelength above the trap over which focusing is timed (`workbench.traps.focus_time`).
@@ -65,15 +71,15 @@ def largest_square(field: CavityField) -> Dual:
 
 
 def find_trap(field: CavityField) -> FoundTrap:
-    """The lowest place of the potential, and what follows from it."""
+    """The lowest place of the potential, and what follows from it.
+
+    Raises:
+        NoTrap: the potential is so flat there that no place is the lowest.
+    """
     along_xi, along_eta = _raster(field)
     values = along_xi @ field.coefficients[POTENTIAL] @ along_eta.T
     (i, j), (k, m) = (np.unravel_index(int(each), values.shape) for each in (np.argmin(values), np.argmax(values)))
-    steps = np.array([1.0 / (n - 1) for n in values.shape])
-    place = np.array([i, j]) * steps
-    # On the axis the potential is even in the radius, at a wall the trap stays at the wall.
-    free = np.array([0 < i < values.shape[0] - 1, 0 < j < values.shape[1] - 1])
-    place = _minimum(field, place, free, steps)
+    place, free = _minimum(field, np.array([i, j]) / (np.array(values.shape) - 1.0))
     along = _at_place(place, field)
 
     def derivative(in_xi: int, in_eta: int) -> Dual:
@@ -177,26 +183,49 @@ def _hessian(field: CavityField, along: tuple[Real, Real]) -> Real:
     return np.array([[in_xi[2] @ potential @ in_eta[0], mixed], [mixed, in_xi[0] @ potential @ in_eta[2]]])
 
 
-def _minimum(field: CavityField, start: Real, free: NDArray[np.bool_], steps: Real) -> Real:
-    """The minimum next to a point of the raster, by Newton's method in the directions that are free.
+def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
+    """The minimum (xi, eta) that the way down from a place leads to, and in which directions it may move.
 
-    A minimum is at most one step of the raster away; a step that goes further, or up, is none: the point is kept.
+    Newton's method with the absolute values of the curvatures, so that it goes down where they are negative, as far as
+    the potential falls and at most to a wall. On the axis the potential is even in the radius; at a wall that it falls
+    towards, the minimum stays there. Along a line on which it does not change, the place stays.
+
+    Raises:
+        NoTrap: no minimum after :data:`STEPS` steps.
     """
-    place, at = start.copy(), np.flatnonzero(free)
-    potential = field.coefficients[POTENTIAL]
-    for _ in range(20):
-        if not at.size:
-            break
+    place, potential = start.copy(), field.coefficients[POTENTIAL]
+
+    def value(at: Real) -> float:
+        in_xi, in_eta = _at_place(at, field)
+        return float(in_xi[0] @ potential @ in_eta[0])
+
+    here = value(place)
+    for _ in range(STEPS):
         along = _at_place(place, field)
         gradient = np.array([along[0][1] @ potential @ along[1][0], along[0][0] @ potential @ along[1][1]])
-        hessian = _hessian(field, along)[np.ix_(at, at)]
-        if np.linalg.eigvalsh(hessian)[0] <= 0.0:
-            return start
+        hessian = _hessian(field, along)
+        held = ((place <= 0.0) & (gradient > 0.0)) | ((place >= 1.0) & (gradient < 0.0))
+        # On the axis there is no slope along the radius: the curvature tells whether it is a minimum there.
+        held[0] |= place[0] == 0.0 and hessian[0, 0] >= 0.0
+        free = ~held
+        if place[0] == 0.0 and free[0]:
+            place[0] = OFF_AXIS
+            continue
+        at = np.flatnonzero(free)
         step = np.zeros(2)
-        step[at] = -np.linalg.solve(hessian, gradient[at])
-        place = place + step
-        if (np.abs(place - start) > 2.0 * steps).any():
-            return start
-        if np.abs(step).max() < 1e-13:
-            break
-    return place
+        if at.size:
+            curvatures, axes = np.linalg.eigh(hessian[np.ix_(at, at)])
+            least = FLAT * np.abs(hessian).max()
+            step[at] = -axes @ ((axes.T @ gradient[at]) / np.maximum(np.abs(curvatures), least))
+        if np.abs(step).max() < SETTLED:
+            if at.size and curvatures[0] < -least:
+                break
+            # Where the potential is flat, any place is as good, and the trap stays.
+            return place, free & (np.diag(hessian) > FLAT * np.abs(hessian).max())
+        for halvings in range(30):
+            further = np.clip(place + 0.5**halvings * step, 0.0, 1.0)
+            there = value(further)
+            if there < here or np.abs(further - place).max() < SETTLED:
+                break
+        place, here = further, there
+    raise NoTrap("the potential is too flat about its lowest place for a trap to be found")
