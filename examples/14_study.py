@@ -3,7 +3,7 @@
 
 How far off may a print be? A study asks for figures of a chip at many points: here the height of the cavity and the
 thickness of its floor vary within what a printer leaves, and the lid is of one glass or another. The drive follows f0,
-as on a bench. What is finished is on the disk at once: run again, the script only reads it.
+as on a bench. What is finished is on the disk at once.
 
 Reference number: each 10 um of height of the cavity lowers f0 by 1.4 to 1.5 kHz, below either glass. Water of 0.72 mm
 is half a wavelength high at 1.03 MHz, and f0 is above that: a higher cavity pulls it down.
@@ -21,7 +21,8 @@ ROOT = Path(wb.__file__).resolve().parent.parent
 def main() -> None:
     """Run the study; its workers are processes that read this file too, hence the guard below."""
     plan = wb.read_study(ROOT / "examples" / "small_study" / "study.toml")
-    found = wb.study(plan, Path("out") / "study", jobs=2)
+    # Without `overwrite` a run goes on where it was interrupted, and refuses the folder of another study.
+    found = wb.study(plan, Path("out") / "study", jobs=2, overwrite=True)
     columns = found.columns
     for lid in np.unique(columns["superstrate.material"]):
         there = columns["superstrate.material"] == lid

@@ -14,8 +14,9 @@ import pytest
 import workbench as wb
 
 ROOT = Path(__file__).resolve().parent.parent
-#: The examples of the gallery that are run; those from 10 to 13 take minutes to hours.
-SHORT = sorted([*(ROOT / "examples").glob("0*.py"), *(ROOT / "examples").glob("1[4-9]_*.py")])
+#: The examples of the gallery that are run; those from 10 to 13 take minutes to hours, those from 16 to 18
+#: minutes (`tests/benchmarks/design.py` runs what they show).
+SHORT = sorted([*(ROOT / "examples").glob("0*.py"), *(ROOT / "examples").glob("1[45]_*.py")])
 #: What takes more than some ten seconds on a quiet machine.
 SLOW = {"05_fit_a_polymer", "07_diagnose_a_campaign", "14_study"}
 #: What an example may import beside `workbench`: the standard library and numpy.

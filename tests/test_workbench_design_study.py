@@ -324,16 +324,27 @@ def test_a_cluster_that_does_not_answer_is_a_clear_error(
     assert f"--dask: received '{address}'" in capsys.readouterr().err
 
 
+def test_no_jobs_and_another_study_are_mistakes_of_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(read(tmp_path, SOBOL), tmp_path / "out")
+    asked = ["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out")]
+    assert main([*asked, "--jobs", "0"]) == 2
+    assert "--jobs: received 0" in capsys.readouterr().err
+    read(tmp_path, SOBOL.replace("seed = 5", "seed = 6"))
+    assert main(asked) == 2
+    assert "sample.seed: received '6'; expected '5', with which the study in" in capsys.readouterr().err
+
+
 def test_pictures_of_every_state(tmp_path: Path) -> None:
-    plan = read(tmp_path, SOBOL.replace('"superstrate.material"', '"couplant.thickness" = { values = ["10 um", "20 um"]'
-                                        ' }\n"superstrate.material"'))
+    plan = read(tmp_path, SOBOL.replace('["f0", "z_min", "mean_e_ac"]', '["f0", "z_min"]').replace(
+        '"superstrate.material"', '"couplant.thickness" = { values = ["10 um", "20 um"] }\n"superstrate.material"'))
     found = run(plan, tmp_path / "out", models=FormulaModels(without=0.5e-3))
     pictures = draw(found, tmp_path / "out")
     # The second figure is missing everywhere: nothing is drawn of it.
     assert {each.path.name for each in pictures} == {
         f"{kind}_{state}{figure}.png" for state in plan.states
-        for kind, figure in (("parallel", ""), *((k, f"_{name}") for k in ("slices", "maps")
-                                                 for name in ("f0", "mean_e_ac")))}
+        for kind, figure in (("parallel", ""), ("slices", "_f0"), ("maps", "_f0"))}
     assert all(each.path.stat().st_size > 5_000 for each in pictures)
 
 

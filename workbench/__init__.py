@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from geometry.chip import Chip as Chip
     from geometry.chip import read_chip as read_chip
+    from geometry.chip_file import write_chip as write_chip
     from materials.registry import Registry as Registry
     from workbench.bench.setup import read_bench as read_bench
     from workbench.bench.sweep import measure as measure
@@ -30,9 +31,13 @@ if TYPE_CHECKING:
     from workbench.comparison import compare as compare
     from workbench.design.evaluation import Evaluation as Evaluation
     from workbench.design.evaluation import Operation as Operation
+    from workbench.design.goal import Goal as Goal
+    from workbench.design.goal import read_goal as read_goal
     from workbench.design.model import DesignModel as DesignModel
     from workbench.design.model import design_model as design_model
     from workbench.design.model import full_evaluation as full_evaluation
+    from workbench.design.optimisation import Design as Design
+    from workbench.design.optimisation import optimise as optimise
     from workbench.design.plan import Study as Study
     from workbench.design.plan import read_study as read_study
     from workbench.design.stated import stated_uncertainty as stated_uncertainty
@@ -69,10 +74,12 @@ PUBLIC = {
     "Campaign": "workbench.diagnosis.campaign",
     "Chip": "geometry.chip",
     "Comparison": "workbench.comparison",
+    "Design": "workbench.design.optimisation",
     "DesignModel": "workbench.design.model",
     "Diagnosis": "workbench.diagnosis.verdict",
     "Evaluation": "workbench.design.evaluation",
     "Figures": "workbench.merit",
+    "Goal": "workbench.design.goal",
     "InputError": "workbench.files.errors",
     "MaterialFit": "workbench.fitting.recordings",
     "Operation": "workbench.design.evaluation",
@@ -96,18 +103,21 @@ PUBLIC = {
     "fit": "workbench.fitting.recordings",
     "full_evaluation": "workbench.design.model",
     "measure": "workbench.bench.sweep",
+    "optimise": "workbench.design.optimisation",
     "parse_drive": "workbench.drive",
     "range_model": "workbench.ranges",
     "read_bench": "workbench.bench.setup",
     "read_campaign": "workbench.diagnosis.campaign",
     "read_chip": "geometry.chip",
+    "read_goal": "workbench.design.goal",
     "read_recording": "workbench.readers",
     "read_study": "workbench.design.plan",
     "simulate": "workbench.simulation",
     "snapshot": "workbench.simulation",
     "stated_uncertainty": "workbench.design.stated",
-    "tolerance": "workbench.design.tolerance",
     "study": "workbench.design.study",
+    "tolerance": "workbench.design.tolerance",
+    "write_chip": "geometry.chip_file",
 }
 
 __all__ = sorted(PUBLIC)

@@ -358,6 +358,16 @@ def _import(sub: argparse.ArgumentParser) -> None:
     sub.set_defaults(command="import_waveforms")
 
 
+def _design(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("goal", type=Path, metavar="GOAL.toml",
+                     help="what may change, what is to be best, what must hold; see workbench/design/goal.py")
+    sub.add_argument("--workers", type=int, metavar="N", help="processes for the starts (default: one for each core)")
+    sub.add_argument("--no-cad", action="store_true", help="leave the solid model out")
+    _with_accuracy(sub)
+    _with_materials(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
 #: What every command is for, and what adds its options.
 COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
@@ -370,6 +380,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "tolerance": ("what tolerances leave of a chip: what matters, yield, what to make more exactly", _tolerance),
     "fit": ("find material constants from recordings, with intervals, and save them", _fit),
     "diagnose": ("locate what differs between model and recordings, and name the physics left out", _diagnose),
+    "design": ("the best chip for a goal: lengths, stock and materials, confirmed by full solves", _design),
     "measure": ("sweep on the bench into a run file that loses nothing, with spectrum and report", _measure),
     "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
     "bench": ("the instruments: what is plugged in, whether it works, and a simulated bench", _bench),

@@ -175,7 +175,10 @@ def asked_of(study: Study, parts: Sequence[Part]) -> dict[str, str]:
         **{f"vary.{axis.name}": _described(axis) if isinstance(axis, NumberAxis) else ", ".join(axis.materials)
            for axis in study.axes}}
     for part in parts:
-        held = fill(part.chip, part.state, study.registry).materials
+        held = dict(fill(part.chip, part.state, study.registry).materials)
+        particle = part.chip.state(part.state).particle
+        if particle is not None:
+            held["particle"] = study.registry.load(particle)
         found[f"materials of {part.label}"] = ", ".join(
             f"{region}: {m.name} {_digest(repr(m))}" for region, m in sorted(held.items()))
     return found

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 
+#: Dots per inch: a report holds many of these pictures.
+DOTS = 100
+
+#: Quantiles at which the colours of parallel coordinates end, so that a few points far off do not take all of them.
+COLOURED = (0.02, 0.98)
+
 #: Lines of a picture of parallel coordinates: more hide each other.
 MOST_LINES = 1500
 
@@ -67,6 +73,9 @@ def draw_parallel(columns: Sequence[Column], colour: Column, path: Path, *, titl
 
     Of many points :data:`MOST_LINES`, evenly taken; points that have no colour are left out, and lines end where a
     figure is missing.
+
+    Raises:
+        ValueError: no point has a colour.
     """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
@@ -74,10 +83,12 @@ def draw_parallel(columns: Sequence[Column], colour: Column, path: Path, *, titl
     from matplotlib.colors import Normalize
 
     known = np.flatnonzero(np.isfinite(colour.values))
+    if not known.size:
+        raise ValueError(f"no point has {colour.label}")
     shown = known[np.unique(np.linspace(0, known.size - 1, min(known.size, MOST_LINES)).astype(int))]
     figure = new_figure(max(6.0, 1.45 * len(columns) + 1.2), 5.0)
     axes = figure.subplots()
-    norm = Normalize(*_ends(colour.values))
+    norm = Normalize(*_ends(np.quantile(colour.values[known], COLOURED)))
     ends = [_ends(column.values) for column in columns]
     heights = np.stack([(column.values[shown] - low) / (high - low)
                         for column, (low, high) in zip(columns, ends, strict=True)], axis=1)
@@ -99,9 +110,9 @@ def draw_parallel(columns: Sequence[Column], colour: Column, path: Path, *, titl
     axes.set_yticks([])
     axes.spines[:].set_visible(False)
     axes.set_title(title)
-    figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), ax=axes, label=colour.label, pad=0.02)
+    figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), ax=axes, label=colour.label, pad=0.02, extend="both")
     figure.tight_layout()
-    return save(figure, path)
+    return save(figure, path, dots_per_inch=DOTS)
 
 
 def draw_slices(parameters: Sequence[Column], found: Column, path: Path, *, title: str = "") -> Path:
@@ -129,7 +140,7 @@ def draw_slices(parameters: Sequence[Column], found: Column, path: Path, *, titl
         row[0].set_ylabel(found.label)
     figure.suptitle(title)
     figure.tight_layout()
-    return save(figure, path)
+    return save(figure, path, dots_per_inch=DOTS)
 
 
 def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title: str = "") -> Path:
@@ -144,8 +155,11 @@ def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title:
     if not 2 <= len(parameters) <= MOST_IN_PAIRS:
         raise ValueError(f"{len(parameters)} parameters; pairs are drawn of 2 to {MOST_IN_PAIRS}")
     size = len(parameters) - 1
-    figure = new_figure(2.3 * size + 2.4, 2.1 * size + 1.2)
-    figure.set_layout_engine("constrained")
+    width, height = 2.3 * size + 2.6, 2.1 * size + 1.4
+    figure = new_figure(width, height)
+    # Margins in inches: a layout that is solved for takes most of a second for fifteen panels.
+    figure.subplots_adjust(left=1.2 / width, right=1.0 - 1.4 / width, bottom=0.9 / height, top=1.0 - 0.5 / height,
+                           wspace=0.08, hspace=0.08)
     panels = figure.subplots(size, size, squeeze=False, sharex="col", sharey="row")
     means = {(i, j): _mean_over(parameters[j], parameters[i], found)
              for i in range(1, len(parameters)) for j in range(i)}
@@ -162,8 +176,9 @@ def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title:
         for axes in panels[row, row + 1:]:
             axes.set_visible(False)
     figure.suptitle(title)
-    figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), ax=panels, label=found.label, fraction=0.05, pad=0.02)
-    return save(figure, path)
+    bar = figure.add_axes((1.0 - 1.15 / width, 0.9 / height, 0.2 / width, 1.0 - 1.4 / height))
+    figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), cax=bar, label=found.label)
+    return save(figure, path, dots_per_inch=DOTS)
 
 
 def most_telling(parameters: Sequence[Column], found: Column, count: int = MOST_IN_PAIRS) -> tuple[Column, ...]:

@@ -1,0 +1,75 @@
+"""The three design tasks of the examples: what is gained, how many starts agree, what full solves say, the time.
+
+    .venv/bin/python tests/benchmarks/design.py [half_wave_chip stock_glass beads_at_one_watt] [--workers 2]
+
+Asked for: better than at first, the best optimum from at least 8 of 10 starts (of the choice of stock it belongs to),
+full solves within 1 %, at most 180 s each. Exit status 1 if a task misses one of these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from contextlib import nullcontext
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+
+from measurements import Measurements, measurements, with_json  # noqa: E402
+
+from workbench.design.executors import processes  # noqa: E402
+from workbench.design.goal import read_goal  # noqa: E402
+from workbench.design.optimisation import Design, optimise  # noqa: E402
+from workbench.report.designs import shown  # noqa: E402
+
+GOALS = ROOT / "examples" / "design"
+TASKS = ("half_wave_chip", "stock_glass", "beads_at_one_watt")
+#: What is asked of every task: share of the starts, relative difference from full solves, seconds.
+STARTS, DIFFERENCE, SECONDS = 0.8, 0.01, 180.0
+ROW = "{:<20}{:>14}{:>14}{:>10}{:>10}{:>12}{:>9}  {}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tasks", nargs="*", default=TASKS, metavar="TASK", help=f"of {', '.join(TASKS)} (default all)")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes for the starts (default 2)")
+    with_json(parser)
+    options = parser.parse_args()
+    print(ROW.format("task", "before", "after", "change", "starts", "difference", "time", "missed"))
+    passed = True
+    with (measurements(options.json) as found,
+          processes(options.workers) if options.workers > 1 else nullcontext() as executor):
+        for task in options.tasks:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                outcome = optimise(read_goal(GOALS / f"{task}.toml"), executor=executor)
+            passed &= _tell(task, outcome, found)
+    return 0 if passed else 1
+
+
+def _tell(task: str, outcome: Design, found: Measurements) -> bool:
+    """Print the row of a task; whether it is all that is asked for."""
+    objective, chosen, best = outcome.goal.objectives[0], outcome.chosen, outcome.best
+    seconds = outcome.seconds["total"]
+    found.add(f"{task}, time", seconds, "s")
+    if best is None:
+        print(ROW.format(task, "", "", "", "", "", f"{seconds:.0f} s", outcome.why_not))
+        return False
+    before, after = (each.figures[objective.figure] for each in (outcome.before, best.after))
+    worst = max(best.differences.values())
+    found.add(f"{task}, {objective.figure} over that at first", after / before, "1")
+    found.add(f"{task}, starts at the best", chosen.at_best, "1")
+    found.add(f"{task}, largest difference from full solves", worst, "1")
+    missed = [words for words, good in (
+        ("gain", (after > before) == objective.maximise), ("starts", chosen.at_best >= STARTS * len(chosen.attempts)),
+        ("difference", worst <= DIFFERENCE), ("time", seconds <= SECONDS)) if not good]
+    print(ROW.format(task, shown(objective.figure, before, 4), shown(objective.figure, after, 4),
+                     f"{100.0 * (after / before - 1.0):+.0f} %", f"{chosen.at_best}/{len(chosen.attempts)}",
+                     f"{100.0 * worst:.2g} %", f"{seconds:.0f} s", ", ".join(missed) or "nothing"))
+    return not missed
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,59 @@
+"""Boxes of lengths that models are made for: within the bounds of a goal, not wider than a model can be, and moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from workbench.design.variables import GRAIN, Length
+
+Box = Mapping[str, tuple[float, float]]
+
+#: How near (share of the box's width) to a side of its box an optimum lies on it.
+ON_SIDE = 1e-3
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far boxes extend: ``half_widths`` (m) by name of the length."""
+
+    half_widths: Mapping[str, float]
+
+    @classmethod
+    def relative(cls, lengths: Mapping[str, float], share: float) -> Reach:
+        """A `share` of each of the `lengths` (m)."""
+        return cls({name: share * value for name, value in lengths.items()})
+
+    def halved(self) -> Reach:
+        """Half as far."""
+        return Reach({name: 0.5 * width for name, width in self.half_widths.items()})
+
+    def about(self, middle: Mapping[str, float], variables: Sequence[Length]) -> dict[str, tuple[float, float]]:
+        """The box about a `middle` (m), moved inwards where it crosses the bounds of the variables."""
+        found = {}
+        for each in variables:
+            width = min(2.0 * self.half_widths[each.name], each.high - each.low)
+            low = min(max(middle[each.name] - 0.5 * width, each.low), each.high - width)
+            found[each.name] = (low, low + width)
+        return found
+
+
+def within(variables: Sequence[Length], box: Box) -> tuple[Length, ...]:
+    """The variables with the ranges of a box."""
+    return tuple(Length(each.name, *box[each.name], each.step) for each in variables)
+
+
+def middle(box: Box) -> dict[str, float]:
+    """The lengths (m) in the middle of a box."""
+    return {name: 0.5 * (low + high) for name, (low, high) in box.items()}
+
+
+def sides_within(lengths: Mapping[str, float], box: Box, variables: Sequence[Length]) -> tuple[str, ...]:
+    """The variables that lie on a side of the box that is no bound of theirs: beyond it may be better ones."""
+    found = []
+    for each in variables:
+        (low, high), value = box[each.name], lengths[each.name]
+        near = ON_SIDE * (high - low)
+        if (value < low + near and low > each.low + GRAIN) or (value > high - near and high < each.high - GRAIN):
+            found.append(each.name)
+    return tuple(found)

@@ -1,0 +1,170 @@
+"""A chip that a search proposes, what holds it where it is, and what a full solve says of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.chip import Chip
+from workbench.design.bounds import Bound
+from workbench.design.descent import Multipliers
+from workbench.design.evaluation import Evaluation
+from workbench.design.figures import figure
+from workbench.design.goal import Goal
+from workbench.design.programme import Point, Programme
+from workbench.design.search import Optimum
+from workbench.design.steps import settle
+from workbench.design.variables import Length, Selection, changed
+
+#: Largest relative difference between the figures of the model and of the full solve with which an optimum is accepted,
+#: and largest share of its scale by which a bound may then be missed.
+CONFIRMED = 0.01
+
+#: How far past a bound (in scales) a chip may be whose lengths were rounded.
+ROUNDED = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Active:
+    """A bound, or an end of a range, that holds an optimum: its ``text``, and the objective's relative gain for every
+    ``step`` (a text with its unit) that it is moved outwards."""
+
+    text: str
+    step: str
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A chip with its lengths on their steps.
+
+    ``selection`` of stock and materials; ``lengths`` (m) of all variables; ``point`` on the model, under the first
+    objective, and ``objectives`` (k,) under all; ``optimum`` the one between the steps that it comes of, None of an
+    evolutionary search; ``active`` what holds that.
+    """
+
+    selection: Selection
+    chip: Chip
+    lengths: Mapping[str, float]
+    point: Point
+    objectives: tuple[float, ...]
+    optimum: Optimum | None
+    active: tuple[Active, ...]
+    bounds: tuple[Bound, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether it keeps all bounds, as far as rounded lengths can."""
+        return self.point.violation <= ROUNDED
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """The texts of the bounds that it does not keep."""
+        return tuple(dict.fromkeys(bound.text for bound, margin in zip(self.bounds, self.point.margins, strict=True)
+                                   if not margin >= -ROUNDED))
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmed:
+    """A candidate and its figures ``after`` a full solve on its own mesh.
+
+    ``differences`` from the model, by figure, relative to the figure or to the scale of its bound; ``accepted`` if none
+    is above :data:`CONFIRMED` and all bounds hold; the ``statement`` says so in words.
+    """
+
+    candidate: Candidate
+    after: Evaluation
+    differences: Mapping[str, float]
+    accepted: bool
+    statement: str
+
+    @property
+    def chip(self) -> Chip:
+        return self.candidate.chip
+
+
+def settled(
+    goal: Goal, programme: Programme, optimum: Optimum, selection: Selection, evaluations: int
+) -> Candidate:
+    """The chip that an optimum becomes with its lengths on their steps."""
+    held, descent = settle(programme, optimum.descent, evaluations=evaluations)
+    rounded = {each.name: each.round(descent.point.lengths[each.name]) for each in held.variables}
+    lengths = {each.name: {**held.fixed, **rounded}[each.name] for each in goal.unknowns}
+    return proposed(goal, programme, lengths, selection, optimum)
+
+
+def proposed(
+    goal: Goal, programme: Programme, lengths: Mapping[str, float], selection: Selection,
+    optimum: Optimum | None = None,
+) -> Candidate:
+    """The chip of these `lengths` (m), one for each of the goal's unknowns."""
+    everything = {**selection.stock, **lengths}
+    chip = changed(goal.chip, everything, selection.materials, note=f"by {goal.source}")
+    fixed, nothing = programme.holding(lengths), np.zeros(0)
+    evaluations = fixed.evaluations(nothing, gradient=False)
+    points = [fixed.under(each).point(nothing, evaluations) for each in goal.objectives]
+    point = replace(points[0], x=programme.unknowns(lengths), lengths=dict(lengths))
+    active = () if optimum is None else active_bounds(goal, programme, optimum.descent.multipliers)
+    return Candidate(selection, chip, everything, point, tuple(each.objective for each in points), optimum, active,
+                     goal.bounds)
+
+
+def active_bounds(goal: Goal, programme: Programme, found: Multipliers) -> tuple[Active, ...]:
+    """What holds an optimum, that which gains most first."""
+    active = []
+    for bound, gain in zip(programme.bounds, found.bounds, strict=True):
+        if gain > 0.0:
+            active.append(Active(_told(bound), *_step(bound, float(gain))))
+    for each, low, high in zip(programme.variables, found.low, found.high, strict=True):
+        for gain, end, word, value in ((low, each.low, "lowest", _own(goal, each).low),
+                                       (high, each.high, "highest", _own(goal, each).high)):
+            if gain > 0.0:
+                what = "of its range" if math.isclose(end, value, rel_tol=1e-9) else "that a model covered"
+                step = 0.01 * end
+                active.append(Active(f"{each.name} at its {word} {what}, {1e3 * end:.6g} mm", f"{1e6 * step:.3g} um",
+                                     float(gain) * step / (each.high - each.low)))
+    return tuple(sorted(active, key=lambda each: -each.gain))
+
+
+def _own(goal: Goal, variable: Length) -> Length:
+    return next(each for each in goal.unknowns if each.name == variable.name)
+
+
+def _told(bound: Bound) -> str:
+    """The text of a bound, and which of its two ends is meant where it has two."""
+    return bound.text if "within" not in bound.text else f"{bound.text} ({'lower' if bound.above else 'upper'} end)"
+
+
+def _step(bound: Bound, multiplier: float) -> tuple[str, float]:
+    """A hundredth of a bound's scale in its unit, and the gain for it."""
+    factor, unit = (1e-6, "um") if bound.of_lengths else (figure(bound.figure).factor, figure(bound.figure).shown)
+    return f"{0.01 * bound.scale / factor:.3g} {unit}".strip(), 0.01 * multiplier
+
+
+def confirmed(goal: Goal, candidate: Candidate, after: Evaluation) -> Confirmed:
+    """What the figures `after` a full solve say of a candidate."""
+    nominal = candidate.point.evaluation.figures
+    differences = {}
+    for name in goal.figures:
+        scales = [bound.scale for bound in goal.bounds if not bound.of_lengths and bound.figure == name]
+        scale = min(scales, default=abs(after.figures[name]))
+        off = abs(nominal[name] - after.figures[name]) / scale if scale > 0.0 else math.inf
+        differences[name] = off if math.isfinite(off) else math.inf
+    worst = max(differences, key=lambda name: differences[name])
+    missed = [bound.text for bound in goal.bounds
+              if not bound.of_lengths and not bound.margin(after.figures) >= -CONFIRMED]
+    if differences[worst] > CONFIRMED:
+        why = after.missing.get(worst, "")
+        statement = (f"rejected: the full solve and the model differ by {100.0 * differences[worst]:.2g} % in {worst}"
+                     if not why else f"rejected: the full solve finds no {worst}: {why}")
+    elif missed:
+        statement = f"rejected: by the full solve it does not keep {', '.join(missed)}"
+    else:
+        statement = f"confirmed by a full solve: at most {100.0 * differences[worst]:.2g} % from the model, in {worst}"
+        past = [(bound.margin(after.figures), bound.text) for bound in goal.bounds if not bound.of_lengths]
+        if past and min(past)[0] < 0.0:
+            statement += f"; {min(past)[1]} is missed by {-100.0 * min(past)[0]:.1g} % of it"
+    return Confirmed(candidate, after, differences, differences[worst] <= CONFIRMED and not missed, statement)

@@ -1,0 +1,177 @@
+"""The way down from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB
+88-28, of scipy), and what holds its end where it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize, nnls
+
+from workbench.design.programme import KEPT, Point, Programme
+
+Real = NDArray[np.float64]
+
+#: Change of the objective (natural logarithm of the figure) below which a descent has ended.
+CONVERGED = 1e-6
+
+#: Derivative of the objective over the whole range of an unknown that a stationary point may be left with. Doubled,
+#: ends would differ by twice as much in a flat valley.
+STATIONARY = 1e-3
+
+#: A margin (in scales), or a distance to the end of a range (in ranges), below which a bound is active.
+ACTIVE = 1e-4
+
+#: Where a descent gets stuck, as where the resonance changes to another one, it goes on within a box around the best
+#: point, whose half-width (in ranges) shrinks by this factor from the whole range down to the last one.
+SHRINKING, SMALLEST = 0.25, 0.02
+
+#: Times that it goes on without finding anything better.
+IDLE = 2
+
+#: What a point without figures is worse by than the worst point known, in units of the objective.
+PENALTY = 1.0
+
+
+#: Evaluations without anything better after which a round ends: a line search takes ten at most.
+PATIENCE = 12
+
+
+class _Spent(Exception):
+    """The evaluations of a descent are used up."""
+
+
+class _Idle(Exception):
+    """A round finds nothing better any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """What a small step past a bound is worth: the objective falls by that much per scale, or per range.
+
+    ``bounds`` (m,) of the bounds; ``low`` and ``high`` (n,) of the ends of the ranges, zero where not active;
+    ``residual`` the largest derivative (per range) that they leave: a stationary point has none.
+    """
+
+    bounds: Real
+    low: Real
+    high: Real
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """The best point of a descent, from which ``start`` (n,), and the (objective, violation) of every evaluation."""
+
+    start: Real
+    point: Point
+    multipliers: Multipliers
+    path: tuple[tuple[float, float], ...]
+
+    @property
+    def stationary(self) -> bool:
+        """Whether no direction that the bounds leave goes down further."""
+        return self.multipliers.residual <= STATIONARY
+
+    @property
+    def feasible(self) -> bool:
+        """Whether its end keeps all bounds."""
+        return self.point.violation <= KEPT
+
+
+def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
+    """The best point that is found from `start` (n,) by at most so many `evaluations`."""
+    points: list[Point] = []
+    begun = 0
+
+    def evaluate(x: Real) -> Point:
+        for each in reversed(points):
+            if np.array_equal(each.x, x):
+                return each
+        if len(points) >= evaluations:
+            raise _Spent
+        if len(points) - max(begun, _last_gain(points)) > PATIENCE:
+            raise _Idle
+        points.append(programme(x))
+        return points[-1]
+
+    centre, width, idle = np.clip(np.asarray(start, dtype=float), 0.0, 1.0), 1.0, 0
+    try:
+        best = evaluate(centre)
+        while width >= SMALLEST and idle < IDLE and programme.variables:
+            before, begun = best, len(points)
+            with suppress(_Idle):
+                _follow(programme, evaluate, points, centre, width)
+            best = min(points, key=lambda each: each.rank)
+            if not best.exists or (best.violation <= KEPT and multipliers(best).residual <= STATIONARY):
+                break
+            idle = 0 if _better(best, before) else idle + 1
+            width, centre = SHRINKING * width, best.x
+    except _Spent:
+        pass
+    best = min(points, key=lambda each: each.rank)
+    return Descent(np.asarray(start, dtype=float), best, multipliers(best),
+                   tuple((each.objective, each.violation) for each in points))
+
+
+def _last_gain(points: list[Point]) -> int:
+    """How many points there were when the best one was found."""
+    return 0 if not points else 1 + min(range(len(points)), key=lambda k: points[k].rank)
+
+
+def _better(one: Point, other: Point) -> bool:
+    """Whether one point is better than another by more than a descent ends with."""
+    return one.rank[0] < other.rank[0] or (one.rank[0] == other.rank[0] and one.rank[1] < other.rank[1] - CONVERGED)
+
+
+def _follow(
+    programme: Programme, evaluate: Callable[[Real], Point], points: list[Point], centre: Real, width: float
+) -> None:
+    """SLSQP from `centre` (n,) within `width` to either side."""
+    def clipped(x: Real) -> Point:
+        return evaluate(np.clip(x, low, high))
+
+    def objective(x: Real) -> tuple[float, Real]:
+        point = clipped(x)
+        if point.exists:
+            return point.objective, point.slope
+        # No figures: worse than all that is known, so that the line search comes back.
+        worst = max((each.objective for each in points if each.exists), default=0.0)
+        return worst + PENALTY, np.zeros(len(x))
+
+    def margins(x: Real) -> Real:
+        point = clipped(x)
+        return point.margins if point.exists else np.full(len(programme.bounds), -PENALTY)
+
+    def jacobian(x: Real) -> Real:
+        point = clipped(x)
+        return point.jacobian if point.exists else np.zeros((len(programme.bounds), len(x)))
+
+    low, high = np.maximum(0.0, centre - width), np.minimum(1.0, centre + width)
+    constraints = [{"type": "ineq", "fun": margins, "jac": jacobian}] if programme.bounds else []
+    minimize(objective, centre, jac=True, method="SLSQP", bounds=list(zip(low, high, strict=True)),
+             constraints=constraints, options={"ftol": CONVERGED, "maxiter": 1000})
+
+
+def multipliers(point: Point) -> Multipliers:
+    """The multipliers of the bounds and ends that are active at `point`: none is negative, and what is left of the
+    slope is as small as they can make it (non-negative least squares)."""
+    count, size = len(point.margins), len(point.x)
+    nothing = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), math.inf if not point.exists else 0.0)
+    if not point.exists or not size:
+        return nothing
+    bounds = np.flatnonzero(point.margins <= ACTIVE)
+    low, high = np.flatnonzero(point.x <= ACTIVE), np.flatnonzero(point.x >= 1.0 - ACTIVE)
+    unit = np.eye(size)
+    columns = np.concatenate([point.jacobian[bounds], unit[low], -unit[high]]).T
+    found = nnls(columns, point.slope)[0] if columns.shape[1] else np.zeros(0)
+    left = point.slope - columns @ found
+    result = Multipliers(np.zeros(count), np.zeros(size), np.zeros(size), float(np.abs(left).max()))
+    for target, indices, part in zip((result.bounds, result.low, result.high), (bounds, low, high),
+                                     np.split(found, np.cumsum([bounds.size, low.size])), strict=True):
+        target[indices] = part
+    return result

@@ -1,0 +1,167 @@
+"""Evolutionary search (pymoo: Blank and Deb 2020, IEEE Access 8, 89497) for what has no slope: stock lengths, steps,
+and the front between two objectives. Its genetic algorithm for mixed variables sorts by ranks and crowding."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.goal import Search
+from workbench.design.programme import Point, Programme
+from workbench.design.variables import Length, Stock
+
+if TYPE_CHECKING:
+    from pymoo.core.problem import Problem
+
+Real = NDArray[np.float64]
+
+#: What points without figures are given as objective and as broken margin: worse than any that has them.
+NOTHING = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One member of a population: its ``lengths`` (m), and its point under every objective."""
+
+    lengths: Mapping[str, float]
+    points: tuple[Point, ...]
+
+    @property
+    def objectives(self) -> Real:
+        """(k,), to be small."""
+        return np.array([each.objective for each in self.points])
+
+
+def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> Member:
+    """The member of these lengths (m): evaluated once, judged by every programme."""
+    x = programmes[0].unknowns(lengths)
+    evaluations = programmes[0].evaluations(x, gradient=False)
+    return Member(lengths, tuple(each.point(x, evaluations) for each in programmes))
+
+
+def evolve(
+    programmes: Sequence[Programme], stock: Sequence[Stock], search: Search,
+    first: Sequence[Mapping[str, float]] = (), *, executor: Executor | None = None,
+    say: Callable[[float], None] | None = None, better: Callable[[Member], None] | None = None,
+) -> list[Member]:
+    """The members of the last generation that none dominates: one under one objective, the front between two.
+
+    `first` are lengths (m) that the first generation has among its random ones; `better` is called with every member
+    that is better than all before under the first objective. Members that keep all bounds go before
+    those that do not; where none does, the one nearest to it is returned.
+    """
+    from pymoo.core.mixed import MixedVariableGA, MixedVariableSampling
+    from pymoo.core.population import Population
+    from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
+    from pymoo.optimize import minimize
+
+    genes = [_gene(each, stock) for each in programmes[0].variables]
+    total = search.generations * search.population
+    seen: list[Member] = []
+
+    def evaluate(rows: Sequence[Mapping[str, Any]]) -> list[Member]:
+        lengths = [{gene.name: gene.length(row[gene.name]) for gene in genes} for row in rows]
+        if executor is None:
+            found = [judge(programmes, each) for each in lengths]
+        else:
+            # In a few parcels: the model goes with each.
+            found = list(executor.map(judge, [programmes] * len(lengths), lengths,
+                                      chunksize=max(1, math.ceil(len(lengths) / 4))))
+        for each in found:
+            if better is not None and each.points[0].rank < min((one.points[0].rank for one in seen),
+                                                                default=(True, math.inf)):
+                better(each)
+            seen.append(each)
+        if say is not None:
+            say(min(1.0, len(seen) / total))
+        return found
+
+    problem = _problem(genes, programmes, evaluate)
+    sampled = MixedVariableSampling().do(problem, search.population, random_state=np.random.default_rng(search.seed))
+    given = [{gene.name: gene.nearest(each[gene.name]) for gene in genes} for each in first]
+    if given:
+        sampled = Population.merge(Population.new("X", given), sampled[: max(0, search.population - len(given))])
+    algorithm = MixedVariableGA(pop_size=search.population, sampling=sampled, survival=RankAndCrowding())
+    minimize(problem, algorithm, ("n_gen", search.generations), seed=search.seed, verbose=False)
+    return undominated(seen)
+
+
+def undominated(members: Sequence[Member]) -> list[Member]:
+    """Those that keep all bounds and that no other one is better than in all objectives, by the first objective.
+
+    Where none keeps the bounds, the one nearest to it alone.
+    """
+    existing = [each for each in members if each.points[0].exists]
+    kept = [each for each in existing if not each.points[0].rank[0]]
+    if not kept:
+        return sorted(existing, key=lambda each: each.points[0].rank)[:1]
+    found: list[Member] = []
+    for each in sorted(kept, key=lambda one: tuple(one.objectives)):
+        if not any(np.all(other.objectives <= each.objectives) for other in found):
+            found.append(each)
+    return found
+
+
+@dataclass(frozen=True)
+class _Gene:
+    """A length as pymoo varies it: a choice of the stock, a number of steps, or any number between two ends."""
+
+    name: str
+    low: float
+    high: float
+    step: float | None
+    values: tuple[float, ...]
+
+    def variable(self) -> Any:
+        from pymoo.core.variable import Choice, Integer
+        from pymoo.core.variable import Real as RealVariable
+
+        if self.values:
+            return Choice(options=list(range(len(self.values))))
+        if self.step is not None:
+            return Integer(bounds=(math.ceil(self.low / self.step - 1e-6), math.floor(self.high / self.step + 1e-6)))
+        return RealVariable(bounds=(self.low, self.high))
+
+    def length(self, value: Any) -> float:
+        """The length (m) that a value of the variable is."""
+        if self.values:
+            return self.values[int(value)]
+        return Length(self.name, self.low, self.high, self.step).round(
+            float(value) if self.step is None else int(value) * self.step)
+
+    def nearest(self, length: float) -> Any:
+        """The value of the variable nearest to a length (m)."""
+        if self.values:
+            return min(range(len(self.values)), key=lambda k: abs(self.values[k] - length))
+        value = min(max(length, self.low), self.high)
+        return value if self.step is None else round(Length(self.name, self.low, self.high, self.step).round(value)
+                                                     / self.step)
+
+
+def _gene(variable: Length, stock: Sequence[Stock]) -> _Gene:
+    values = next((each.values for each in stock if each.name == variable.name), ())
+    return _Gene(variable.name, variable.low, variable.high, variable.step, values)
+
+
+def _problem(
+    genes: Sequence[_Gene], programmes: Sequence[Programme],
+    evaluate: Callable[[Sequence[Mapping[str, Any]]], list[Member]],
+) -> Problem:
+    """The problem as pymoo wants it."""
+    from pymoo.core.problem import Problem as PymooProblem
+
+    class Chips(PymooProblem):
+        def _evaluate(self, rows: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
+            members = evaluate(rows)
+            out["F"] = np.array([np.nan_to_num(each.objectives, nan=NOTHING) for each in members])
+            if programmes[0].bounds:
+                out["G"] = np.array([np.nan_to_num(-each.points[0].margins, nan=NOTHING) for each in members])
+
+    return Chips(vars={gene.name: gene.variable() for gene in genes}, n_obj=len(programmes),
+                 n_ieq_constr=len(programmes[0].bounds))

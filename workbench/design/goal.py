@@ -1,0 +1,348 @@
+"""What a chip is to be best at, what of it may change, and what it must keep to: the content of GOAL.toml.
+
+    [goal]
+    chip = "chip.toml"                        # where the search starts; the path is relative to this file
+    state = "filled"
+    drive = "10 Vpp"                          # or "1 W": a figure per volt or per watt is the figure at that drive
+    maximise = "e_ac"                         # or minimise = "focus_time"; two of them give a Pareto front
+    constraints = ["trap_offset within 50 um of 0 um", "heating <= 5 K",
+                   "substrate.radius - cavity.radius >= 0.8 mm"]
+
+    [variables]
+    substrate.thickness = { from = "0.7 mm", to = "1.0 mm", step = "20 um" }    # layers of a printer
+    sidewall.thickness = { from = "0.65 mm", to = "0.8 mm" }
+    superstrate.thickness = { values = ["0.15 mm", "0.5 mm", "1.0 mm"] }        # stock
+    superstrate.material = { materials = ["soda_lime_glass", "borosilicate_glass"] }
+
+    [thermal]
+    resistance = { all = "12 K/W" }           # or of single regions: kelvin per watt lost there
+
+    [search]
+    starts = 10
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from geometry.chip import Chip, read_chip
+from materials.registry import Registry
+from workbench.design.bounds import Bound, parse_bounds
+from workbench.design.figures import FIGURES, LOSS_SHARE
+from workbench.design.model import Operation
+from workbench.design.uncertainty import Law
+from workbench.design.variables import MATERIAL, Length, MaterialChoice, Stock, Variable, first_name, together
+from workbench.drive import parse_drive
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import Table
+
+#: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
+#: 95 % of the chips.
+TOLERANCE = "tolerance"
+
+#: Figures of either sign, which can be kept to but not be best at.
+SIGNED = ("trap_offset", "trap_radius")
+
+#: Most combinations of stock lengths and materials that are searched one by one, each on a model of its own. Twice as
+#: many take twice the time; beyond, stock lengths are left to the evolutionary search, on one model.
+ENUMERATED = 12
+
+_VARIABLE_KEYS = ("from", "to", "step", "values", "materials")
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A figure that is to be as large as possible, or as small."""
+
+    figure: str
+    maximise: bool
+
+    def __str__(self) -> str:
+        return f"{'largest' if self.maximise else 'smallest'} {self.figure}"
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the optimum is looked for.
+
+    ``starts`` of the search, each with ``looked_at`` random points (the first with the present chip besides), of which
+    the best ``descended`` are where descents begin, of at most ``evaluations`` each. ``reach``: how far a model
+    extends to either side of its middle, relative to the length there; within wider bounds models are moved, at most
+    ``moves`` times. ``tolerance``: relative error of the impedance on them. ``population`` and ``generations`` of the
+    evolutionary search, which ``evolutionary`` asks for.
+    """
+
+    starts: int = 10
+    looked_at: int = 32
+    descended: int = 3
+    seed: int = 0
+    evaluations: int = 60
+    reach: float = 0.1
+    moves: int = 3
+    tolerance: float = 1e-3
+    evolutionary: bool = False
+    population: int = 24
+    generations: int = 20
+
+
+@dataclass(frozen=True)
+class Robust:
+    """A figure stands for what is left of it over the uncertainty of the chip.
+
+    That is its ``quantile`` on the bad side (0.05: what 95 % of the chips reach), or its mean where that is None, by so
+    many ``samples`` of the tolerances, with ``law``, of the chip file; of the uncertainties of the ``materials`` if
+    asked for; and of what fits left open, by their files (``posteriors``).
+    """
+
+    quantile: float | None = 0.05
+    samples: int = 32
+    law: Law = "uniform"
+    materials: bool = False
+    posteriors: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A design task whose description has been checked.
+
+    ``chip`` in ``state`` as it is at first; ``operation`` its drive and thermal resistances; ``objectives`` one, or two
+    for a Pareto front; ``bounds`` what it keeps to; ``band`` (Hz) within which its resonance is looked for; ``source``
+    the file that mistakes are reported under.
+    """
+
+    source: str
+    chip: Chip
+    state: str
+    operation: Operation
+    objectives: tuple[Objective, ...]
+    variables: tuple[Variable, ...]
+    bounds: tuple[Bound, ...] = ()
+    band: tuple[float, float] | None = None
+    robust: Robust | None = None
+    search: Search = field(default_factory=Search)
+
+    @property
+    def lengths(self) -> tuple[Length, ...]:
+        return tuple(each for each in self.variables if isinstance(each, Length))
+
+    @property
+    def unknowns(self) -> tuple[Length, ...]:
+        """The lengths that a model is of: the stock lengths too, from end to end, in an evolutionary search."""
+        stock = self.stock if self.search.evolutionary else ()
+        return (*self.lengths, *(Length(each.name, each.values[0], each.values[-1]) for each in stock))
+
+    @property
+    def stock(self) -> tuple[Stock, ...]:
+        return tuple(each for each in self.variables if isinstance(each, Stock))
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """The figures asked for: f0, the objectives, those that are bounded."""
+        asked = ["f0", *(each.figure for each in self.objectives if each.figure != TOLERANCE),
+                 *(each.figure for each in self.bounds if not each.of_lengths)]
+        return tuple(dict.fromkeys(asked))
+
+
+def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
+    """The goal described by a TOML file.
+
+    Raises:
+        InputError: the file or its chip cannot be read, or does not describe a goal.
+    """
+    path = Path(path)
+    root = Table.read(path).only(("goal", "variables", "thermal", "robust", "search"))
+    head = root.table("goal").only(("chip", "state", "drive", "maximise", "minimise", "constraints", "band"))
+    chip = read_chip(path.parent / head.text("chip", expected="the path of a chip file, relative to this file"))
+    state = chip.state(None).name
+    if "state" in head:
+        state = head.choice("state", (each.name for each in chip.states))
+    search = _search(root.table("search"))
+    variables = tuple(_variables(root.table("variables"), chip, registry))
+    if not variables:
+        raise root.error("variables", 'at least one, such as substrate.thickness = { from = "0.7 mm", to = "1 mm" }')
+    drive = parse_drive(head.text("drive", "10 Vpp"), source=str(path), field="goal.drive")
+    bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
+                   for bound in parse_bounds(text, chip.dimensions(), chip.regions, drive, source=str(path),
+                                             field=f"goal.constraints[{index}]"))
+    operation = Operation(drive, thermal_resistance=_resistance(root.table("thermal"), chip))
+    goal = Goal(str(path), chip, state, operation, _objectives(head, chip), variables, bounds, _band(head),
+                _robust(root.table("robust")) if "robust" in root else None, search)
+    _check(goal)
+    return goal
+
+
+def _by_first_names(bound: Bound, chip: Chip) -> Bound:
+    """A bound of lengths with radii that coincide under one name."""
+    if not bound.of_lengths:
+        return bound
+    weights: dict[str, float] = {}
+    for name, weight in bound.weights.items():
+        weights[first_name(chip, name)] = weights.get(first_name(chip, name), 0.0) + weight
+    return replace(bound, weights=weights)
+
+
+def _objectives(head: Table, chip: Chip) -> tuple[Objective, ...]:
+    found = []
+    known = [*FIGURES, TOLERANCE, *(LOSS_SHARE + region for region in chip.regions)]
+    for key in ("maximise", "minimise"):
+        value = head.content.get(key, [])
+        for name in [value] if isinstance(value, str) else head.texts(key, ()):
+            choose(name, known, source=head.source, field=head.at(key))
+            if name in SIGNED:
+                raise head.error(key, f"a figure that is above zero; bound {name} among the constraints instead")
+            found.append(Objective(name, key == "maximise"))
+    if len(found) not in (1, 2):
+        raise InputError(head.source, head.field, [str(each) for each in found],
+                         'maximise = "e_ac" or minimise = "focus_time"; two figures give a Pareto front')
+    if len({each.figure for each in found}) < len(found):
+        raise InputError(head.source, head.field, found[0].figure, "two different figures")
+    if TOLERANCE in (each.figure for each in found) and (len(found) > 1 or not found[0].maximise):
+        raise InputError(head.source, head.field, TOLERANCE, f'maximise = "{TOLERANCE}" alone')
+    return tuple(found)
+
+
+def _band(head: Table) -> tuple[float, float] | None:
+    if "band" not in head:
+        return None
+    low, high = head.quantities("band", "frequency", numbered=True,
+                                expected='two frequencies, such as ["0.9 MHz", "1.1 MHz"]')
+    if not 0.0 < low < high:
+        raise head.error("band", "two frequencies above zero, the lower one first")
+    return low, high
+
+
+def _variables(table: Table, chip: Chip, registry: Registry | None) -> Iterator[Variable]:
+    lengths = chip.dimensions()
+    known = [*lengths, *(layer.region + MATERIAL for layer in chip.layers)]
+    seen: dict[str, str] = {}
+    for name, inner in _flat(table):
+        choose(name, known, source=table.source, field=table.at(name))
+        for alike in together(chip, name) if name in lengths else (name,):
+            if alike in seen:
+                raise InputError(table.source, table.at(name), name,
+                                 f"one of the two: it coincides with {seen[alike]}, and they change together")
+            seen[alike] = name
+        inner.only(_VARIABLE_KEYS)
+        if name.endswith(MATERIAL):
+            yield _material(inner, name, chip, registry)
+        else:
+            yield _length(inner, first_name(chip, name))
+
+
+def _flat(table: Table) -> Iterator[tuple[str, Table]]:
+    """The variables by their whole names, which TOML takes for tables in tables unless they are quoted."""
+    expected = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'
+    for name in table:
+        inner = table.table(name, expected=expected)
+        if "." in name or set(inner) & set(_VARIABLE_KEYS):
+            yield name, inner
+            continue
+        for rest in inner:
+            yield f"{name}.{rest}", inner.table(rest, expected=expected)
+
+
+def _length(table: Table, name: str) -> Variable:
+    if "values" in table:
+        table.only(("values",))
+        values = [parse_quantity(text, "length", source=table.source, field=table.at(f"values[{index}]"))
+                  for index, text in enumerate(table.texts("values", expected='lengths such as ["0.15 mm", "1 mm"]'))]
+        if len(set(values)) < max(2, len(values)) or min(values) <= 0.0:
+            raise table.error("values", "two or more different lengths above zero")
+        return Stock(name, tuple(sorted(values)))
+    table.only(("from", "to", "step"))
+    low, high = (table.quantity(key, "length") for key in ("from", "to"))
+    if not 0.0 < low < high:
+        raise table.error("to", f"a length above that of 'from', {1e3 * low:g} mm, and both above zero")
+    step = table.optional_quantity("step", "length")
+    if step is not None and not 0.0 < step <= high - low:
+        raise table.error("step", f"a step above zero and at most {1e3 * (high - low):g} mm, from end to end")
+    return Length(name, low, high, step)
+
+
+def _material(table: Table, name: str, chip: Chip, registry: Registry | None) -> MaterialChoice:
+    table.only(("materials",))
+    names = table.texts("materials", expected='materials such as ["pla", "petg"]')
+    if len(set(names)) < max(2, len(names)):
+        raise table.error("materials", "two or more different materials")
+    for each in names:
+        try:
+            (registry or Registry()).find(each)
+        except InputError as error:
+            raise InputError(table.source, table.at("materials"), each, error.expected, error.nearest) from None
+    return MaterialChoice(chip.layer(name.removesuffix(MATERIAL)).region, names)
+
+
+def _resistance(table: Table, chip: Chip) -> dict[str, float]:
+    """Thermal resistances (K/W) by region, "" for all that are not named."""
+    inner = table.only(("resistance",)).table("resistance", expected='{ all = "12 K/W" }')
+    inner.only(("all", *chip.regions))
+    found = {"" if name == "all" else name: inner.quantity(name, "thermal resistance") for name in inner}
+    for name in inner:
+        if not found["" if name == "all" else name] > 0.0:
+            raise inner.error(name, "a thermal resistance above zero")
+    return found
+
+
+def _robust(table: Table) -> Robust:
+    table.only(("quantile", "mean", "samples", "law", "materials", "posteriors"))
+    samples = table.whole("samples", Robust.samples, low=8, high=4096)
+    if table.flag("mean") and "quantile" in table:
+        raise table.error("quantile", "either mean = true or a quantile")
+    quantile = None if table.flag("mean") else table.quantity("quantile", "dimensionless", Robust.quantile)
+    if quantile is not None and not 1.0 / samples <= quantile <= 0.5:
+        raise table.error("quantile", f"a share from {100.0 / samples:.2g} % (one of {samples} samples) to 50 %")
+    law: Law = "normal" if table.choice("law", ("uniform", "normal"), "uniform") == "normal" else "uniform"
+    folder = Path(table.source).parent
+    return Robust(quantile, samples, law, table.flag("materials"),
+                  tuple(folder / name for name in table.texts("posteriors", (), expected="files fit.json of fits")))
+
+
+def _search(table: Table) -> Search:
+    table.only(Search.__dataclass_fields__)
+    reach, tolerance = (table.quantity(key, "dimensionless", getattr(Search, key)) for key in ("reach", "tolerance"))
+    if not 0.0 < reach < 1.0:
+        raise table.error("reach", "a share of a length between 0 and 100 %")
+    if not 1e-5 <= tolerance <= 0.1:
+        raise table.error("tolerance", "a relative error from 0.001 % to 10 %")
+    whole: Mapping[str, tuple[int, int]] = {
+        "starts": (1, 1000), "looked_at": (1, 4096), "descended": (1, 64), "seed": (0, 2**31 - 1),
+        "evaluations": (5, 10_000), "moves": (0, 100), "population": (4, 1000), "generations": (1, 10_000)}
+    numbers: dict[str, Any] = {key: table.whole(key, getattr(Search, key), low=low, high=high)
+                               for key, (low, high) in whole.items()}
+    return Search(**numbers, reach=reach, tolerance=tolerance, evolutionary=table.flag("evolutionary"))
+
+
+def _check(goal: Goal) -> None:
+    """The parts of a goal go together.
+
+    Raises:
+        InputError: heating without thermal resistance, a search of nothing but choices, too many of them.
+    """
+    asked = set(goal.figures)
+    if "heating" in asked and not goal.operation.thermal_resistance:
+        raise InputError(goal.source, "thermal.resistance", None, 'the resistances that "heating" needs, such as '
+                         '{ all = "12 K/W" }')
+    state = goal.chip.state(goal.state)
+    trapped = sorted(name for name in asked if name.startswith(("trap_", "axial_", "radial_", "focus_")))
+    if trapped and state.particle is None:
+        raise InputError(goal.source, "goal.state", goal.state, f"a state that names a particle, for {trapped[0]}")
+    if goal.objectives[0].figure == TOLERANCE:
+        if all(bound.of_lengths for bound in goal.bounds):
+            raise InputError(goal.source, "goal.constraints", None, "figures that the tolerances must leave in bounds")
+        if not goal.search.evolutionary:
+            raise InputError(goal.source, "search.evolutionary", False, f'true: "{TOLERANCE}" has no slope to follow')
+    choices = math.prod(len(each.values) if isinstance(each, Stock) else len(each.materials)
+                        for each in goal.variables if isinstance(each, MaterialChoice)
+                        or (isinstance(each, Stock) and not goal.search.evolutionary))
+    if choices > ENUMERATED:
+        raise InputError(goal.source, "variables", f"{choices} choices of stock lengths and materials",
+                         f"at most {ENUMERATED}; of stock lengths alone more, with evolutionary = true in [search]")
+    if len(goal.objectives) > 1 and not goal.search.evolutionary:
+        raise InputError(goal.source, "search.evolutionary", False, "true, for a front between two objectives")
+    if goal.search.evolutionary and not goal.unknowns:
+        raise InputError(goal.source, "search.evolutionary", True, "lengths to vary, besides materials")

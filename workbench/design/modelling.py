@@ -1,0 +1,212 @@
+"""Models for a search: of boxes that a model can cover, moved to where the optimum is, wider for uncertain chips."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from geometry.chip import Chip
+from materials.registry import Registry
+from workbench.design.boxes import Box, Reach, middle, within
+from workbench.design.evaluation import Evaluation
+from workbench.design.goal import TOLERANCE, Goal, Robust
+from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
+from workbench.design.programme import Programme
+from workbench.design.spread import Spread
+from workbench.design.stated import stated_uncertainty
+from workbench.design.variables import Selection, changed, first_name
+from workbench.discretisation import Discretisation
+from workbench.files.errors import InputError
+from workbench.operators import assemble
+from workbench.parameter_names import Kind, ParameterName
+from workbench.problem import build, fill
+from workbench.ranges import NotCovered, Progress
+from workbench.reduction import reduced
+from workbench.spectrum import Origin, Spectrum
+
+#: Called with a row of the progress, what is done there, and the share of it that is done.
+Report = Callable[[str, str, float], None]
+#: The same within one row.
+Say = Callable[[str, float], None]
+
+#: Full solves of a model after which its box is halved. Wider boxes need more: three thicknesses within 10 % took 90.
+SOLVES = 250
+
+#: A box may be halved so often before a model of it is given up.
+HALVED = 4
+
+#: Frequencies of a spectrum that is drawn, and its relative error, which nobody sees.
+DRAWN, DRAWN_WITHIN = 481, 1e-3
+
+
+def quiet(_row: str, _activity: str, _share: float) -> None:
+    """A report to nobody."""
+
+
+class Solver(Protocol):
+    """What gives the figures of chips: models of boxes, and full solves."""
+
+    def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> Evaluator:
+        """The figures of `chip` anywhere in the `ranges`, which hold its own numbers.
+
+        Raises:
+            NotCovered: the ranges are too wide.
+        """
+
+    def full(self, chip: Chip) -> Evaluation:
+        """The figures of `chip` by full solves on its own mesh."""
+
+
+@dataclass(frozen=True)
+class ChipSolver:
+    """The :class:`Solver` of `workbench.design.model` for a goal."""
+
+    goal: Goal
+    registry: Registry | None
+    accuracy: float | Discretisation
+
+    def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> DesignModel:
+        goal = self.goal
+        return design_model(chip, goal.state, ranges, figures=goal.figures, operation=goal.operation,
+                            registry=self.registry, band=goal.band, tolerance=goal.search.tolerance, limit=SOLVES,
+                            seed=goal.search.seed, progress=progress, accuracy=self.accuracy)
+
+    def full(self, chip: Chip) -> Evaluation:
+        goal = self.goal
+        return full_evaluation(chip, goal.state, {}, figures=goal.figures, operation=goal.operation,
+                               registry=self.registry, band=goal.band, accuracy=self.accuracy)
+
+    def spectrum(self, chip: Chip) -> Spectrum:
+        """The impedance of `chip` over the band."""
+        problem = build(fill(chip, self.goal.state, self.registry), band=self.goal.band, accuracy=self.accuracy)
+        frequency = np.linspace(*problem.band, DRAWN)
+        _, solution = reduced(assemble(problem.mesh, problem.terms), frequency, problem.values, tolerance=DRAWN_WITHIN)
+        return Spectrum.from_solver(frequency, solution.impedance, origin=Origin("simulated"))
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """The evaluator of one chip, of which nothing varies: its ``evaluation``."""
+
+    evaluation: Evaluation
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        return tuple(self.evaluation.figures)
+
+    def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
+        if values:
+            raise KeyError(f"nothing varies, not even {', '.join(values)}")
+        nothing = {name: np.zeros(0) for name in self.figures}
+        return replace(self.evaluation, values={}, gradient=nothing if gradient else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Modelling:
+    """A model and the programme on it.
+
+    ``chip`` is the one in the middle of the ``box`` (m) of its unknowns; ``reach`` how far boxes extend; ``seconds``
+    what the model took.
+    """
+
+    chip: Chip
+    box: Box
+    reach: Reach
+    programme: Programme
+    seconds: float
+
+    @property
+    def facts(self) -> Mapping[str, float]:
+        """Rank, full solves and relative error of Z of a model on a reduced basis; nothing of another one."""
+        model = self.programme.evaluator
+        if not isinstance(model, DesignModel) or model.range_model is None:
+            return {}
+        made = model.range_model
+        return {"rank": float(made.rank), "full_solves": float(made.reduced.solves), "error": model.error}
+
+
+def modelled(
+    goal: Goal, selection: Selection, about: Mapping[str, float], reach: Reach, solver: Solver, say: Say,
+    spread: Spread | None = None,
+) -> Modelling:
+    """The programme of a goal on a model about the lengths `about` (m), as wide as `reach` and the bounds let it.
+
+    With a `spread` the model covers that too; the programme is still that of the nominal chip.
+
+    Raises:
+        NotCovered: no model, even of a box halved :data:`HALVED` times.
+    """
+    started = time.perf_counter()
+    chosen = changed(goal.chip, selection.stock, selection.materials)
+    for turn in range(HALVED + 1):
+        box = reach.about(about, goal.unknowns)
+        chip = changed(chosen, middle(box))
+        ranges = _widened(box, chip, spread)
+        say("model", 0.0)
+        try:
+            model = solver.model(chip, ranges, partial(say, "model")) if ranges else Known(solver.full(chip))
+        except NotCovered:
+            if turn == HALVED:
+                raise
+            reach = reach.halved()
+            continue
+        lengths = {name: each.value for name, each in chip.dimensions().items()}
+        programme = Programme(model, within(goal.unknowns, box), goal.objectives[0], goal.bounds, lengths)
+        return Modelling(chip, box, reach, programme, time.perf_counter() - started)
+    raise AssertionError("unreachable")
+
+
+def _widened(box: Box, chip: Chip, spread: Spread | None) -> Box:
+    """The box with what samples move its lengths by, and with the numbers that only samples move."""
+    found = dict(box)
+    if spread is None:
+        return found
+    dimensions = chip.dimensions()
+    for name in spread.names:
+        values = [each[name] for each in spread.samples]
+        present = dimensions[name].value if name in dimensions else 0.0
+        low, high = box.get(name, (present, present))
+        found[name] = (low + min(0.0, *values), high + max(0.0, *values)) if name in dimensions else (
+            min(values), max(values))
+    return found
+
+
+def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
+    """Samples of what is uncertain of a goal's chip; None where the goal is not a robust one.
+
+    Raises:
+        InputError: nothing is uncertain, or a tolerance or a posterior cannot be used.
+    """
+    robust = goal.robust or (Robust() if goal.objectives[0].figure == TOLERANCE else None)
+    if robust is None:
+        return None
+    stated = stated_uncertainty(goal.chip, goal.state, registry=registry, law=robust.law, posteriors=robust.posteriors)
+    if not robust.materials and not robust.posteriors:
+        stated = stated.without([name for name in stated.names
+                                 if ParameterName.parse(name).kind is not Kind.DIMENSION])
+    if not stated.inputs:
+        raise InputError(goal.source, "robust", goal.chip.file, "a chip file with tolerances, or materials = true")
+    nominal = {name: each.value for name, each in goal.chip.dimensions().items()}
+    points = stated.draw(robust.samples, goal.search.seed).points
+    return Spread(tuple({name: value - nominal.get(name, 0.0) for name, value in stated.values(point).items()}
+                        for point in points), robust.quantile, stated.covariance)
+
+
+def reach_of(goal: Goal) -> Reach:
+    """How far the models of a goal extend at first: a share of the present lengths, or of the nearest within bounds."""
+    return Reach.relative(present_of(goal), goal.search.reach)
+
+
+def present_of(goal: Goal) -> dict[str, float]:
+    """The present lengths (m) of the unknowns, the nearest ones where they are out of bounds."""
+    known = {first_name(goal.chip, name): each.value for name, each in reversed(goal.chip.dimensions().items())}
+    return {each.name: min(max(known[each.name], each.low), each.high) for each in goal.unknowns}

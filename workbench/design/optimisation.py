@@ -1,0 +1,174 @@
+"""The best chip for a goal: searched on reduced models, confirmed by full solves.
+
+    found = optimise(read_goal("goal.toml"))
+    found.best.after.figures["e_ac"], found.best.chip.dimensions()["substrate.thickness"].value
+
+Every choice of stock lengths and materials is searched on models of its own, from many starts that share them. A model
+extends as far as `Search.reach` says; where the optimum lies on a side that is no bound, the next model lies about it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import partial
+
+from geometry.chip import Chip
+from materials.registry import Registry
+from workbench.design.candidate import Candidate, Confirmed, confirmed
+from workbench.design.choice import Keep, Searched, search_choice
+from workbench.design.evaluation import Evaluation
+from workbench.design.goal import Goal
+from workbench.design.modelling import ChipSolver, Report, Solver, quiet, spread_of
+from workbench.design.programme import Point
+from workbench.design.variables import selections
+from workbench.discretisation import ACCURACY, Discretisation
+
+#: Candidates that are confirmed in turn, until a full solve agrees with one.
+CONFIRMED_AT_MOST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The outcome of a goal.
+
+    ``before`` are the figures of the present chip by full solves; ``best`` the best chip that a full solve confirmed,
+    None if there is none, and ``why_not`` says why; ``rejected`` those before it whose full solve said otherwise;
+    ``front`` the chips between two objectives, confirmed at its ends and its knee; ``searched`` all choices.
+    """
+
+    goal: Goal
+    before: Evaluation
+    best: Confirmed | None
+    rejected: tuple[Confirmed, ...]
+    searched: tuple[Searched, ...]
+    front: tuple[Confirmed | Candidate, ...] = ()
+    why_not: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def chosen(self) -> Searched:
+        """The choice that the best chip, or else the best candidate, is of.
+
+        Raises:
+            ValueError: no choice has any point with figures.
+        """
+        found = [each for each in self.searched if each.candidates]
+        if not found:
+            raise ValueError("no choice has a point with all figures")
+        if self.best is not None:
+            return next(each for each in found if each.selection == self.best.candidate.selection)
+        return min(found, key=lambda each: each.candidates[0].point.rank)
+
+
+def optimise(
+    goal: Goal, *, registry: Registry | None = None, accuracy: float | Discretisation = ACCURACY,
+    executor: Executor | None = None, report: Report = quiet, keep: Keep | None = None, solver: Solver | None = None,
+) -> Design:
+    """The best chip for a goal.
+
+    Args:
+        accuracy: of the meshes, see `workbench.discretisation`.
+        executor: works out the starts; this process if None.
+        report: called with what is done, its subject, and the share of it that is done.
+        keep: called with the best chip of the model so far, each time a start finds a better one.
+        solver: what gives models and full solves, those of `workbench.design.model` if None.
+
+    Raises:
+        InputError: something in the chip, its materials or the goal.
+        NotCovered: no model of the lengths is good enough, however narrow.
+    """
+    started = time.perf_counter()
+    solver = ChipSolver(goal, registry, accuracy) if solver is None else solver
+    spread = spread_of(goal, registry)
+    report("before", "full solve", 0.0)
+    before = solver.full(goal.chip)
+    report("before", "full solve", 1.0)
+    keep = None if keep is None else _improving(keep)
+    choices = tuple(selections(goal.variables, with_stock=not goal.search.evolutionary))
+    searched = []
+    for index, selection in enumerate(choices):
+        row = "search" if len(choices) == 1 else f"{index + 1} of {len(choices)}"
+        searched.append(search_choice(goal, selection, solver, spread=spread, executor=executor,
+                                      say=partial(report, row), keep=keep))
+    spent = time.perf_counter() - started
+    found = (_best if len(goal.objectives) == 1 else _front)(goal, searched, solver, partial(report, "confirm"))
+    total = time.perf_counter() - started
+    return Design(goal, before, found.best, found.rejected, tuple(searched), found.front, found.why_not,
+                  {"search": spent, "confirmation": total - spent, "total": total})
+
+
+def _improving(keep: Keep) -> Keep:
+    """`keep` called only with a chip that is better than all before."""
+    best = (True, math.inf)
+
+    def offered(chip: Chip, point: Point) -> None:
+        nonlocal best
+        if point.rank < best:
+            best = point.rank
+            keep(chip, point)
+
+    return offered
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    """What full solves leave of the candidates."""
+
+    best: Confirmed | None
+    rejected: tuple[Confirmed, ...]
+    front: tuple[Confirmed | Candidate, ...]
+    why_not: str
+
+
+def _best(goal: Goal, searched: Sequence[Searched], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
+    """The best candidate that a full solve confirms."""
+    candidates = sorted((each for one in searched for each in one.candidates), key=lambda each: each.point.rank)
+    kept = [each for each in candidates if each.holds][:CONFIRMED_AT_MOST]
+    rejected: list[Confirmed] = []
+    for each in kept:
+        say("full solve", len(rejected) / len(kept))
+        checked = confirmed(goal, each, solver.full(each.chip))
+        if checked.accepted:
+            say("full solve", 1.0)
+            return _Outcome(checked, tuple(rejected), (), "")
+        rejected.append(checked)
+    if rejected:
+        return _Outcome(None, tuple(rejected), (), rejected[0].statement)
+    return _Outcome(None, (), (), _why_not(candidates))
+
+
+def _front(goal: Goal, searched: Sequence[Searched], solver: Solver, say: Callable[[str, float], None]) -> _Outcome:
+    """The front between two objectives over all choices, confirmed at its ends and at its knee, which is the best.
+
+    The knee is nearest to having both objectives at their best, each counted over its extent on the front.
+    """
+    members = [each for one in searched for each in one.front]
+    front = [each for each in sorted(members, key=lambda one: one.objectives) if each.holds]
+    front = [each for k, each in enumerate(front) if not any(
+        other.objectives[1] <= each.objectives[1] for other in front[:k])]
+    if not front:
+        return _Outcome(None, (), (), _why_not([each for one in searched for each in one.candidates]))
+    extent = [max(abs(front[0].objectives[k] - front[-1].objectives[k]), 1e-12) for k in (0, 1)]
+    knee = min(range(len(front)), key=lambda k: math.hypot(
+        (front[k].objectives[0] - front[0].objectives[0]) / extent[0],
+        (front[k].objectives[1] - front[-1].objectives[1]) / extent[1]))
+    checked: dict[int, Confirmed] = {}
+    chosen = dict.fromkeys((0, knee, len(front) - 1))
+    for index in chosen:
+        say("full solve", len(checked) / len(chosen))
+        checked[index] = confirmed(goal, front[index], solver.full(front[index].chip))
+    say("full solve", 1.0)
+    rejected = tuple(each for each in checked.values() if not each.accepted)
+    best = checked[knee] if checked[knee].accepted else None
+    return _Outcome(best, rejected, tuple(checked.get(k, each) for k, each in enumerate(front)),
+                    "" if best else checked[knee].statement)
+
+
+def _why_not(candidates: Sequence[Candidate]) -> str:
+    if not candidates:
+        return "no point that was looked at has all the figures that are needed"
+    return f"no point keeps all constraints; the nearest one breaks {', '.join(candidates[0].broken)}"

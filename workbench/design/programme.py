@@ -1,0 +1,203 @@
+"""A design task as a nonlinear programme: unknowns between 0 and 1, one number to make small, margins to keep above 0.
+
+An unknown is a length over its range; the number is the logarithm of the objective's figure (its negative where that is
+to be large), so that it does not depend on units; a margin is the distance to a bound in scales (`workbench.design.
+bounds`). Derivatives are exact as far as the evaluator's are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.bounds import Bound
+from workbench.design.evaluation import Evaluation
+from workbench.design.goal import TOLERANCE, Objective
+from workbench.design.model import Evaluator
+from workbench.design.spread import Spread
+from workbench.design.variables import Length
+
+Real = NDArray[np.float64]
+
+#: A margin (in scales) that still counts as kept: far below the 1 % that a full solve confirms.
+KEPT = 1e-6
+
+#: Standard deviations that 95 % of a normal law are below: with them every bound holds for 95 % of the chips.
+ONE_SIDED = 1.645
+#: The smallest common factor of tolerances that is told from none.
+NO_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point of a programme.
+
+    ``x`` (n,) the unknowns, ``lengths`` what they are (SI); ``objective`` to be small and its ``slope`` (n,);
+    ``margins`` (m,) in the order of the bounds and their ``jacobian`` (m, n); ``evaluation`` the figures of the nominal
+    chip. Where a figure that is needed does not exist, the numbers are NaN and ``missing`` says why.
+    """
+
+    x: Real
+    lengths: Mapping[str, float]
+    objective: float
+    slope: Real
+    margins: Real
+    jacobian: Real
+    evaluation: Evaluation
+    missing: str = ""
+
+    @property
+    def exists(self) -> bool:
+        """Whether every figure that is needed does."""
+        return not self.missing
+
+    @property
+    def violation(self) -> float:
+        """How far (in scales) the worst margin is below zero, 0 where all bounds hold, infinite without figures."""
+        return float(-min(0.0, *self.margins, 0.0)) if self.exists else math.inf
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Sorts points: those that keep all bounds by the objective, before all others by their violation."""
+        broken = self.violation > KEPT
+        return broken, self.violation if broken else self.objective
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """What is to be small over which lengths, on an evaluator.
+
+    ``variables`` the unknowns with the range each has here; ``fixed`` all other lengths (SI) by name, of which the
+    evaluator is told those it knows; ``spread`` what figures are a quantile or a mean over, None for the nominal chip.
+    """
+
+    evaluator: Evaluator
+    variables: tuple[Length, ...]
+    objective: Objective
+    bounds: tuple[Bound, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    spread: Spread | None = None
+
+    @property
+    def low(self) -> Real:
+        """(n,) m."""
+        return np.array([each.low for each in self.variables])
+
+    @property
+    def extent(self) -> Real:
+        """(n,) m, from the lowest to the highest length."""
+        return np.array([each.high - each.low for each in self.variables])
+
+    def lengths(self, x: Real) -> dict[str, float]:
+        """The lengths (m) that the unknowns `x` (n,) are, by name."""
+        values = self.low + self.extent * np.clip(x, 0.0, 1.0)
+        return {each.name: float(value) for each, value in zip(self.variables, values, strict=True)}
+
+    def unknowns(self, lengths: Mapping[str, float]) -> Real:
+        """The unknowns (n,) at these lengths (m), the nearest within their ranges."""
+        values = np.array([lengths[each.name] for each in self.variables])
+        return np.clip((values - self.low) / self.extent, 0.0, 1.0)
+
+    def holding(self, lengths: Mapping[str, float]) -> Programme:
+        """The programme whose variables among `lengths` (m) stay at these."""
+        rest = tuple(each for each in self.variables if each.name not in lengths)
+        return replace(self, variables=rest, fixed={**self.fixed, **lengths})
+
+    @property
+    def sampled(self) -> bool:
+        """Whether figures are over the samples of a spread; tolerances themselves are judged by slopes."""
+        return self.objective.figure != TOLERANCE
+
+    def under(self, objective: Objective) -> Programme:
+        """The programme with another objective."""
+        return replace(self, objective=objective)
+
+    def __call__(self, x: Real, *, gradient: bool = True) -> Point:
+        """The point at the unknowns `x` (n,); without derivatives, which are NaN, if no `gradient` is asked for."""
+        return self.point(x, self.evaluations(x, gradient=gradient))
+
+    def evaluations(self, x: Real, *, gradient: bool) -> tuple[Evaluation, ...]:
+        """The figures at the unknowns `x` (n,): of the nominal chip first, then those of every sample of the spread."""
+        values = {**self.fixed, **self.lengths(x)}
+        known = {name: values[name] for name in self.evaluator.names if name in values}
+        offsets: list[Mapping[str, float]] = [{}]
+        if self.spread is not None and self.sampled:
+            offsets += self.spread.samples
+        moved = ({name: known.get(name, 0.0) + offset for name, offset in each.items()} for each in offsets)
+        # Tolerances are judged by slopes.
+        return tuple(self.evaluator({**known, **each}, gradient=gradient or not self.sampled) for each in moved)
+
+    def point(self, x: Real, evaluations: Sequence[Evaluation]) -> Point:
+        """What `evaluations`, those of the unknowns `x` (n,), are worth."""
+        lengths = self.lengths(x)
+        nominal, judged = evaluations[0], evaluations[1:] if self.spread and self.sampled else evaluations
+        missing = next(filter(None, map(self._missing, evaluations)), "")
+        n, m, count = len(self.variables), len(self.bounds), len(judged)
+        if missing:
+            return Point(x, lengths, math.nan, np.full(n, math.nan), np.full(m, math.nan), np.full((m, n), math.nan),
+                         nominal, missing)
+        everything = {**self.fixed, **lengths}
+        losses, margins = np.empty(count), np.empty((m, count))
+        slopes, jacobians = np.empty((count, n)), np.empty((m, count, n))
+        for k, each in enumerate(judged):
+            losses[k], slopes[k] = self._loss(each)
+            for j, bound in enumerate(self.bounds):
+                margins[j, k], jacobians[j, k] = self._margin(bound, each, everything)
+        weights = self._weights(losses)
+        kept = np.array([self._weights(-row) for row in margins]).reshape(m, count)
+        return Point(x, lengths, float(weights @ losses), weights @ slopes, np.einsum("jk,jk->j", kept, margins),
+                     np.einsum("jk,jkn->jn", kept, jacobians), nominal)
+
+    def _weights(self, losses: Real) -> Real:
+        return self.spread.weights(losses) if self.spread and self.sampled else np.ones(1)
+
+    def _missing(self, evaluation: Evaluation) -> str:
+        """Why a figure that is needed does not exist; empty if all do."""
+        needed = [self.objective.figure] if self.sampled else []
+        needed += [each.figure for each in self.bounds if not each.of_lengths]
+        for name in needed:
+            if not math.isfinite(evaluation.figures[name]):
+                return f"{name}: {evaluation.missing.get(name, 'not a number')}"
+        if not self.sampled:
+            return ""
+        value = evaluation.figures[self.objective.figure]
+        return "" if value > 0.0 else f"{self.objective.figure}: {value:g} is not above zero"
+
+    def _loss(self, evaluation: Evaluation) -> tuple[float, Real]:
+        if not self.sampled:
+            return -math.log(max(self._tolerance(evaluation), NO_TOLERANCE)), np.full(len(self.variables), math.nan)
+        sign, value = -1.0 if self.objective.maximise else 1.0, evaluation.figures[self.objective.figure]
+        return sign * math.log(value), sign * self._slope(evaluation, self.objective.figure) / value
+
+    def _tolerance(self, evaluation: Evaluation) -> float:
+        """The largest factor of all tolerances with which every bound of a figure still holds for 95 % of the chips, by
+        slopes; zero or less where one does not hold for the chip itself."""
+        assert self.spread is not None
+        assert evaluation.gradient is not None
+        found = [math.inf]
+        for bound in self.bounds:
+            if bound.of_lengths:
+                continue
+            slopes = zip(self.evaluator.names, evaluation.gradient[bound.figure], strict=True)
+            deviation = self.spread.deviation({name: bound.slope(bound.figure) * float(each) for name, each in slopes})
+            if deviation > 0.0:
+                found.append(bound.margin(evaluation.figures) / (ONE_SIDED * deviation))
+        return min(found)
+
+    def _margin(self, bound: Bound, evaluation: Evaluation, lengths: Mapping[str, float]) -> tuple[float, Real]:
+        if bound.of_lengths:
+            slopes = np.array([bound.slope(each.name) for each in self.variables])
+            return bound.margin(lengths), slopes * self.extent
+        slope = bound.slope(bound.figure) * self._slope(evaluation, bound.figure)
+        return bound.margin(evaluation.figures), slope
+
+    def _slope(self, evaluation: Evaluation, name: str) -> Real:
+        """d figure / d unknown (n,)."""
+        if evaluation.gradient is None:
+            return np.full(len(self.variables), math.nan)
+        by_name = dict(zip(self.evaluator.names, evaluation.gradient[name], strict=True))
+        return np.array([by_name[each.name] for each in self.variables]) * self.extent

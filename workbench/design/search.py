@@ -1,0 +1,126 @@
+"""Many starts of one search, and which of their ends are the same optimum.
+
+A start looks at points of its own, spread evenly (Sobol), and descends from the best of them; no start knows of
+another. So how many of them end at the best optimum says how surely it is the best one within the ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from workbench.design.descent import Descent, descend
+from workbench.design.goal import Search
+from workbench.design.programme import Point, Programme
+
+Real = NDArray[np.float64]
+
+#: Ends that differ by less in the objective (natural logarithm of the figure) and in every unknown (share of its range)
+#: are one optimum: what the ends of descents into one minimum differ by, many times over.
+SAME_OBJECTIVE, SAME_PLACE = 2e-3, 0.05
+
+#: Points closer than this in every unknown lead to the same end as a rule: one of them is enough to descend from.
+BESIDE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """An optimum: the best ``descent`` that ends there, and the numbers of the ``starts`` that found it."""
+
+    descent: Descent
+    starts: tuple[int, ...]
+
+    @property
+    def point(self) -> Point:
+        return self.descent.point
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One start: its number, and its descents, the best first."""
+
+    number: int
+    descents: tuple[Descent, ...]
+
+    @property
+    def best(self) -> Descent:
+        return self.descents[0]
+
+
+def attempt(programme: Programme, search: Search, number: int, present: Real | None = None) -> Attempt:
+    """The start of that number; with `present` (n,) that point is descended from too."""
+    size = len(programme.variables)
+    sampler = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number]))
+    # A power of two, as Sobol points are even in; what is beyond is not looked at.
+    drawn = sampler.random_base2(int(np.ceil(np.log2(search.looked_at))))[: search.looked_at]
+    looked_at = sorted((programme(x, gradient=False) for x in drawn), key=lambda each: each.rank)
+    starts = [] if present is None else [present]
+    for point in looked_at:
+        if len(starts) < search.descended and not any(np.all(np.abs(point.x - x) < BESIDE) for x in starts):
+            starts.append(point.x)
+    found = [descend(programme, x, evaluations=search.evaluations) for x in starts]
+    return Attempt(number, tuple(sorted(found, key=lambda each: each.point.rank)))
+
+
+def search_all(
+    programme: Programme, search: Search, present: Real, *, executor: Executor | None = None,
+    finished: Callable[[Attempt], None] | None = None,
+) -> list[Attempt]:
+    """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""
+    found = []
+    for each in _attempts(programme, search, present, executor):
+        found.append(each)
+        if finished is not None:
+            finished(each)
+    return sorted(found, key=lambda each: each.number)
+
+
+def _attempts(
+    programme: Programme, search: Search, present: Real, executor: Executor | None
+) -> Iterator[Attempt]:
+    jobs = [(number, present if number == 0 else None) for number in range(search.starts)]
+    if executor is None:
+        for number, first in jobs:
+            yield attempt(programme, search, number, first)
+        return
+    waiting = [executor.submit(attempt, programme, search, number, first) for number, first in jobs]
+    try:
+        for job in as_completed(waiting):
+            yield job.result()
+    finally:
+        for job in waiting:
+            job.cancel()
+
+
+def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
+    """The distinct optima, the best first; ends that are not stationary are told apart like the others.
+
+    A start counts for the optimum that its best descent found.
+    """
+    ends = sorted(((each, start.number) for start in attempts for each in start.descents),
+                  key=lambda pair: pair[0].point.rank)
+    groups: list[list[tuple[Descent, int]]] = []
+    for end in ends:
+        group = next((each for each in groups if same(each[0][0].point, end[0].point)), None)
+        if group is None:
+            groups.append(group := [])
+        group.append(end)
+    best = {start.number: start.best for start in attempts}
+    return [Optimum(group[0][0], tuple(sorted(number for end, number in group if end is best[number])))
+            for group in groups]
+
+
+def same(one: Point, other: Point) -> bool:
+    """Whether two points are of one optimum."""
+    return bool(one.exists and other.exists and abs(one.objective - other.objective) <= SAME_OBJECTIVE
+                and np.all(np.abs(one.x - other.x) <= SAME_PLACE))
+
+
+def feasible(found: Iterable[Optimum]) -> list[Optimum]:
+    """Those that keep all bounds."""
+    return [each for each in found if each.descent.feasible]

@@ -1,0 +1,133 @@
+"""What of a chip may change: lengths within bounds, lengths of a stock list, materials of a list."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+from geometry.chip import Chip
+from geometry.stretch import tied
+
+#: How the name of the material of a region ends.
+MATERIAL = ".material"
+
+#: To what lengths are rounded at the end (m): finer than any process, coarser than the noise of arithmetic.
+GRAIN = 1e-9
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length from ``low`` to ``high`` (m); with a ``step`` (m) a multiple of it, counted from zero, as layers of a
+    print are."""
+
+    name: str
+    low: float
+    high: float
+    step: float | None = None
+
+    def round(self, value: float) -> float:
+        """The nearest length there is within the bounds."""
+        grain = self.step or GRAIN
+        lowest, highest = math.ceil(self.low / grain - 1e-6), math.floor(self.high / grain + 1e-6)
+        # Through decimal digits, so that 41 layers of 0.02 mm are 0.82 mm and not 0.8200000000000001 mm.
+        return float(f"{min(max(round(value / grain), lowest), highest) * grain:.12g}")
+
+    def beside(self, value: float) -> tuple[float, ...]:
+        """The lengths one step below and above that are within the bounds, and `value` between steps rounded both ways.
+
+        Raises:
+            ValueError: the length has no step.
+        """
+        if self.step is None:
+            raise ValueError(f"{self.name} has no step")
+        count = value / self.step
+        on_step = abs(count - round(count)) < 1e-6
+        around = (round(count) - 1, round(count) + 1) if on_step else (math.floor(count), math.ceil(count))
+        found = (self.round(each * self.step) for each in around)
+        return tuple(dict.fromkeys(each for each in found if abs(each - value) > GRAIN))
+
+
+@dataclass(frozen=True)
+class Stock:
+    """A length that comes in certain ``values`` (m), rising."""
+
+    name: str
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class MaterialChoice:
+    """A region whose material is one of ``materials``."""
+
+    region: str
+    materials: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        return self.region + MATERIAL
+
+
+Variable = Length | Stock | MaterialChoice
+
+
+@dataclass(frozen=True)
+class Selection:
+    """One choice of every stock length (m) and of every material, by region."""
+
+    stock: Mapping[str, float]
+    materials: Mapping[str, str]
+
+    def __str__(self) -> str:
+        lengths = [f"{name} = {1e3 * value:.6g} mm" for name, value in self.stock.items()]
+        return ", ".join([*lengths, *(f"{region}: {material}" for region, material in self.materials.items())])
+
+
+def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Iterator[Selection]:
+    """Every choice of the stock lengths (unless they are left open) and of the materials."""
+    stock = [each for each in variables if isinstance(each, Stock)] if with_stock else []
+    materials = [each for each in variables if isinstance(each, MaterialChoice)]
+    for values in product(*(each.values for each in stock)):
+        for names in product(*(each.materials for each in materials)):
+            yield Selection({each.name: value for each, value in zip(stock, values, strict=True)},
+                            {each.region: name for each, name in zip(materials, names, strict=True)})
+
+
+def first_name(chip: Chip, name: str) -> str:
+    """What a length is called: of radii that coincide, which change together, the first one's name."""
+    return tied(chip).get(name, name)
+
+
+def together(chip: Chip, name: str) -> tuple[str, ...]:
+    """The lengths of a chip that change with `name`: of radii all that coincide with it (`geometry.stretch.tied`)."""
+    first = tied(chip)
+    return tuple(other for other in first if first[other] == first[name]) if name in first else (name,)
+
+
+def changed(
+    chip: Chip, lengths: Mapping[str, float], materials: Mapping[str, str] | None = None, *, note: str = ""
+) -> Chip:
+    """`chip` with other `lengths` (m) and `materials` (by region); radii that coincide stay so.
+
+    A length that changes keeps its tolerance, which is that of the process it is made by; where there is a `note`, it
+    stands in place of what was said of the old one.
+
+    Raises:
+        InputError: the new lengths do not make a chip.
+    """
+    old = chip.dimensions()
+    values = {other: value for name, value in lengths.items() for other in together(chip, name)
+              if abs(old[name].value - value) > 0.1 * GRAIN}
+    chosen = materials or {}
+    found = chip.with_dimensions(values)
+    layers = []
+    for layer, before in zip(found.layers, chip.layers, strict=True):
+        parts = {}
+        for part in ("thickness", "radius", "cavity_radius"):
+            new, previous = getattr(layer, part), getattr(before, part)
+            if new is not None and new.value != previous.value:
+                parts[part] = replace(previous, value=new.value, assumed=False if note else previous.assumed,
+                                      note=note or previous.note)
+        layers.append(replace(layer, **parts, material=chosen.get(layer.region, layer.material)))
+    return replace(found, layers=tuple(layers))
