@@ -97,6 +97,7 @@ def test_a_drive_that_stays_is_at_f0_of_the_chip_as_stated() -> None:
                       accuracy=ACCURACY)
     assert fixed.frequency == pytest.approx(fixed.sensitivities.figures["f0"], rel=1e-9)
     assert fixed.outcomes is not None
+    assert not any("as stated does not meet" in text for text in fixed.findings)
     # Whoever stays beside the resonance takes up less power than whoever follows it.
     assert np.median(fixed.outcomes.column("power")) < 0.5 * fixed.sensitivities.figures["power"]
 
@@ -189,3 +190,10 @@ def test_a_mistake_on_the_command_line_is_told(
     assert main(["tolerance", str(chip_file), *options, "-o", str(out)]) == 2
     assert words in " ".join(capsys.readouterr().err.split())
     assert not out.exists()
+
+
+def test_a_chip_that_fails_as_stated_is_told_so() -> None:
+    found = tolerance(disc(), None, ["q <= 10"], samples=5, accuracy=ACCURACY)
+    assert "the chip as stated does not meet 'q <= 10' itself" in found.findings
+    assert found.yields is not None
+    assert found.yields.together.sampled.passed == 0

@@ -96,6 +96,8 @@ class Tolerance(Shown):
     def findings(self) -> tuple[str, ...]:
         """What there is to know beside the numbers, in words."""
         found = [*self.uncertainty.notes]
+        found += [f"the chip as stated does not meet {each.requirement.text!r} itself" for each in self.bounds
+                  if not each.low <= each.nominal <= each.high]
         if self.outcomes is not None:
             if self.redrawn:
                 count = len(self.outcomes.points)
