@@ -3,8 +3,8 @@
     .venv/bin/python tests/benchmarks/design.py [half_wave_chip stock_glass beads_at_one_watt] [--workers 2]
 
 Asked for: better than at first, the best optimum from at least 8 of 10 starts (of the choice of stock it belongs to),
-full solves within 1 %, at most 180 s each. Exit status 1 if a task misses one of these. The time of the processor is that
-of the process that makes the models and solves; on a machine that does nothing else it is nearly that of the clock.
+full solves within 1 %, at most 180 s each. Exit status 1 if a task misses one of these. The time of the processor is
+that of the process that makes the models and solves: what is left of a time on a machine that does other things too.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes for the starts (default 2)")
     with_json(parser)
     options = parser.parse_args()
-    print(ROW.format("task", "before", "after", "change", "starts", "difference", "time", "processor", "missed"), flush=True)
+    print(ROW.format("task", "before", "after", "change", "starts", "difference", "time", "processor", "missed"),
+          flush=True)
     passed = True
     with (measurements(options.json) as found,
           processes(options.workers) if options.workers > 1 else nullcontext() as executor):
@@ -72,8 +73,8 @@ def _tell(task: str, outcome: Design, processor: float, found: Measurements) -> 
         ("difference", worst <= DIFFERENCE), ("time", seconds <= SECONDS)) if not good]
     print(ROW.format(task, shown(objective.figure, before, 4), shown(objective.figure, after, 4),
                      f"{100.0 * (after / before - 1.0):+.0f} %", f"{chosen.at_best}/{len(chosen.attempts)}",
-                     f"{100.0 * worst:.2g} %", f"{seconds:.0f} s", f"{processor:.0f} s", ", ".join(missed) or "nothing"),
-          flush=True)
+                     f"{100.0 * worst:.2g} %", f"{seconds:.0f} s", f"{processor:.0f} s",
+                     ", ".join(missed) or "nothing"), flush=True)
     return not missed
 
 
