@@ -3,7 +3,7 @@
 
 Glass comes in 0.15, 0.5 and 1 mm. Each is searched on a model of its own, with what is printed below it free.
 
-Reference number: REF17
+Reference number: the glass of 1 mm wins; 1766 J/m^3 at 10 Vpp in place of 1331, above 0.77 mm of PLA.
 
     python examples/17_stock_glass.py [-o out/stock_glass]
 

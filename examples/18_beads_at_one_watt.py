@@ -4,7 +4,7 @@
 The fastest focusing that a watt buys while nothing gets warmer than 5 K: the loss budget times thermal resistances that
 the goal states.
 
-Reference number: REF18
+Reference number: 0.056 s from 90 to 10 % of a quarter wavelength in place of 0.087 s, held by the 5 K.
 
     python examples/18_beads_at_one_watt.py [-o out/beads_at_one_watt]
 
