@@ -23,9 +23,9 @@ from workbench.traps import RASTER_POINTS
 Real = NDArray[np.float64]
 
 #: Shares of radius and height below which a step of Newton's method is the last one, and most steps of it.
-SETTLED, STEPS = 1e-9, 60
-#: A curvature of less than this share of the other one, by shares of radius and height, is none: rounding leaves 1e-12.
-FLAT = 1e-6
+SETTLED, STEPS = 1e-8, 60
+#: A curvature of less than this share of the other one, by shares of radius and height, is none: rounding leaves 1e-7.
+FLAT = 1e-5
 #: Share of the radius by which a place leaves the axis where the potential has its maximum on it.
 OFF_AXIS = 1e-3
 #: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
