@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from workbench.files.errors import InputError, nearest_names
 
@@ -45,6 +45,10 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "dimensionless": {"1": 1.0, "%": 1e-2},
 }
 
+#: Characters that a text in the unit asked for first may be longer than in another (:func:`format_quantity`). Doubled,
+#: a rounding in the sixteenth digit still counts as a tail.
+SPARED = 6
+
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
@@ -75,3 +79,28 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     if not math.isfinite(number):
         raise InputError(source, field, text, "a finite number")
     return number + 273.15 if unit == "degC" else number * units[unit]
+
+
+def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:
+    """A text from which :func:`parse_quantity` reads `value` (SI) back to the last digit.
+
+    In the first of `units` (of the `dimension`) that needs no tail of digits for it (:data:`SPARED`). The last of them
+    must be SI itself, in which every number can be written; a product with another unit's factor misses some numbers
+    by a rounding.
+
+    Raises:
+        ValueError: the last unit is not SI.
+    """
+    if UNITS[dimension][units[-1]] != 1.0:
+        raise ValueError(f"{units[-1]!r} is not the SI unit of a {dimension}")
+    found: list[str] = []
+    for unit in units:
+        factor = UNITS[dimension][unit]
+        scaled = value - 273.15 if unit == "degC" else value / factor
+        texts = (f"{float(f'{scaled:.{digits}g}')!r}".removesuffix(".0") + f" {unit}" for digits in range(1, 18))
+        found += [next((text for text in texts if parse_quantity(text, dimension, source="", field="") == value), "")]
+    if not found[-1]:
+        raise ValueError(f"{value!r} is not a finite number")
+    least = min(len(text) for text in found if text)
+    # The unit asked for first unless it takes a tail of digits to hit a number that another unit says in few.
+    return next(text for text in found if text and (len(text) <= least + SPARED))

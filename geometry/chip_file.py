@@ -1,0 +1,142 @@
+"""The text of a chip file: what `geometry.chip.read_chip` reads back to the same chip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import tomli_w
+
+from geometry.chip import Chip
+from geometry.names import TRANSDUCER
+from geometry.parts import Dimension, Electrodes, Layer, Ports, ReportedFigures, State, discs
+from workbench.files.quantities import format_quantity
+from workbench.files.writing import write_atomic
+
+#: What stands behind a key: texts, numbers, flags, and tables and lists of these.
+Entry = str | float | bool | Mapping[str, "Entry"] | list["Entry"]
+
+
+def write_chip(chip: Chip, path: Path) -> Path:
+    """Write `chip` to `path` as a chip file, whole or not at all. Comments of the file it was read from are not kept.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_atomic(path, chip_text(chip))
+    return path
+
+
+def chip_text(chip: Chip) -> str:
+    """The chip as the text of a chip file: every length with its unit, tolerance and note; no digit is lost."""
+    head: dict[str, Entry] = {"name": chip.name}
+    head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
+    head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
+    parts = [_table("[chip]", head)]
+    for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
+        # A bottom is written only where the layer does not start where the one below ends, to the last digit.
+        resting = (0.0 if below is None else below.z_top) == layer.z_bottom
+        parts.append(_table("[[layers]]", _layer(layer, chip.electrodes, with_bottom=not resting)))
+    if chip.ports is not None:
+        parts.append(_table("[cavity]", {"ports": _ports(chip.ports)}))
+    parts += [_table(_heading("states", state.name), _state(state)) for state in chip.states]
+    return "\n".join(parts)
+
+
+def _table(heading: str, content: Mapping[str, Entry]) -> str:
+    return "\n".join([heading, *_lines(content), ""])
+
+
+def _heading(*names: str) -> str:
+    """The heading of a table, its names quoted where they must be."""
+    nested: dict[str, object] = {}
+    for name in reversed(names):
+        nested = {name: nested}
+    return tomli_w.dumps(nested).strip().splitlines()[-1]
+
+
+def _lines(content: Mapping[str, Entry]) -> Iterator[str]:
+    """One line a key, tables and lists on it; only a text of several lines keeps them."""
+    for key, value in content.items():
+        if isinstance(value, str) and "\n" in value and "\r" not in value:
+            yield tomli_w.dumps({key: value}, multiline_strings=True).rstrip("\n")
+        else:
+            yield f"{_assigned(key)}{_inline(value)}"
+
+
+def _assigned(key: str) -> str:
+    """The key with its equals sign, quoted where it must be."""
+    return tomli_w.dumps({key: 0}).removesuffix("0\n")
+
+
+def _inline(value: Entry) -> str:
+    """The value on one line, as people write chip files: `tomli_w` gives tables and lists lines of their own."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_assigned(key)}{_inline(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_inline, value)) + "]"
+    return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
+
+
+def _length(value: float) -> str:
+    # Films and gels in micrometres, all else in millimetres.
+    return format_quantity(value, "length", ("um", "mm", "m") if abs(value) < 1e-4 else ("mm", "um", "m"))
+
+
+def _dimension(dimension: Dimension) -> Entry:
+    table: dict[str, Entry] = {"value": _length(dimension.value)}
+    if dimension.tolerance is not None:
+        table["tolerance"] = _length(dimension.tolerance)
+    if dimension.assumed:
+        table["assumed"] = True
+    if dimension.note:
+        table["note"] = dimension.note
+    return table if len(table) > 1 else table["value"]
+
+
+def _layer(layer: Layer, electrodes: Electrodes, *, with_bottom: bool) -> dict[str, Entry]:
+    found: dict[str, Entry] = {"role": layer.role, "material": layer.material}
+    if layer.density is not None:
+        found["density"] = format_quantity(layer.density, "density", ("kg/m^3",))
+    found |= {"thickness": _dimension(layer.thickness), "radius": _dimension(layer.radius)}
+    if layer.cavity_radius is not None:
+        found["cavity_radius"] = _dimension(layer.cavity_radius)
+    if with_bottom:
+        found["bottom"] = _length(layer.z_bottom)
+    return found | ({"electrodes": _electrodes(electrodes)} if layer.role == TRANSDUCER else {})
+
+
+def _electrodes(electrodes: Electrodes) -> Entry:
+    found: dict[str, Entry] = {"live": electrodes.live}
+    for prefix, (_, disc) in zip(("live", "ground"), discs(electrodes), strict=True):
+        for key, dimension in ((f"{prefix}_radius", disc.radius), (f"{prefix}_inner_radius", disc.inner_radius)):
+            if dimension is not None:
+                found[key] = _dimension(dimension)
+    return found
+
+
+def _ports(ports: Ports) -> Entry:
+    height: dict[str, Entry] = {} if ports.height is None else {"height": _dimension(ports.height)}
+    return {"diameter": _dimension(ports.diameter), **height, "count": ports.count}
+
+
+def _state(state: State) -> dict[str, Entry]:
+    found: dict[str, Entry] = {}
+    if state.cavity is not None:
+        found["cavity"] = state.cavity
+    if state.temperature is not None:
+        found["temperature"] = format_quantity(state.temperature, "temperature", ("degC", "K"))
+    if state.materials:
+        found["materials"] = dict(state.materials)
+    if state.particle is not None:
+        found["particle"] = state.particle
+    if state.particle_radius is not None:
+        found["particle_radius"] = _length(state.particle_radius)
+    if state.reported:
+        found["reported"] = [_reported(each) for each in state.reported]
+    return found
+
+
+def _reported(figures: ReportedFigures) -> Entry:
+    return {"label": figures.label, "f0": format_quantity(figures.f0, "frequency", ("MHz", "kHz", "Hz")),
+            "z_min": format_quantity(figures.z_min, "resistance", ("ohm",)), "q": figures.q}
