@@ -1,0 +1,443 @@
+"""The present numbers of a chip that is moved by hand, and what they give: spectrum, figures, fields, and how sure.
+
+    session = Session(read_chip("chip.toml"), "filled", controls(chip, problem))
+    for said in session.grow():
+        print(said)
+    session.move("substrate.thickness", 0.83e-3)
+    session.spectrum().figures
+
+Answers come from reduced models. The first is there after a few full solves and right in the middle of the ranges only;
+it is replaced by larger ones as they are made (:meth:`Session.grow`, to be run beside). Any number of threads may ask.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import RLock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.chip_file import write_chip
+from geometry.names import CAVITY, TRANSDUCER
+from materials.kinds import Fluid, IsotropicSolid
+from materials.registry import Registry
+from workbench.app.controls import Control, controls
+from workbench.app.history import History
+from workbench.app.line import Line, line_model, rest
+from workbench.app.section_fields import SectionFields, moved_chip, section_fields
+from workbench.comparison import Comparison, compare
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.drive import Drive, VoltageDrive
+from workbench.files.errors import InputError
+from workbench.merit import Figures, NoResonance, figures
+from workbench.operators import assemble
+from workbench.parameter_names import placed
+from workbench.particles import Particle, particle_from
+from workbench.problem import FilledChip, build, fill
+from workbench.ranges import NotCovered, OutOfRange, RangeModel, Response, growing_model
+from workbench.solve import solve_full, sweep
+from workbench.spectrum import Spectrum
+
+Real = NDArray[np.float64]
+
+#: Frequencies of the band at which the spectrum is answered; twice as many take twice as long.
+POINTS = 121
+#: Relative error of the impedance that the models are made for: less than the width of the line it is drawn with.
+TOLERANCE = 1e-2
+
+#: The particle whose potential is drawn where the chip's state names none: a material, and its radius (m).
+BEAD = ("polystyrene", 5e-6)
+
+
+class NotReady(RuntimeError):
+    """Nothing can be answered before the first model is there."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrumView:
+    """The spectrum of the present numbers, and what follows from it.
+
+    ``figures`` are None where the band has no resonance, and ``no_resonance`` says why. ``spread`` (n,) is the relative
+    standard deviation of |Z| by the tolerances, to first order; None where nothing has one. ``error`` is what the
+    model was off by where full solves checked it last (infinite where none has), ``estimate`` what it estimates to be
+    off by here. ``comparison`` is with the recording, if there is one that overlaps.
+    """
+
+    response: Response
+    figures: Figures | None
+    no_resonance: str
+    spread: Real | None
+    error: float
+    comparison: Comparison | None
+
+    @property
+    def spectrum(self) -> Spectrum:
+        return self.response.spectrum
+
+    @property
+    def estimate(self) -> float:
+        """Largest estimated relative error of the impedance; over wide ranges many times too large."""
+        return float(self.response.error.max())
+
+
+@dataclass(frozen=True)
+class Check:
+    """One full solve at a ``frequency`` (Hz): the model's impedance was ``off`` by so much, relative."""
+
+    values: Mapping[str, float]
+    frequency: float
+    off: float
+
+
+class Session:
+    """A chip in one of its states whose numbers are moved.
+
+    ``controls`` are what can be moved, and how far; ``problem`` is that of the chip as its file has it; ``particle``
+    the one whose potential is drawn, ``particle_stated`` whether the file names it.
+    """
+
+    def __init__(
+        self,
+        chip: Chip,
+        state: str | None,
+        wanted: Sequence[str] = (),
+        *,
+        registry: Registry | None = None,
+        band: tuple[float, float] | None = None,
+        points: int = POINTS,
+        tolerance: float = TOLERANCE,
+        accuracy: float | Discretisation = ACCURACY,
+        drive: Drive | None = None,
+        recording: Spectrum | None = None,
+    ) -> None:
+        """A session of `chip` in `state`, its last one if None, in which the numbers `wanted` can be moved
+        (`workbench.app.controls.controls`).
+
+        Raises:
+            InputError: something in the chip, its materials, or what is wanted.
+        """
+        self.chip, self.state = chip, chip.state(state).name
+        self.registry = Registry() if registry is None else registry
+        self.band = chip.band if band is None else band
+        self.drive: Drive = VoltageDrive() if drive is None else drive
+        self.recording = recording
+        self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
+        device = fill(chip, self.state, self.registry)
+        self.problem = build(device, band=self.band, accuracy=accuracy)
+        self.particle, self.particle_stated = _particle(device, self.registry)
+        self._lock = RLock()
+        self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}
+        self._values = {name: each.value for name, each in self._controls.items()}
+        self._history = History(dict(self._values))
+        self._last_moved = ""
+        self._models: tuple[RangeModel, ...] = ()
+        self._line: Line | None = None
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # The numbers.
+
+    @property
+    def transducer(self) -> str:
+        """Name of the transducer's material."""
+        return self.problem.materials[TRANSDUCER].name
+
+    @property
+    def controls(self) -> tuple[Control, ...]:
+        with self._lock:
+            return tuple(self._controls.values())
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The present numbers (SI) by name."""
+        with self._lock:
+            return dict(self._values)
+
+    @property
+    def can_undo(self) -> bool:
+        with self._lock:
+            return bool(self._history.past) or self._values != self._history.present
+
+    @property
+    def can_redo(self) -> bool:
+        with self._lock:
+            return bool(self._history.future)
+
+    def move(self, name: str, number: float) -> None:
+        """Set one number (SI), on the way to where it will rest (:meth:`settle`).
+
+        Raises:
+            InputError: no such number, or one that no chip can have.
+        """
+        with self._lock:
+            self._check({name: number})
+            self._values[name] = float(number)
+            self._last_moved = name
+
+    def settle(self) -> None:
+        """Remember the present numbers as one step that can be undone."""
+        with self._lock:
+            self._history = self._history.then(self._values)
+
+    def put(self, values: Mapping[str, float]) -> None:
+        """Set several numbers (SI) as one step.
+
+        Raises:
+            InputError: as of :meth:`move`.
+        """
+        with self._lock:
+            self._check(values)
+            self._values |= {name: float(number) for name, number in values.items()}
+            self.settle()
+
+    def undo(self) -> None:
+        """Back to the numbers of the step before."""
+        with self._lock:
+            self.settle()
+            self._history = self._history.undone()
+            self._values = dict(self._history.present)
+
+    def redo(self) -> None:
+        """On to the numbers of the step that was undone last."""
+        with self._lock:
+            self._history = self._history.redone()
+            self._values = dict(self._history.present)
+
+    def reset(self, name: str | None = None) -> None:
+        """One number, or all of them, as the chip's file has them."""
+        with self._lock:
+            self.put({each.name: each.value for each in self.controls if name in (None, each.name)})
+
+    def tolerate(self, name: str, tolerance: float | None) -> None:
+        """Set the tolerance (SI) of one number; None for none.
+
+        Raises:
+            InputError: no such number, or a tolerance below zero.
+        """
+        with self._lock:
+            if name not in self._controls:
+                raise InputError("live view", "tolerance", name, f"one of {', '.join(self._controls)}")
+            if tolerance is not None and not 0.0 <= tolerance < np.inf:
+                raise InputError("live view", f"tolerance of {name}", tolerance, "a number that is not below zero")
+            self._controls[name] = replace(self._controls[name], tolerance=tolerance)
+
+    def present_chip(self) -> Chip:
+        """The chip with its present lengths."""
+        return moved_chip(self.chip, self.values)
+
+    def moved_constants(self) -> dict[str, float]:
+        """The constants of materials (SI) that are not what the materials say; a chip's file does not hold them."""
+        with self._lock:
+            return {name: self._values[name] for name, each in self._controls.items()
+                    if not each.is_length and self._values[name] != each.value}
+
+    def save(self, path: Path) -> None:
+        """Write the chip with its present lengths as a chip file; constants that were moved are told in its
+        description, since they belong to the materials.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        chip, constants = self.present_chip(), self.moved_constants()
+        if constants:
+            told = ", ".join(f"{name} = {self._controls[name].told(number)}" for name, number in constants.items())
+            words = f"{chip.description.rstrip()}\nConstants moved in the live view, not part of this file: {told}.\n"
+            chip = replace(chip, description=words.lstrip())
+        write_chip(chip, path)
+
+    def _check(self, values: Mapping[str, float]) -> None:
+        for name, number in values.items():
+            if name not in self._controls:
+                raise InputError("live view", "number", name, f"one of {', '.join(self._controls)}")
+            if not np.isfinite(number):
+                raise InputError("live view", name, number, "a finite number")
+        # Refuses lengths that do not make a chip.
+        moved_chip(self.chip, {**self._values, **values})
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # The models.
+
+    def outside(self) -> tuple[str, ...]:
+        """Names of the numbers that are outside the ranges."""
+        with self._lock:
+            return tuple(name for name, each in self._controls.items()
+                         if not each.low <= self._values[name] <= each.high)
+
+    def widen(self) -> tuple[str, ...]:
+        """Widen the ranges of the numbers that are outside; their names. :meth:`grow` then makes a model of them."""
+        with self._lock:
+            names = self.outside()
+            for name in names:
+                self._controls[name] = self._controls[name].reaching(self._values[name])
+            return names
+
+    def grow(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[str]:
+        """Make models of the present ranges, each larger than the last, until one is within the tolerance.
+
+        Yields what is known of each as soon as it answers, in words; ends before the next one once `stopped`.
+
+        Raises:
+            InputError: a range that no chip can have.
+        """
+        ranges = {each.name: (each.low, each.high) for each in self.controls}
+        try:
+            for model in growing_model(self.chip, self.state, ranges, registry=self.registry, band=self.band,
+                                       points=self._points, tolerance=self._tolerance, accuracy=self.accuracy):
+                self._take(model)
+                yield _told(model)
+                if stopped():
+                    return
+        except NotCovered as reached:
+            self._take(reached.model)
+            yield f"{reached}"
+
+    def _take(self, model: RangeModel) -> None:
+        """Answer from `model` wherever it is the best; forget those that it replaces."""
+        # Worked out here rather than by who asks first.
+        _ = model.compact
+        with self._lock:
+            # One of narrower ranges answers there until this one has been found to be as good.
+            kept = [each for each in self._models if each.ranges != model.ranges
+                    and not (_covers(model, each) and model.error <= each.error)]
+            self._models = (*kept, model)
+
+    def _best(self, values: Mapping[str, float]) -> RangeModel:
+        """The model with these `values` in its ranges that was off least when it was checked.
+
+        Raises:
+            NotReady: there is none yet.
+            OutOfRange: no model has such ranges.
+        """
+        if not self._models:
+            raise NotReady("the first model is being made")
+        fit = [each for each in self._models if _holds(each, values)]
+        if not fit:
+            raise OutOfRange(f"outside the ranges: {', '.join(self.outside())}")
+        return min(reversed(fit), key=lambda each: each.error)
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # What they give.
+
+    def spectrum(self) -> SpectrumView:
+        """The spectrum of the present numbers.
+
+        Raises:
+            NotReady, OutOfRange: no model answers for them yet.
+        """
+        with self._lock:
+            values, deviations = self.values, {each.name: each.deviation for each in self.controls}
+            model, line = self._best(values), self._line
+        response = line(values) if line is not None and line.holds(model, values) else model(values)
+        spectrum = response.spectrum
+        found, reason = None, ""
+        try:
+            found = figures(spectrum)
+        except NoResonance as missing:
+            reason = missing.reason
+        return SpectrumView(response, found, reason, _spread(response, deviations), model.error,
+                            _compared(self.recording, spectrum))
+
+    def section(self, frequency: float) -> SectionFields:
+        """The fields of the present numbers at a `frequency` (Hz) within the band.
+
+        Raises:
+            NotReady, OutOfRange: no model answers for them yet.
+        """
+        with self._lock:
+            values = self.values
+            model = self._best(values)
+        return section_fields(self.chip, model, values, frequency, self.drive, self.particle)
+
+    def prepare_line(self) -> bool:
+        """Make a small model for the number that was moved last, unless there is one; whether one was made."""
+        with self._lock:
+            values, name = self.values, self._last_moved
+            if not name or not self._models or self.outside():
+                return False
+            model, line = self._best(values), self._line
+        if line is not None and line.name == name and line.holds(model, values):
+            return False
+        found = line_model(model, name, values)
+        with self._lock:
+            if found is not None and rest(self._values, name) == found.others:
+                self._line = found
+        return found is not None
+
+    def check(self, frequency: float) -> Check:
+        """One full solve at a `frequency` (Hz), on the mesh of the model.
+
+        Raises:
+            NotReady, OutOfRange: no model answers for the present numbers yet.
+        """
+        with self._lock:
+            values = self.values
+            model = self._best(values)
+        numbers, at = placed(model.problem.values, values), np.array([frequency])
+        full = solve_full(model.reduced.full, at, numbers).impedance[0]
+        return Check(values, frequency, float(abs(model.compact.solve(at, numbers).impedance[0] / full - 1.0)))
+
+    def full_spectrum(self, count: int) -> Iterator[tuple[float, complex]]:
+        """Frequencies (Hz) and impedances (ohm, e^{+j w t}) of the present numbers by full solves, on a mesh of their
+        own: `count` of them evenly over the band, each as soon as it is solved."""
+        values = self.values
+        chip = moved_chip(self.chip, values)
+        problem = build(fill(chip, self.state, self.registry), band=self.band, accuracy=self.accuracy)
+        numbers = placed(problem.values, {name: values[name] for name in self.moved_constants()})
+        operators = assemble(problem.mesh, problem.terms)
+        for solution in sweep(operators, np.linspace(*self.band, count), numbers):
+            yield float(solution.frequency[0]), complex(np.conj(solution.impedance[0]))
+
+
+def _particle(device: FilledChip, registry: Registry) -> tuple[Particle | None, bool]:
+    """The particle in the cavity's fluid and whether the chip names it; None without a fluid."""
+    if not isinstance(device.materials.get(CAVITY), Fluid):
+        return None, False
+    named, radius = device.state.particle, device.state.particle_radius
+    stated = named is not None and radius is not None
+    name, radius = (named, radius) if named is not None and radius is not None else BEAD
+    material = registry.load(name)
+    if not isinstance(material, IsotropicSolid):
+        raise InputError(device.chip.file, f"states.{device.state.name}.particle", name, "an isotropic solid")
+    return particle_from(material, radius), stated
+
+
+def _holds(model: RangeModel, values: Mapping[str, float]) -> bool:
+    return all(low - 1e-9 * abs(low) <= values[name] <= high + 1e-9 * abs(high)
+               for name, (low, high) in model.ranges.items())
+
+
+def _covers(one: RangeModel, other: RangeModel) -> bool:
+    """Whether the ranges of `one` hold those of `other`."""
+    return all(one.ranges[name][0] <= low and high <= one.ranges[name][1]
+               for name, (low, high) in other.ranges.items())
+
+
+def _told(model: RangeModel) -> str:
+    rank, solves = f"{model.rank} unknowns", f"{model.reduced.solves} full solves"
+    if model.error <= model.tolerance:
+        return f"model ready: {rank}, off by {100.0 * model.error:.2g} % at worst where {solves} checked it"
+    if not np.isfinite(model.error):
+        return f"first model: {rank}, right about the middle of the ranges; it grows"
+    return f"model grows: {rank} after {solves}, was off by {100.0 * model.error:.2g} %"
+
+
+def _spread(response: Response, deviations: Mapping[str, float]) -> Real | None:
+    """Relative standard deviation (n,) of |Z|, of independent numbers with these standard deviations (SI)."""
+    names = tuple(name for name, deviation in deviations.items() if deviation > 0.0)
+    if not names:
+        return None
+    slopes = (response.gradient(names) / response.impedance[:, None]).real
+    return np.asarray(np.sqrt(np.sum((slopes * np.array([deviations[name] for name in names])) ** 2, axis=1)))
+
+
+def _compared(recording: Spectrum | None, simulated: Spectrum) -> Comparison | None:
+    if recording is None:
+        return None
+    try:
+        return compare(recording, simulated)
+    except ValueError:
+        # Of another band.
+        return None
