@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.chip import Chip
+from geometry.names import whole
 from geometry.stretch import tied
 from materials.registry import Registry
 from workbench.coefficients import Coefficients
@@ -171,13 +172,7 @@ class RangeModel:
             KeyError: a name that the model has no range for.
             OutOfRange: a number outside its range.
         """
-        numbers = {name: part(self.problem.values, name) for name in self.ranges} | dict(values or {})
-        for name, number in numbers.items():
-            if name not in self.ranges:
-                raise KeyError(f"the model has no range for {name!r}; it has {', '.join(self.ranges)}")
-            low, high = self.ranges[name]
-            if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
-                raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
+        numbers = within(self.ranges, self.problem.values, values or {})
         placed_there = placed(self.problem.values, numbers)
         solution = self.compact.solve(self.frequency, placed_there)
         return Response(numbers, Prediction(solution, self.compact, placed_there))
@@ -185,7 +180,7 @@ class RangeModel:
     @cached_property
     def compact(self) -> ReducedModel:
         """The reduced model with what no parameter of the ranges moves summed up."""
-        return compacted(self.reduced, _keys(self.ranges), self.problem.values)
+        return compacted(self.reduced, keys(self.ranges), self.problem.values)
 
     def grown(
         self, tolerance: float | None = None, *, limit: int = LIMIT, seed: int = 1, progress: Progress | None = None
@@ -288,6 +283,23 @@ def _first(
     return RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
 
 
+def within(ranges: Ranges, own: Mapping[str, complex], values: Mapping[str, float]) -> dict[str, float]:
+    """A number for each of `ranges`: that of `values`, or else the one among the `own` complex parameters.
+
+    Raises:
+        KeyError: a name that there is no range for.
+        OutOfRange: a number outside its range.
+    """
+    numbers = {name: part(own, name) for name in ranges} | dict(values)
+    for name, number in numbers.items():
+        if name not in ranges:
+            raise KeyError(f"the model has no range for {name!r}; it has {', '.join(ranges)}")
+        low, high = ranges[name]
+        if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
+            raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
+    return numbers
+
+
 def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, Ranges]:
     """`problem` with the lengths among its values that `ranges` name, and the ranges by the names they have there.
 
@@ -315,7 +327,7 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
     return flexed, found
 
 
-def _keys(ranges: Ranges) -> set[str]:
+def keys(ranges: Ranges) -> set[str]:
     """The complex values that numbers with `ranges` are parts of."""
     return {ParameterName.parse(name).key for name in ranges}
 
@@ -336,7 +348,7 @@ def _growth(
     sampler = qmc.Sobol(len(ranges), seed=seed)
     watched = np.linspace(model.frequency[0], model.frequency[-1], WATCHED)
     spent, error, first, share = 0, np.inf, 0.0, 0.0
-    moving = _keys(ranges)
+    moving = keys(ranges)
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(2, os.cpu_count() or 1))) as pool:
         while True:
             points = low + (high - low) * sampler.random(LOOKED_AT)
@@ -385,24 +397,28 @@ def _solved(
     return states, system.charge(frequency, states[:, 0]), residual
 
 
-def compacted(model: ReducedModel, moving: set[str], values: Mapping[str, complex]) -> ReducedModel:
+def compacted(
+    model: ReducedModel, moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
+) -> ReducedModel:
     """`model` for parameters of which only those named `moving` change: what depends on them alike is one integral.
 
-    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow.
+    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow. With `by_place` each
+    region and boundary keeps integrals of its own.
     """
-    groups: dict[Coefficient, dict[int, complex]] = {}
+    groups: dict[tuple[Coefficient, str], dict[int, complex]] = {}
     for q, integral in enumerate(model.operators.integrals):
         coefficient, constant = _separated(integral.coefficient, moving, values)
         if constant != 0.0:
-            groups.setdefault(coefficient, {})[q] = constant
+            place = whole(integral.place) if by_place else ""
+            groups.setdefault((coefficient, place), {})[q] = constant
     integrals: list[Integral] = []
     weights: list[Real] = []
-    for coefficient, members in groups.items():
+    for (coefficient, place), members in groups.items():
         constants = np.zeros(len(model.operators.integrals), dtype=complex)
         constants[list(members)] = list(members.values())
         for turn, each in ((1.0, constants.real), (1j, constants.imag)):
             if each.any():
-                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), "", ()))
+                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), place, ()))
                 weights.append(each)
     combine = model.operators.by_form(np.array(weights, dtype=complex)).real
     matrices = np.tensordot(combine, model.operators.matrices, axes=1)

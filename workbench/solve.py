@@ -236,6 +236,17 @@ class System:
         pattern = self.operators.pattern
         return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
 
+    def factored(self, frequency: float) -> tuple[sparse.csr_matrix, Factor]:
+        """A(w) (size, size), electrode included, and the factorised part without it.
+
+        Raises:
+            NotConverged: the matrix is singular.
+        """
+        entries, inner = self._at(frequency), self.operators.free
+        held = sparse.csr_matrix((entries[inner.entries], inner.pattern.indices, inner.pattern.indptr),
+                                 shape=inner.pattern.shape)
+        return self._stored(entries), factorise(held, frequency, inner.factorisation)
+
     def solve(self, frequency: float) -> tuple[Complex, float]:
         """The state (size,) at unit electrode voltage, and its scaled residual."""
         states, residual = self.krylov(frequency, 1)
@@ -254,18 +265,14 @@ class System:
         Returns:
             (size, count + len(tangents)) the state first, and the scaled residual of the state itself.
         """
-        entries = self._at(frequency)
-        whole = self._stored(entries)
-        free, inner = whole.shape[0] - 1, self.operators.free
-        held = sparse.csr_matrix((entries[inner.entries], inner.pattern.indices, inner.pattern.indptr),
-                                 shape=inner.pattern.shape)
-        factor = factorise(held, frequency, inner.factorisation)
+        whole, factor = self.factored(frequency)
+        free = whole.shape[0] - 1
         electrode = (whole @ np.append(np.zeros(free), 1.0))[:free]
         x, residual = factor.solve(-electrode)
         states = np.zeros((free + 1, count + len(tangents)), dtype=complex)
         states[:, 0] = np.append(x, 1.0)
         if count > 1:
-            change = self._stored(self._at(frequency * (1.0 + step)) - entries)
+            change = self._stored(self._at(frequency * (1.0 + step)) - whole.data)
             vector = states[:, 0]
             directions = np.zeros((free, 0), dtype=complex)
             for k in range(1, count):

@@ -4,51 +4,46 @@
                          figures=("f0", "e_ac", "trap_offset"))
     found = model({"substrate.thickness": 0.83e-3}, gradient=True)
     found.figures["e_ac"], found.gradient["e_ac"]
+
+What figures need of a range model is far less than its spectra (`workbench.design.bases`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.names import CAVITY
+from geometry.stretch import tied
+from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
+from workbench.design.bases import Bases, bases_of
+from workbench.design.cavity import Cavity, NoCavity, cavity_of
+from workbench.design.evaluation import OF_FIELD, Evaluation, Operation, Question, answer, needs_resonance
+from workbench.design.figures import LOSS_SHARE, check_figures
+from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
-from workbench.drive import Drive, VoltageDrive
-from workbench.ranges import LIMIT, Progress, RangeModel, Ranges, Response
+from workbench.files.errors import InputError, nearest_names
+from workbench.linearised import FullSystem, ReducedSystem
+from workbench.operators import FullOperators, assemble
+from workbench.parameter_names import Kind, ParameterName, placed
+from workbench.particles import Particle, particle_from
+from workbench.problem import FilledChip, Problem, build, fill
+from workbench.ranges import LIMIT, Progress, RangeModel, Ranges, range_model, within
+from workbench.reduction import reduced
+from workbench.solve import one_thread
+from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-
-@dataclass(frozen=True)
-class Operation:
-    """How a chip is operated: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
-    ``thermal_resistance`` (K/W) of regions for :attr:`heating`, the key "" standing for all regions not named."""
-
-    drive: Drive = field(default_factory=VoltageDrive)
-    frequency: float | None = None
-    thermal_resistance: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Figures of one chip.
-
-    ``values`` the numbers it was asked for (SI, by parameter name); ``figures`` SI, by name, NaN where there is none
-    and ``missing`` says why, by the figure's name; ``gradient`` by figure, (len(values),) in the order of ``values``,
-    None where not asked for; ``frequency`` (Hz) it is driven at; ``error`` estimated relative error of Z there.
-    """
-
-    values: Mapping[str, float]
-    figures: Mapping[str, float]
-    missing: Mapping[str, str]
-    frequency: float
-    error: float
-    gradient: Mapping[str, Real] | None = None
+#: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come of full solves.
+TOLERANCE = 1e-5
 
 
 class Evaluator(Protocol):
@@ -73,36 +68,65 @@ class Evaluator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DesignModel:
-    """An :class:`Evaluator` on a range model, which can be pickled for other processes."""
+    """An :class:`Evaluator` on reduced models, which can be pickled for other processes.
+
+    ``values`` the problem's own complex parameters; ``bases`` what it is computed on; ``cavity`` the places of the
+    pressure, None where there is none, and ``reason`` says why. ``range_model`` stays with the process that made it.
+    """
 
     chip: Chip
     state: str
     figures: tuple[str, ...]
     operation: Operation
-    range_model: RangeModel
+    ranges: Ranges
+    values: Mapping[str, complex]
+    bases: Bases
+    cavity: Cavity | None
+    reason: str
+    range_model: RangeModel | None
 
     @property
     def names(self) -> tuple[str, ...]:
-        return self.range_model.names
+        return tuple(self.ranges)
 
     @property
-    def ranges(self) -> Ranges:
-        """Lowest and highest number (SI) of every parameter."""
-        return self.range_model.ranges
+    def error(self) -> float:
+        """Largest relative error of Z at f0, and of the pressure's root mean square, found against full solves."""
+        return max(self.bases.error, self.bases.pressure_error)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "range_model": None}
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
-        raise NotImplementedError
+        numbers, bases = self.numbers(values), self.bases
+        there = placed(self.values, numbers)
+        question = Question(self.figures, self.names if gradient else (), there, self.operation, self.cavity,
+                            self.reason, bases.pressure)
+        with one_thread():
+            system = ReducedSystem(bases.operating, there)
+            charge = np.zeros(0, dtype=complex)
+            if needs_resonance(question):
+                charge = ReducedSystem(bases.sweeping, there).sweep(bases.frequency).charge
+            return answer(question, system, bases.frequency, charge).evaluation(numbers, bases.estimate)
 
-    def spectrum(self, values: Mapping[str, float]) -> Response:
-        """The impedance at these numbers, see `workbench.ranges.RangeModel`."""
-        return self.range_model(values)
+    def spectrum(self, values: Mapping[str, float] | None = None) -> Spectrum:
+        """The impedance at these numbers over the band, of the range model.
 
-    def localised(self, points: Real) -> list[tuple[NDArray[np.int64], DesignModel]]:
-        """Smaller, faster models for `points` (n, len(names)): the indices that each is for, and the model.
-
-        Points are divided until the basis that serves them is small; each model was checked against this one.
+        Raises:
+            ValueError: this is a copy in another process, without the range model.
         """
-        raise NotImplementedError
+        if self.range_model is None:
+            raise ValueError("a design model that was sent to another process has no spectrum over the band")
+        return self.range_model(values).spectrum
+
+    def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
+        """All numbers of the model, those given in the place of the chip's own.
+
+        Raises:
+            KeyError: a name that is no parameter.
+            OutOfRange: a number outside the ranges.
+        """
+        return within(self.ranges, self.values, values)
 
 
 def design_model(
@@ -127,7 +151,29 @@ def design_model(
         InputError: something in the chip, its materials, the ranges or the figures.
         NotCovered: `limit` full solves were not enough.
     """
-    raise NotImplementedError
+    check_figures(figures, chip.regions, source=chip.file, field="figures")
+    made = range_model(chip, state, ranges, registry=registry, band=band, points=points, tolerance=tolerance,
+                       limit=limit, seed=seed, progress=progress, accuracy=accuracy)
+    return of_range_model(made, chip, state, figures=figures, operation=operation, registry=registry, seed=seed)
+
+
+def of_range_model(
+    made: RangeModel, chip: Chip, state: str | None, *, figures: Sequence[str], operation: Operation | None = None,
+    registry: Registry | None = None, seed: int = 0,
+) -> DesignModel:
+    """The figures on a range model of that chip and state; `seed` of the points its bases are made and checked at.
+
+    Raises:
+        InputError: something in the chip, its materials or the figures.
+    """
+    wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
+    operation = operation or Operation()
+    device, problem = fill(chip, state, registry), made.problem
+    cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted, registry)
+    by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in wanted)
+    bases = bases_of(made, operation.frequency, cavity, by_place=by_place, seed=seed)
+    return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
+                       made)
 
 
 def full_evaluation(
@@ -139,14 +185,99 @@ def full_evaluation(
     operation: Operation | None = None,
     registry: Registry | None = None,
     band: tuple[float, float] | None = None,
+    points: int = 161,
     gradient: bool = False,
     accuracy: float | Discretisation = ACCURACY,
 ) -> Evaluation:
     """The same figures by full solves on a mesh of the chip's own: lengths among `values` are built in, coefficients
     replaced. What a reduced model says is confirmed by this.
 
+    A reduced model of these numbers alone, to :data:`TOLERANCE`, says where the resonance is; the states at f0 and at
+    the half-power frequencies are full ones.
+
     Raises:
         InputError: something in the chip, its materials, the values or the figures.
         NotConverged: a full solve.
     """
-    raise NotImplementedError
+    wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
+    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).kind is Kind.DIMENSION}
+    others = {n: v for n, v in values.items() if n not in lengths}
+    moved = chip.with_dimensions(all_of_one_length(chip, lengths))
+    device = fill(moved, state, registry)
+    problem = build(device, band=band, accuracy=accuracy)
+    if gradient and lengths:
+        problem = flexible(problem, moved, [n for n in lengths if ParameterName.parse(n).is_radius])
+    unknown = sorted(n for n in others if ParameterName.parse(n).key not in problem.values)
+    if unknown:
+        raise InputError(chip.file, "values", unknown[0], "a length or a coefficient of the chip's materials",
+                         nearest_names(unknown[0], problem.values))
+    return _evaluated(device, replace(problem, values=placed(problem.values, others)), values, wanted,
+                      operation or Operation(), registry, points, gradient)
+
+
+def all_of_one_length(chip: Chip, lengths: Mapping[str, float]) -> dict[str, float]:
+    """`lengths` (m) with the radii that coincide with one of them, which are one parameter, by all of their names."""
+    first = tied(chip)
+    found = dict(lengths)
+    for name, value in lengths.items():
+        found |= {other: value for other in first if name in first and first[other] == first[name]}
+    return found
+
+
+def _cavity(
+    device: FilledChip, operators: FullOperators, names: Sequence[str], highest: float, figures: Sequence[str],
+    registry: Registry | None,
+) -> tuple[Cavity | None, str]:
+    """The cavity and its particle, or why there is none; looked at only if a figure needs it.
+
+    Raises:
+        InputError: a particle that is no isotropic solid.
+    """
+    fluid = device.materials.get(CAVITY)
+    if not set(figures) & set(OF_FIELD):
+        return None, ""
+    if not isinstance(fluid, Fluid):
+        return None, f"there is no fluid in the cavity in state {device.state.name!r}"
+    lengths = [n for n in names if ParameterName.parse(n).kind is Kind.DIMENSION]
+    try:
+        found = cavity_of(operators, device.chip, fluid, particle_of(device, registry), lengths, highest)
+    except NoCavity as error:
+        return None, str(error)
+    return found, ""
+
+
+def particle_of(device: FilledChip, registry: Registry | None) -> Particle | None:
+    """The particle that the state of a chip names, if any.
+
+    Raises:
+        InputError: its material is no isotropic solid.
+    """
+    chosen = device.state
+    if chosen.particle is None or chosen.particle_radius is None:
+        return None
+    material = (Registry() if registry is None else registry).load(chosen.particle)
+    if not isinstance(material, IsotropicSolid):
+        raise InputError(device.chip.file, f"states.{chosen.name}.particle", chosen.particle, "an isotropic solid")
+    return particle_from(material, chosen.particle_radius)
+
+
+def _evaluated(
+    device: FilledChip, problem: Problem, numbers: Mapping[str, float], figures: tuple[str, ...],
+    operation: Operation, registry: Registry | None, points: int, gradient: bool,
+) -> Evaluation:
+    operators = assemble(problem.mesh, problem.terms)
+    frequency = np.linspace(*problem.band, points)
+    small, sweep = reduced(operators, frequency, problem.values, tolerance=TOLERANCE, confirmed=False)
+    first = tied(device.chip)
+    names = tuple(first.get(name, name) for name in numbers) if gradient else ()
+    cavity, reason = _cavity(device, operators, names, frequency[-1], figures, registry)
+
+    def pressure(states: Complex) -> Complex:
+        assert cavity is not None
+        return np.asarray(np.append(states, np.zeros((1, states.shape[1])), axis=0)[cavity.rows])
+
+    question = Question(figures, names, problem.values, operation, cavity, reason, pressure)
+    with one_thread():
+        found = answer(question, ReducedSystem(small.operators, problem.values), frequency, sweep.charge,
+                       FullSystem(operators, problem.values))
+    return found.evaluation(numbers, None)

@@ -1,0 +1,297 @@
+"""The pressure in the cavity as one polynomial, and what follows from it: potential, force, energy density.
+
+A state of the model, full or reduced, gives the pressure on the nodes of the cavity. Sound there has no scale finer
+than its wavelength, so one polynomial over the whole cavity holds it, even in the radius:
+
+    p(r, z) = sum_kl C_kl P_k(s) P_l(t),   s = 2 (r / R)^2 - 1,   t = 2 z / H - 1
+
+with Legendre's P, z from the floor, R and H radius and height of the cavity. Squares of such fields are polynomials of
+twice the degree, known from their values on Gauss-Legendre points; minima, derivatives and integrals of these are
+exact. Lengths may move: at constant s and t the values change, and R and H with them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.names import CAVITY
+from geometry.parts import SAME_LENGTH
+from geometry.section import cut_section
+from materials.kinds import Fluid
+from workbench.design.dual import Dual, slope
+from workbench.design.legendre import derivatives
+from workbench.fields import section_nodes
+from workbench.operators import FullOperators
+from workbench.parameter_names import ParameterName
+from workbench.particles import Particle, compressibility, viscous_scattering
+from workbench.radiation import gorkov_potential, radiation_force
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Degree in s and in t beyond half of the phase k R, or k H, across the cavity: from there on the coefficients of a
+#: wave fall faster than geometrically (Jacobi-Anger); ten leave 1e-7.
+BEYOND = 10
+
+#: The fields that are squares of the pressure's, in this order.
+POTENTIAL, FORCE, SQUARE, ENERGY = range(4)
+
+
+#: What of the fluid the fields depend on besides the pressure.
+OF_FLUID = ("density", "sound_speed", "shear_viscosity")
+
+
+class NoCavity(ValueError):
+    """A chip whose cavity has no field of the kind asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Positions (n,) in metres that follow lengths: ``nominal`` plus ``slopes`` (n, k) times the change of the k
+    parameters."""
+
+    nominal: Real
+    slopes: Real
+
+    def at(self, change: Real) -> Real:
+        return self.nominal + self.slopes @ change
+
+
+@dataclass(frozen=True, eq=False)
+class Cavity:
+    """The cavity of a chip: ``rows`` (n, m) of the unknown pressure at its nodes, -1 where it is zero, the places
+    ``r`` (n,) and ``z`` (m,) of these, z from the floor, what fills it, and the particle if there is one.
+
+    ``lengths`` are the parameters that the places follow, of ``start`` (SI).
+    """
+
+    rows: NDArray[np.int64]
+    r: Places
+    z: Places
+    fluid: Fluid
+    particle: Particle | None
+    lengths: tuple[str, ...]
+    start: Real
+    wave_number: float
+
+    def change(self, values: Mapping[str, complex]) -> Real:
+        """How far (m) each of ``lengths`` is from where it started."""
+        return np.array([complex(values[name]).real for name in self.lengths]) - self.start
+
+    def pressure_rows(self, basis: Real) -> Real:
+        """The rows (n, m, r) of a basis (size, r) that give the pressure at the nodes."""
+        found = basis[self.rows]
+        found[self.rows < 0] = 0.0
+        return found
+
+    @cached_property
+    def polynomials(self) -> Polynomials:
+        """The polynomials for the cavity as it is on the mesh."""
+        phases = self.wave_number * self.r.nominal[-1], self.wave_number * self.z.nominal[-1]
+        counts = [min(math.ceil(0.5 * phase) + BEYOND, (2 * nodes) // 3)
+                  for phase, nodes in zip(phases, self.rows.shape, strict=True)]
+        return Polynomials.of(counts[0], counts[1])
+
+
+def cavity_of(
+    operators: FullOperators, chip: Chip, fluid: Fluid, particle: Particle | None, lengths: Sequence[str],
+    frequency: float,
+) -> Cavity:
+    """The cavity of a chip on the mesh of `operators`; of the parameters `lengths` those that move it are taken.
+
+    Args:
+        frequency: the highest one (Hz), for the degree of the polynomials.
+
+    Raises:
+        NoCavity: holes of different radii.
+    """
+    holes = chip.holes
+    if max(hole.inner_radius for hole in holes) - min(hole.inner_radius for hole in holes) > SAME_LENGTH:
+        raise NoCavity("figures of fields need a cavity of one radius throughout its height")
+    mesh, dofs = section_nodes(operators.mesh)
+    nodes = mesh.nodes_of([CAVITY])
+    floor, names = holes[0].z_bottom, tuple(lengths)
+    lines, where = [], []
+    for axis in (0, 1):
+        found, index = np.unique(np.round(mesh.points[nodes, axis] / SAME_LENGTH).astype(np.int64), return_inverse=True)
+        lines.append(found * SAME_LENGTH)
+        where.append(index)
+    rows = np.full((lines[0].size, lines[1].size), -2)
+    rows[where[0], where[1]] = operators.numbering["p"][dofs[nodes]]
+    if (rows == -2).any():
+        raise NoCavity("the cavity is no rectangle of the mesh")
+    known = chip.dimensions()
+    breaks = np.array([b for b in cut_section(chip).r_breaks if b <= holes[0].inner_radius + SAME_LENGTH])
+    of_breaks = np.array([[float(ParameterName.parse(n).is_radius and abs(known[n].value - b) < SAME_LENGTH)
+                           for n in names] for b in breaks])
+    levels = np.cumsum([0.0, *(hole.thickness.value for hole in holes)])
+    of_levels = np.cumsum([[0.0] * len(names), *([float(n == f"{hole.region}.thickness") for n in names]
+                                                 for hole in holes)], axis=0)
+    return Cavity(
+        rows, _interpolated(lines[0], breaks, of_breaks), _interpolated(lines[1] - floor, levels, of_levels), fluid,
+        particle, names, np.array([known[n].value for n in names]), 2.0 * math.pi * frequency / fluid.sound_speed)
+
+
+def _interpolated(places: Real, breaks: Real, slopes: Real) -> Places:
+    """Places between breaks that move by `slopes` (breaks, k)."""
+    if not slopes.shape[1]:
+        return Places(places, np.zeros((places.size, 0)))
+    return Places(places, np.stack([np.interp(places, breaks, each) for each in slopes.T], axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomials:
+    """What is the same for every pressure: values (points, k) of Legendre's polynomials and of their first and second
+    derivatives on the Gauss-Legendre points of s and of t, and the way back from values to coefficients."""
+
+    s: Real
+    along_s: tuple[Real, ...]
+    along_t: tuple[Real, ...]
+    back: tuple[Real, Real]
+    weights: Real
+
+    @classmethod
+    def of(cls, in_s: int, in_t: int) -> Polynomials:
+        """For so many coefficients of the pressure."""
+        tables, points, back, weights = [], [], [], []
+        for count in (in_s, in_t):
+            x, w = leggauss(2 * count - 1)
+            points.append(x)
+            weights.append(w)
+            tables.append(tuple(derivatives(x, count, order) for order in range(3)))
+            back.append((derivatives(x, x.size, 0) * w[:, None]).T * (np.arange(x.size) + 0.5)[:, None])
+        return cls(points[0], tables[0], tables[1], (back[0], back[1]), np.outer(*weights) / 4.0)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Coefficients of the pressure in s and in t."""
+        return self.along_s[0].shape[1], self.along_t[0].shape[1]
+
+    def coefficients(self, values: Real) -> Real:
+        """Of fields (..., points in s, points in t): the like."""
+        return np.asarray(self.back[0] @ values @ self.back[1].T)
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The scalars that squares of the pressure depend on besides: frequency Hz, radius and height of the cavity m, and
+    ``fluid``, what is known of density kg/m^3, sound speed m/s and shear viscosity Pa s."""
+
+    frequency: Dual
+    radius: Dual
+    height: Dual
+    fluid: Mapping[str, Dual]
+
+    def numbers(self) -> dict[str, Dual]:
+        return {"frequency": self.frequency, "radius": self.radius, "height": self.height, **self.fluid}
+
+
+@dataclass(frozen=True, eq=False)
+class CavityField:
+    """Squares of the pressure's fields at unit voltage, as polynomials.
+
+    ``coefficients`` (4, n, m) of the potential (J), the axial force (N), |p|^2 (Pa^2) and the energy density (J/m^3),
+    ``gradient`` (4, n, m, k) of these at constant s and t, ``around`` the scalars. ``unfitted`` is the largest part of
+    the pressure that the polynomial leaves, relative to its largest value.
+    """
+
+    cavity: Cavity
+    coefficients: Real
+    gradient: Real
+    around: Surroundings
+    unfitted: float
+
+    @property
+    def mean_energy_density(self) -> Dual:
+        """Over the cavity's volume: the coefficient of P_0 P_0, since r dr is R^2 / 4 ds."""
+        return Dual(float(self.coefficients[ENERGY, 0, 0]), self.gradient[ENERGY, 0, 0])
+
+
+def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Surroundings, change: Real,
+                 moving: Real) -> CavityField:
+    """The field of a pressure at the cavity's nodes.
+
+    Args:
+        pressure: (n, m) at unit voltage.
+        slopes: (n, m, k) its derivatives by k parameters, at the nodes as they move.
+        around: the scalars and their derivatives.
+        change: of the lengths that move the cavity (m), see :meth:`Cavity.change`.
+        moving: (lengths, k) derivative of the lengths by the parameters.
+    """
+    polynomials = cavity.polynomials
+    (xi, by_xi), (eta, by_eta) = (_scaled(places, change, moving) for places in (cavity.r, cavity.z))
+    counts = polynomials.counts
+    tables = [(derivatives(x, count, 0), derivatives(x, count, 1))
+              for x, count in ((2.0 * xi**2 - 1.0, counts[0]), (2.0 * eta - 1.0, counts[1]))]
+    inverse = [np.linalg.pinv(values) for values, _ in tables]
+    found = inverse[0] @ pressure @ inverse[1].T
+    left = pressure - tables[0][0] @ found @ tables[1][0].T
+    by_s = (4.0 * xi)[:, None] * (tables[0][1] @ found @ tables[1][0].T)
+    by_t = 2.0 * (tables[0][0] @ found @ tables[1][1].T)
+    fixed = slopes - by_s[:, :, None] * by_xi[:, None, :] - by_t[:, :, None] * by_eta[None, :, :]
+    changes = np.einsum("an,nmk,bm->kab", inverse[0], fixed, inverse[1], optimize=True)
+    scalars = {name: number.value for name, number in around.numbers().items()}
+    values = squares(cavity, found, scalars)
+    gradient = np.zeros((*values.shape, len(changes)))
+    size = np.linalg.norm(found)
+    for k, each in enumerate(changes):
+        length = np.linalg.norm(each)
+        if length > 0.0:
+            # Of a quadratic form half the difference of its values on both sides is the derivative, exactly.
+            step = (size / length) * each
+            both = squares(cavity, found + step, scalars) - squares(cavity, found - step, scalars)
+            gradient[..., k] = (0.5 * length / size) * both
+    for name, number in around.numbers().items():
+        if number.gradient.any():
+            by_scalar = slope(lambda x, name=name: squares(cavity, found, {**scalars, name: x}), number.value)  # type: ignore[misc]
+            gradient += by_scalar[..., None] * number.gradient
+    to_end = np.moveaxis(polynomials.coefficients(np.moveaxis(gradient, -1, 0)), 0, -1)
+    return CavityField(cavity, polynomials.coefficients(values), to_end, around,
+                       float(np.abs(left).max() / np.abs(pressure).max()))
+
+
+def _scaled(places: Places, change: Real, moving: Real) -> tuple[Real, Real]:
+    """Places as shares of the last one (n,), and their derivatives (n, k)."""
+    at, slopes = places.at(change), places.slopes @ moving
+    share = at / at[-1]
+    return share, (slopes - share[:, None] * slopes[-1]) / at[-1]
+
+
+def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Real:
+    """Potential, axial force, |p|^2 and energy density (4, points in s, points in t) of the pressure with coefficients
+    `found`: quadratic in these, closed formulas of the scalars."""
+    polynomials = cavity.polynomials
+    (s0, s1, s2), (t0, t1, t2) = polynomials.along_s, polynomials.along_t
+    radius, height, density = scalars["radius"], scalars["height"], scalars["density"]
+    xi = np.sqrt(0.5 * (polynomials.s + 1.0))[:, None]
+    half, mixed = s0 @ found, s1 @ found
+    pressure, along_z = half @ t0.T, (2.0 / height) * (half @ t1.T)
+    along_r, twice_z = (4.0 * xi / radius) * (mixed @ t0.T), (2.0 / height) ** 2 * (half @ t2.T)
+    crossed = (4.0 * xi / radius) * (2.0 / height) * (mixed @ t1.T)
+    twice_r = (4.0 * (mixed @ t0.T) + 16.0 * xi**2 * (s2 @ found @ t0.T)) / radius**2
+    slopes = np.stack([along_r, along_z], axis=-1)
+    # Euler: -i w rho v = -grad p.
+    to_velocity = 1.0 / (2j * math.pi * scalars["frequency"] * density)
+    velocity = to_velocity * slopes
+    fluid = replace(cavity.fluid, density=density, sound_speed=scalars["sound_speed"],
+                    shear_viscosity=scalars.get("shear_viscosity"))
+    square = np.abs(pressure) ** 2
+    energy = 0.25 * (density * (np.abs(velocity) ** 2).sum(axis=-1) + compressibility(fluid) * square)
+    potential, force = np.zeros((2, *square.shape))
+    if cavity.particle is not None:
+        scattering = viscous_scattering(cavity.particle, fluid, scalars["frequency"])
+        curvature = np.stack([np.stack([twice_r, crossed], axis=-1), np.stack([crossed, twice_z], axis=-1)], axis=-2)
+        potential = gorkov_potential(cavity.particle, fluid, scattering=scattering, pressure=pressure,
+                                     velocity=velocity)
+        force = radiation_force(
+            cavity.particle, fluid, scattering=scattering, pressure=pressure, pressure_gradient=slopes,
+            velocity=velocity, velocity_gradient=to_velocity * curvature)[..., 1]
+    return np.stack([potential, force, square, energy])

@@ -1,0 +1,299 @@
+"""From a model with its numbers in place to the figures of a chip and their exact derivatives.
+
+Every figure follows from one state, at the frequency that the chip is driven at, and from the states at the half-power
+frequencies. Where the drive follows f0, a change of a number moves the frequency too:
+
+    d figure / d number = (at constant frequency) + (by frequency) d f0 / d number
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.names import whole
+from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
+from workbench.design.dual import Dual, slope
+from workbench.design.figures import LOSS_SHARE
+from workbench.design.resonance import Linearisable, Resonance, find_resonance
+from workbench.design.trapping import FoundTrap, NoTrap, find_trap, focus_time, largest_square
+from workbench.drive import Drive, VoltageDrive
+from workbench.linearised import Linearised, around, by_frequency, slope_columns
+from workbench.merit import NoResonance
+from workbench.parameter_names import ParameterName
+from workbench.solve import Solution
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Figures of the spectrum, and those that need no fluid.
+OF_RESONANCE = ("f0", "z_min", "q")
+ELECTRICAL = ("voltage", "power", "heating")
+#: Figures of the particle's trap.
+OF_TRAP = ("trap_height", "trap_offset", "trap_radius", "trap_depth", "axial_stiffness", "radial_stiffness",
+           "focus_time")
+
+
+@dataclass(frozen=True)
+class Operation:
+    """How a chip is operated: its ``drive``; ``frequency`` (Hz) it is driven at, None where the drive follows f0;
+    ``thermal_resistance`` (K/W) of regions for heating, the key "" standing for all regions not named."""
+
+    drive: Drive = field(default_factory=VoltageDrive)
+    frequency: float | None = None
+    thermal_resistance: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Figures of one chip.
+
+    ``values`` the numbers it was asked for (SI, by parameter name); ``figures`` SI, by name, NaN where there is none
+    and ``missing`` says why, by the figure's name; ``gradient`` by figure, (len(values),) in the order of ``values``,
+    None where not asked for; ``frequency`` (Hz) it is driven at; ``error`` estimated relative error of Z there.
+    """
+
+    values: Mapping[str, float]
+    figures: Mapping[str, float]
+    missing: Mapping[str, str]
+    frequency: float
+    error: float
+    gradient: Mapping[str, Real] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked of a model whose numbers are in place.
+
+    ``figures`` by name; ``names`` the k real numbers that derivatives are taken by (none: no derivatives), ``values``
+    all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states
+    (size, columns); ``cavity`` is None where there is no fluid, and ``reason`` says why.
+    """
+
+    figures: tuple[str, ...]
+    names: tuple[str, ...]
+    values: Mapping[str, complex]
+    operation: Operation
+    cavity: Cavity | None
+    reason: str
+    pressure: Callable[[Complex], Complex] | None
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The complex parameters (k,) that the numbers are parts of."""
+        return tuple(ParameterName.parse(name).key for name in self.names)
+
+    @property
+    def turns(self) -> Complex:
+        """(k,): what a number moves its complex parameter by, 1 or 1j."""
+        return np.array([1j if ParameterName.parse(name).is_loss else 1.0 for name in self.names], dtype=complex)
+
+    def unit(self, name: str) -> Real:
+        """(k,): one for the number of that name."""
+        return np.array([float(each == name) for each in self.names])
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Figures with their derivatives, why others are missing, and the frequency (Hz) that the chip is driven at."""
+
+    question: Question
+    figures: Mapping[str, Dual]
+    missing: Mapping[str, str]
+    frequency: float
+    state: Linearised | None
+
+    def evaluation(self, values: Mapping[str, float], estimate: Callable[[Solution], float] | None) -> Evaluation:
+        """For the numbers asked for, with the estimated error of the state's charge (none: of a full solve)."""
+        names = self.question.figures
+        nothing = Dual(math.nan, np.full(len(self.question.names), math.nan))
+        found = {name: self.figures.get(name, nothing) for name in names}
+        error = math.nan if self.state is None else 0.0 if estimate is None else estimate(self.state.solution)
+        return Evaluation(dict(values), {name: each.value for name, each in found.items()}, self.missing,
+                          self.frequency, error,
+                          {name: each.gradient for name, each in found.items()} if self.question.names else None)
+
+
+def needs_resonance(question: Question) -> bool:
+    """Whether an answer begins with a spectrum."""
+    return question.operation.frequency is None or bool(set(question.figures) & set(OF_RESONANCE))
+
+
+def answer(
+    question: Question, model: Linearisable, frequency: Real, charge: Complex, final: Linearisable | None = None
+) -> Answer:
+    """The figures asked for, of a `model` whose `charge` (n,) at some ascending `frequency` (n,) Hz is known.
+
+    With `final` the model only says where the resonance is, and the states are those of that better model.
+    """
+    found: dict[str, Dual] = {}
+    resonance: Resonance | None = None
+    operation, missing = question.operation, dict[str, str]()
+    if needs_resonance(question):
+        try:
+            resonance = find_resonance(model, frequency, charge, question.keys, final)
+        except NoResonance as error:
+            missing = dict.fromkeys(question.figures if operation.frequency is None else OF_RESONANCE, error.reason)
+    driven, state = operation.frequency, None
+    if resonance is not None:
+        gradients = resonance.gradients(question.turns)
+        found = {name: Dual(value, each) for name, value, each in zip(
+            OF_RESONANCE, (resonance.f0, resonance.z_min, resonance.q), gradients, strict=True)}
+        driven = resonance.f0 if driven is None else driven
+    if driven is not None:
+        if operation.frequency is None:
+            assert resonance is not None
+            state, follows = resonance.at, found["f0"]
+        else:
+            state = (final or model).linearised(driven, question.keys)
+            follows = Dual(driven, np.zeros(len(question.names)))
+        operating = _Operating(question, state, follows)
+        for names, compute in ((ELECTRICAL, operating.electrical), (OF_FIELD, operating.of_field)):
+            wanted = [each for each in question.figures if each in names or
+                      (names is ELECTRICAL and each.startswith(LOSS_SHARE))]
+            if wanted:
+                compute(wanted, found, missing)
+    kept = {name: found[name] for name in question.figures if name in found}
+    return Answer(question, kept, {name: why for name, why in missing.items() if name in question.figures},
+                  math.nan if driven is None else driven, state)
+
+
+OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)
+
+
+@dataclass(frozen=True, eq=False)
+class _Operating:
+    """A chip at the frequency it is driven at: the ``state`` there, and that frequency with its derivatives."""
+
+    question: Question
+    state: Linearised
+    frequency: Dual
+
+    @property
+    def state_slopes(self) -> Complex:
+        """(size, k): what the numbers change the state by, the frequency following."""
+        return (self.state.by_parameter * self.question.turns
+                + np.outer(self.state.by_frequency, self.frequency.gradient))
+
+    @property
+    def square_of_voltage(self) -> Dual:
+        """|V|^2 (V^2) of the amplitude at the electrodes."""
+        state, drive = self.state, self.question.operation.drive
+        by_number = (state.charge_by_parameter * self.question.turns
+                     + state.charge_by_frequency * self.frequency.gradient)
+        impedance = complex(state.solution.impedance[0])
+        # Z = i / (w Q).
+        moved = -impedance * (self.frequency.gradient / self.frequency.value + by_number / state.charge)
+
+        def square(z: complex) -> Real:
+            return np.abs(drive.amplitude(np.array([z]))[0]) ** 2
+
+        by_real = slope(lambda x: square(complex(x, impedance.imag)), impedance.real)
+        by_imaginary = slope(lambda x: square(complex(impedance.real, x)), impedance.imag)
+        return Dual(float(square(impedance)), by_real * moved.real + by_imaginary * moved.imag)
+
+    def electrical(self, names: list[str], found: dict[str, Dual], missing: dict[str, str]) -> None:
+        """Voltage, power, heating and shares of the losses."""
+        square = self.square_of_voltage
+        if "voltage" in names:
+            found["voltage"] = square.sqrt() * 2.0
+        rest = [name for name in names if name != "voltage"]
+        if not rest:
+            return
+        by_region = self._losses()
+        total = sum(by_region.values(), Dual(0.0, np.zeros(len(self.question.names))))
+        resistance = self.question.operation.thermal_resistance
+        for name in rest:
+            if name == "power":
+                found[name] = total * square
+            elif name == "heating":
+                if not resistance:
+                    missing[name] = "no thermal resistance is stated"
+                    continue
+                warmed = (power * resistance.get(region, resistance.get("", 0.0))
+                          for region, power in by_region.items())
+                found[name] = sum(warmed, Dual(0.0, np.zeros(len(self.question.names)))) * square
+            else:
+                nothing = Dual(0.0, np.zeros(len(self.question.names)))
+                found[name] = by_region.get(name.removeprefix(LOSS_SHARE), nothing) / total
+
+    def _losses(self) -> dict[str, Dual]:
+        """Power (W) lost in every region at 1 V amplitude: -w/2 Im(g_q) x^H A_q x, summed by region."""
+        solution, question = self.state.solution, self.question
+        operators, state = solution.operators, self.state.state
+        omega = 2.0 * math.pi * self.frequency.value
+        forms = operators.quadratic(np.conj(state)[:, None], state[:, None])[0].real
+        moved = self.state_slopes
+        both = np.repeat(np.conj(state)[:, None], moved.shape[1], axis=1)
+        changes = 2.0 * operators.quadratic(both, moved).real if moved.shape[1] else np.zeros((0, forms.size))
+        value, by_hertz = (each.imag for each in self._coefficients())
+        slopes, _ = slope_columns(operators, self.frequency.value, question.values, question.keys)
+        of_coefficients = (slopes * question.turns).imag + np.outer(by_hertz, self.frequency.gradient)
+        power = -0.5 * omega * value * forms
+        gradient = -0.5 * omega * (of_coefficients * forms[:, None] + value[:, None] * changes.T)
+        gradient += np.outer(power / self.frequency.value, self.frequency.gradient)
+        regions: dict[str, Dual] = {}
+        for q in np.flatnonzero((power != 0.0) | (gradient != 0.0).any(axis=1)):
+            region = whole(operators.integrals[q].place)
+            mine = Dual(float(power[q]), gradient[q])
+            regions[region] = regions[region] + mine if region in regions else mine
+        return regions
+
+    def _coefficients(self) -> tuple[Complex, Complex]:
+        """g_q (integrals,) and their derivative per Hz."""
+        operators = self.state.solution.operators
+        at = operators.coefficients(2.0 * np.pi * around(self.frequency.value), self.question.values)
+        value, first, _ = by_frequency(at.T, self.frequency.value)
+        return value, first
+
+    def of_field(self, names: list[str], found: dict[str, Dual], missing: dict[str, str]) -> None:
+        """Figures of the cavity's field and of the trap in it."""
+        cavity, square = self.question.cavity, self.square_of_voltage
+        if cavity is None:
+            missing.update(dict.fromkeys(names, self.question.reason))
+            return
+        field_there = self._field(cavity)
+        if {"p0", "e_ac"} & set(names):
+            largest = largest_square(field_there) * square
+            found["p0"] = largest.sqrt()
+            fluid = field_there.around.fluid
+            found["e_ac"] = largest / (fluid["density"] * fluid["sound_speed"] ** 2.0) / 4.0
+        found["mean_e_ac"] = field_there.mean_energy_density * square
+        of_trap = [name for name in names if name in OF_TRAP]
+        if of_trap and cavity.particle is None:
+            missing.update(dict.fromkeys(of_trap, "the state names no particle"))
+        elif of_trap:
+            _trap_figures(find_trap(field_there), square, found, missing)
+
+    def _field(self, cavity: Cavity) -> CavityField:
+        question, pressure = self.question, self.question.pressure
+        assert pressure is not None
+        state = np.column_stack([self.state.state, self.state_slopes])
+        at = pressure(state)
+        moving = np.array([question.unit(name) for name in cavity.lengths]).reshape(len(cavity.lengths),
+                                                                                     len(question.names))
+        change = cavity.change(question.values)
+        radius, height = (Dual(float(each.at(change)[-1]), each.slopes[-1] @ moving) for each in (cavity.r, cavity.z))
+        fluid = {}
+        for name in OF_FLUID:
+            key = f"{cavity.fluid.name}.{name}"
+            stated = getattr(cavity.fluid, name)
+            if stated is not None:
+                fluid[name] = Dual(complex(question.values.get(key, stated)).real, question.unit(key))
+        surroundings = Surroundings(self.frequency, radius, height, fluid)
+        return cavity_field(cavity, at[:, :, 0], at[:, :, 1:], surroundings, change, moving)
+
+
+def _trap_figures(trap: FoundTrap, square: Dual, found: dict[str, Dual], missing: dict[str, str]) -> None:
+    found["trap_height"], found["trap_radius"] = trap.height, trap.radius
+    found["trap_offset"] = trap.height - trap.field.around.height * 0.5
+    found["trap_depth"] = trap.depth * square
+    found["axial_stiffness"], found["radial_stiffness"] = trap.axial * square, trap.radial * square
+    try:
+        found["focus_time"] = focus_time(trap, square)
+    except NoTrap as error:
+        missing["focus_time"] = str(error)

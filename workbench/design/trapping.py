@@ -1,0 +1,190 @@
+"""The deepest trap of a potential given as a polynomial, and the exact derivatives of what it is judged by.
+
+The trap is the lowest place of the potential in the cavity: on a raster first, then by Newton's method. Its derivatives
+follow from grad U = 0 (implicit function theorem). A trap held at a wall moves along the wall only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+from workbench.design.cavity import FORCE, POTENTIAL, SQUARE, CavityField
+from workbench.design.dual import Dual
+from workbench.design.legendre import derivatives, derived
+from workbench.particles import GRAVITY
+from workbench.traps import RASTER_POINTS
+
+Real = NDArray[np.float64]
+
+#: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
+RULE = 24
+#: The part of a quarter wavelength above the trap over which focusing is timed (`workbench.traps.focus_time`).
+FROM, TO = 0.9, 0.1
+
+
+class NoTrap(ValueError):
+    """A field in which a particle is not led to where it was to go."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundTrap:
+    """The deepest trap at unit voltage: ``place`` (xi, eta) as shares of radius and height, its derivatives ``slopes``
+    (2, k), and which of the two may move; ``depth`` (J), the two ``curvatures`` (N/m), radial and axial."""
+
+    field: CavityField
+    place: Real
+    slopes: Real
+    free: NDArray[np.bool_]
+    depth: Dual
+    radial: Dual
+    axial: Dual
+
+    @property
+    def radius(self) -> Dual:
+        """m."""
+        return self.field.around.radius * Dual(float(self.place[0]), self.slopes[0])
+
+    @property
+    def height(self) -> Dual:
+        """m above the floor."""
+        return self.field.around.height * Dual(float(self.place[1]), self.slopes[1])
+
+
+def largest_square(field: CavityField) -> Dual:
+    """The largest |p|^2 (Pa^2) at unit voltage, on the raster."""
+    along_xi, along_eta = _raster(field)
+    values = along_xi @ field.coefficients[SQUARE] @ along_eta.T
+    i, j = np.unravel_index(int(np.argmax(values)), values.shape)
+    return _at(field, SQUARE, along_xi[i], along_eta[j])
+
+
+def find_trap(field: CavityField) -> FoundTrap:
+    """The lowest place of the potential, and what follows from it."""
+    along_xi, along_eta = _raster(field)
+    values = along_xi @ field.coefficients[POTENTIAL] @ along_eta.T
+    (i, j), (k, m) = (np.unravel_index(int(each), values.shape) for each in (np.argmin(values), np.argmax(values)))
+    steps = np.array([1.0 / (n - 1) for n in values.shape])
+    place = np.array([i, j]) * steps
+    # On the axis the potential is even in the radius, at a wall the trap stays at the wall.
+    free = np.array([0 < i < values.shape[0] - 1, 0 < j < values.shape[1] - 1])
+    place = _minimum(field, place, free, steps)
+    along = [_along_xi(place[0], field), _along_eta(place[1], field)]
+
+    def derivative(in_xi: int, in_eta: int) -> Dual:
+        return _at(field, POTENTIAL, along[0][in_xi], along[1][in_eta])
+
+    slopes = np.zeros((2, field.gradient.shape[-1]))
+    gradient, hessian = (derivative(1, 0), derivative(0, 1)), _hessian(field, place)
+    at = np.flatnonzero(free)
+    if at.size:
+        slopes[at] = -np.linalg.solve(hessian[np.ix_(at, at)], np.array([gradient[n].gradient for n in at]))
+
+    def moved(in_xi: int, in_eta: int) -> Dual:
+        """A derivative of the potential at the trap as it moves."""
+        here = derivative(in_xi, in_eta)
+        by_place = (derivative(in_xi + 1, in_eta).value, derivative(in_xi, in_eta + 1).value)
+        return Dual(here.value, here.gradient + np.array(by_place) @ slopes)
+
+    lowest, highest = moved(0, 0), _at(field, POTENTIAL, along_xi[k], along_eta[m])
+    around = field.around
+    return FoundTrap(field, place, slopes, free, highest - lowest, moved(2, 0) / around.radius**2.0,
+                     moved(0, 2) / around.height**2.0)
+
+
+def focus_time(trap: FoundTrap, square_of_voltage: Dual) -> Dual:
+    """Seconds from 90 to 10 % of a quarter wavelength above the trap, as `workbench.traps.focus_time` has them.
+
+    Raises:
+        NoTrap: the way leaves the cavity, or the force does not lead down all of it.
+    """
+    field = trap.field
+    particle, around = field.cavity.particle, field.around
+    assert particle is not None
+    quarter = around.fluid["sound_speed"] / around.frequency * 0.25
+    points, weights = leggauss(RULE)
+    share = 0.5 * (FROM + TO) + 0.5 * (FROM - TO) * points
+    if trap.height.value + FROM * quarter.value > around.height.value:
+        raise NoTrap("a quarter wavelength above the deepest trap there is a wall")
+    along_xi = _along_xi(trap.place[0], field)
+    # Weight less buoyancy, as `particles.net_weight`.
+    weight = (around.fluid["density"] * -1.0 + particle.density) * (particle.volume * GRAVITY)
+    time = Dual(0.0, np.zeros_like(quarter.gradient))
+    for fraction, rule in zip(share, weights, strict=True):
+        eta = (trap.height + quarter * float(fraction)) / around.height
+        along_eta = _along_eta(eta.value, field)
+        here = _at(field, FORCE, along_xi[0], along_eta[0])
+        by_xi = _at(field, FORCE, along_xi[1], along_eta[0]).value
+        by_eta = _at(field, FORCE, along_xi[0], along_eta[1]).value
+        force = Dual(here.value, here.gradient + by_xi * trap.slopes[0] + by_eta * eta.gradient)
+        down = (force * square_of_voltage) * -1.0 + weight
+        if not down.value > 0.0:
+            raise NoTrap("a particle a quarter wavelength above the deepest trap does not get there")
+        time = time + down**-1.0 * float(rule)
+    # Stokes' drag, as `particles.drag_coefficient`.
+    return time * quarter * around.fluid["shear_viscosity"] * (0.5 * (FROM - TO) * 6.0 * math.pi * particle.radius)
+
+
+def _raster(field: CavityField) -> tuple[Real, Real]:
+    """Polynomials in s (i, n) and in t (j, m) on lines a small part of a wavelength apart, both walls included."""
+    wavelength = 2.0 * math.pi / field.cavity.wave_number
+    counts = [math.ceil(RASTER_POINTS * length.value / wavelength) + 1
+              for length in (field.around.radius, field.around.height)]
+    in_s, in_t = field.coefficients.shape[1:]
+    return (derivatives(2.0 * np.linspace(0.0, 1.0, counts[0]) ** 2 - 1.0, in_s, 0),
+            derivatives(2.0 * np.linspace(0.0, 1.0, counts[1]) - 1.0, in_t, 0))
+
+
+def _along_xi(xi: float, field: CavityField) -> Real:
+    """Polynomials in s and their first three derivatives by xi (4, n), s = 2 xi^2 - 1."""
+    by_s = derived(2.0 * xi**2 - 1.0, field.coefficients.shape[1])
+    return np.stack([by_s[0], 4.0 * xi * by_s[1], 4.0 * by_s[1] + 16.0 * xi**2 * by_s[2],
+                     48.0 * xi * by_s[2] + 64.0 * xi**3 * by_s[3]])
+
+
+def _along_eta(eta: float, field: CavityField) -> Real:
+    """Polynomials in t and their first three derivatives by eta (4, m), t = 2 eta - 1."""
+    return derived(2.0 * eta - 1.0, field.coefficients.shape[2]) * 2.0 ** np.arange(4)[:, None]
+
+
+def _at(field: CavityField, which: int, along_xi: Real, along_eta: Real) -> Dual:
+    """A field where the polynomials along both directions have these values (n,) and (m,)."""
+    value = float(along_xi @ field.coefficients[which] @ along_eta)
+    return Dual(value, np.einsum("n,nmk,m->k", along_xi, field.gradient[which], along_eta))
+
+
+def _hessian(field: CavityField, place: Real) -> Real:
+    """Second derivatives (2, 2) of the potential by xi and eta."""
+    along = _along_xi(place[0], field), _along_eta(place[1], field)
+    potential = field.coefficients[POTENTIAL]
+    return np.array([[along[0][2] @ potential @ along[1][0], along[0][1] @ potential @ along[1][1]],
+                     [along[0][1] @ potential @ along[1][1], along[0][0] @ potential @ along[1][2]]])
+
+
+def _minimum(field: CavityField, start: Real, free: NDArray[np.bool_], steps: Real) -> Real:
+    """The minimum next to a point of the raster, by Newton's method in the directions that are free.
+
+    A minimum is at most one step of the raster away; a step that goes further, or up, is none: the point is kept.
+    """
+    place, at = start.copy(), np.flatnonzero(free)
+    potential = field.coefficients[POTENTIAL]
+    for _ in range(20):
+        if not at.size:
+            break
+        along = _along_xi(place[0], field), _along_eta(place[1], field)
+        gradient = np.array([along[0][1] @ potential @ along[1][0], along[0][0] @ potential @ along[1][1]])
+        hessian = _hessian(field, place)[np.ix_(at, at)]
+        if np.linalg.eigvalsh(hessian)[0] <= 0.0:
+            return start
+        step = np.zeros(2)
+        step[at] = -np.linalg.solve(hessian, gradient[at])
+        place = place + step
+        if (np.abs(place - start) > 2.0 * steps).any():
+            return start
+        if np.abs(step).max() < 1e-13:
+            break
+    return place
