@@ -18,6 +18,8 @@ from workbench.reduction import ReducedModel, narrowed
 
 #: Points of the line at which states are taken, and how many frequencies of the model's are left out between two.
 POINTS, EVERY = 9, 3
+#: Up to so many unknowns a range model itself answers within some ten milliseconds.
+SMALL = 100
 #: Directions smaller than this, relative to the largest, are left out, of states over the root of their charge. On the
 #: reference chip the impedance is then off by 4e-4 at most; at three times as much by 5e-3.
 NEGLIGIBLE = 1e-3
@@ -44,10 +46,13 @@ class Line:
 
 
 def line_model(model: RangeModel, name: str, values: Mapping[str, float]) -> Line | None:
-    """The line of `model` through `values` (SI) along `name`; None where it is off by more than the model's tolerance.
+    """The line of `model` through `values` (SI) along `name`; None for a :data:`SMALL` model, and where the line is off
+    by more than the model's tolerance.
 
     What it is off by is found out half way between the points that it was made of.
     """
+    if model.rank <= SMALL:
+        return None
     low, high = model.ranges[name]
     watched = model.frequency[::EVERY]
     compact = model.compact

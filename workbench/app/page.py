@@ -45,6 +45,7 @@ html { overflow-y: auto !important; }
 .live .fields { display: grid; grid-template-columns: 1fr 1fr; gap: 6px; margin-top: 6px; }
 .live .fields .wide { grid-column: 1 / 3; }
 .live .fields .card { padding: 4px 8px; }
+.live .fields .at { display: flex; align-items: center; font-size: 12px; gap: 8px; padding: 0 8px; height: 26px; }
 .live .title { font-size: 12px; display: flex; gap: 8px; align-items: center; }
 .live .title .words { flex: 1; color: #43525f; }
 .live .legend { display: inline-block; width: 90px; height: 9px; border: 1px solid #cfd8e0; }
@@ -161,7 +162,7 @@ _SPECTRUM = f"""
 
 _FIELDS = """
 <div class="fields">
-  <div class="card wide" style="display: flex; align-items: center; font-size: 12px; gap: 8px; padding: 0 8px; height: 26px">
+  <div class="card wide at">
     <b>Fields</b><span id="fields_at" style="flex: 1; white-space: nowrap; overflow: hidden; text-overflow: ellipsis"
     :title="fields_at">{{ fields_at }}</span>
     <v-btn size="x-small" variant="text" id="follow" v-if="!shown.follows" @click="trigger('follow')">back to f0</v-btn>

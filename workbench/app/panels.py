@@ -51,18 +51,21 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
     """The figures of merit, and how sure they are."""
     measured = {row.metric: row for row in view.comparison.rows} if view.comparison is not None else {}
 
-    def note(metric: str, scale: float = 1.0) -> str:
+    def card(name: str, metric: str, words: str, unit: str, digits: str, factor: float = 1.0) -> dict[str, str]:
+        deviation = view.deviations.get(name)
+        notes = [] if deviation is None else [f"± {deviation * factor:.2g} by the tolerances"]
         row = measured.get(metric)
-        return "" if row is None else f"recorded {row.measured * scale:.5g}"
+        if row is not None:
+            notes.append(f"recorded {row.measured * factor:.5g}")
+        return {"id": name, "name": words, "value": f"{view.figures[name] * factor:{digits}} {unit}",
+                "note": ", ".join(notes)}
 
     found: list[dict[str, str]] = []
-    if view.figures is None:
+    if view.no_resonance:
         found.append({"id": "f0", "name": "resonance", "value": "none", "note": view.no_resonance})
     else:
-        merit = view.figures
-        found += [{"id": "f0", "name": "f0", "value": f"{merit.f0 / 1e6:.5f} MHz", "note": note("f0", 1e-6)},
-                  {"id": "z_min", "name": "smallest |Z|", "value": f"{merit.z_min:.4g} Ω", "note": note("Z_min")},
-                  {"id": "q", "name": "Q", "value": f"{merit.q:.4g}", "note": note("Q")}]
+        found += [card("f0", "f0", "resonance f0", "MHz", ".5f", 1e-6),
+                  card("z_min", "Z_min", "smallest |Z|", "Ω", ".4g"), card("q", "Q", "quality factor Q", "", ".4g")]
     if view.comparison is not None:
         found.append({"id": "mape", "name": "off the recording", "value": f"{view.comparison.mape_percent:.3g} %",
                       "note": "mean of |Z|"})

@@ -326,8 +326,8 @@ class LiveView:
         """The frequency (Hz) of the fields: the one that was clicked, or else f0, or else the middle of the band."""
         if self._frequency is not None:
             return self._frequency
-        if self._view is not None and self._view.figures is not None:
-            return self._view.figures.f0
+        if self._view is not None and "f0" in self._view.figures:
+            return self._view.figures["f0"]
         return 0.5 * sum(self.session.band)
 
     def _show_frequency(self) -> None:
@@ -350,7 +350,8 @@ class LiveView:
             self._moved.clear()
             try:
                 view = await self._loop.run_in_executor(pool, self.session.spectrum)
-                shown = await self._loop.run_in_executor(pool, curve, view, self._scale_of(view))
+                self._view = view
+                shown, cards = await self._loop.run_in_executor(pool, _shown, view, self._scale())
             except (NotReady, OutOfRange) as waiting:
                 with self._state:
                     self._say(str(waiting))
@@ -359,22 +360,16 @@ class LiveView:
                 with self._state:
                     self._complain(error)
                 continue
-            self._view = view
             with self._state:
                 if self._state.message == str(NotReady()):
                     self._say("")
                 self._state.curve = shown
-                self._state.figures = figure_cards(view)
+                self._state.figures = cards
                 self._state.can_undo, self._state.can_redo = self.session.can_undo, self.session.can_redo
                 self._show_recording()
                 self._show_frequency()
                 self._show_dots()
             self._picked.set()
-            self._background.start("line", lambda say, stopped: f"{self.session.prepare_line()}")
-
-    def _scale_of(self, view: SpectrumView) -> plot.Scale:
-        self._view = view
-        return self._scale()
 
     def _show_recording(self) -> None:
         recording = self.session.recording
@@ -403,6 +398,7 @@ class LiveView:
             with self._state:
                 for name, shown in found.items():
                     self._state[name] = shown
+            self._background.start("line", lambda say, stopped: f"{self.session.prepare_line()}")
 
     def _drawn(self, frequency: float, in_space: bool) -> dict[str, Any]:
         section = self.session.section(frequency)
@@ -410,6 +406,11 @@ class LiveView:
         if in_space:
             return told | {"space": embedded(self.drawing.space(section))}
         return told | {"pictures": [picture(each) for each in self.drawing.section(section)]}
+
+
+def _shown(view: SpectrumView, scale: plot.Scale) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    """A spectrum as the page shows it: lines, and cards of figures."""
+    return curve(view, scale), figure_cards(view)
 
 
 def _rounded(number: float) -> float:

@@ -22,23 +22,26 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.chip_file import write_chip
-from geometry.names import CAVITY, TRANSDUCER
-from materials.kinds import Fluid, IsotropicSolid
+from geometry.names import TRANSDUCER
+from materials.kinds import IsotropicSolid
 from materials.registry import Registry
 from workbench.app.controls import Control, controls
+from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
 from workbench.app.line import Line, line_model, rest
 from workbench.app.section_fields import SectionFields, moved_chip, section_fields
 from workbench.comparison import Comparison, compare
+from workbench.design.evaluation import OF_RESONANCE, Evaluation, Operation, Question, answer
+from workbench.design.model import particle_of
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.files.errors import InputError
-from workbench.merit import Figures, NoResonance, figures
+from workbench.linearised import ReducedSystem
 from workbench.operators import assemble
 from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
-from workbench.problem import FilledChip, build, fill
-from workbench.ranges import NotCovered, OutOfRange, RangeModel, Response, growing_model
+from workbench.problem import build, fill
+from workbench.ranges import NotCovered, OutOfRange, RangeModel, Response
 from workbench.solve import solve_full, sweep
 from workbench.spectrum import Spectrum
 
@@ -61,14 +64,16 @@ class NotReady(RuntimeError):
 class SpectrumView:
     """The spectrum of the present numbers, and what follows from it.
 
-    ``figures`` are None where the band has no resonance, and ``no_resonance`` says why. ``spread`` (n,) is the relative
-    standard deviation of |Z| by the tolerances, to first order; None where nothing has one. ``error`` is what the
+    ``figures`` are f0 (Hz), Z_min (ohm) and Q by name (`workbench.design.figures`), empty where the band has no
+    resonance, and ``no_resonance`` says why. ``deviations`` are theirs by the tolerances, and ``spread`` (n,) that of
+    |Z|, relative, all standard and to first order; empty and None where nothing has a tolerance. ``error`` is what the
     model was off by where full solves checked it last (infinite where none has), ``estimate`` what it estimates to be
     off by here. ``comparison`` is with the recording, if there is one that overlaps.
     """
 
     response: Response
-    figures: Figures | None
+    figures: Mapping[str, float]
+    deviations: Mapping[str, float]
     no_resonance: str
     spread: Real | None
     error: float
@@ -113,9 +118,10 @@ class Session:
         accuracy: float | Discretisation = ACCURACY,
         drive: Drive | None = None,
         recording: Spectrum | None = None,
+        growing: Growing = growing_here,
     ) -> None:
         """A session of `chip` in `state`, its last one if None, in which the numbers `wanted` can be moved
-        (`workbench.app.controls.controls`).
+        (`workbench.app.controls.controls`); `growing` makes its models.
 
         Raises:
             InputError: something in the chip, its materials, or what is wanted.
@@ -125,10 +131,12 @@ class Session:
         self.band = chip.band if band is None else band
         self.drive: Drive = VoltageDrive() if drive is None else drive
         self.recording = recording
+        self._growing = growing
         self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
         device = fill(chip, self.state, self.registry)
         self.problem = build(device, band=self.band, accuracy=accuracy)
-        self.particle, self.particle_stated = _particle(device, self.registry)
+        stated = particle_of(device, self.registry)
+        self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
         self._lock = RLock()
         self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}
         self._values = {name: each.value for name, each in self._controls.items()}
@@ -283,16 +291,20 @@ class Session:
             InputError: a range that no chip can have.
         """
         ranges = {each.name: (each.low, each.high) for each in self.controls}
+        wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
+                        self.accuracy)
+        models = self._growing(wanted)
         try:
-            for model in growing_model(self.chip, self.state, ranges, registry=self.registry, band=self.band,
-                                       points=self._points, tolerance=self._tolerance, accuracy=self.accuracy):
+            for model in models:
                 self._take(model)
                 yield _told(model)
                 if stopped():
                     return
         except NotCovered as reached:
-            self._take(reached.model)
+            # The last model that was yielded answers.
             yield f"{reached}"
+        finally:
+            models.close()
 
     def _take(self, model: RangeModel) -> None:
         """Answer from `model` wherever it is the best; forget those that it replaces."""
@@ -322,7 +334,7 @@ class Session:
     # What they give.
 
     def spectrum(self) -> SpectrumView:
-        """The spectrum of the present numbers.
+        """The spectrum of the present numbers, and their figures: roots on the model, not on the points of a plot.
 
         Raises:
             NotReady, OutOfRange: no model answers for them yet.
@@ -331,14 +343,13 @@ class Session:
             values, deviations = self.values, {each.name: each.deviation for each in self.controls}
             model, line = self._best(values), self._line
         response = line(values) if line is not None and line.holds(model, values) else model(values)
-        spectrum = response.spectrum
-        found, reason = None, ""
-        try:
-            found = figures(spectrum)
-        except NoResonance as missing:
-            reason = missing.reason
-        return SpectrumView(response, found, reason, _spread(response, deviations), model.error,
-                            _compared(self.recording, spectrum))
+        found = _resonance(response, tuple(name for name, each in deviations.items() if each > 0.0))
+        merit = {name: number for name, number in found.figures.items() if name not in found.missing}
+        gradient = {} if found.gradient is None else found.gradient
+        moved = {name: float(np.linalg.norm([slope * deviations[by] for slope, by in zip(
+            gradient[name], found.values, strict=True)])) for name in merit if name in gradient}
+        return SpectrumView(response, merit, moved, next(iter(found.missing.values()), ""),
+                            _spread(response, deviations), model.error, _compared(self.recording, response.spectrum))
 
     def section(self, frequency: float) -> SectionFields:
         """The fields of the present numbers at a `frequency` (Hz) within the band.
@@ -391,17 +402,11 @@ class Session:
             yield float(solution.frequency[0]), complex(np.conj(solution.impedance[0]))
 
 
-def _particle(device: FilledChip, registry: Registry) -> tuple[Particle | None, bool]:
-    """The particle in the cavity's fluid and whether the chip names it; None without a fluid."""
-    if not isinstance(device.materials.get(CAVITY), Fluid):
-        return None, False
-    named, radius = device.state.particle, device.state.particle_radius
-    stated = named is not None and radius is not None
-    name, radius = (named, radius) if named is not None and radius is not None else BEAD
-    material = registry.load(name)
-    if not isinstance(material, IsotropicSolid):
-        raise InputError(device.chip.file, f"states.{device.state.name}.particle", name, "an isotropic solid")
-    return particle_from(material, radius), stated
+def _bead(registry: Registry) -> Particle:
+    """The particle of a chip that names none."""
+    material = registry.load(BEAD[0])
+    assert isinstance(material, IsotropicSolid)
+    return particle_from(material, BEAD[1])
 
 
 def _holds(model: RangeModel, values: Mapping[str, float]) -> bool:
@@ -422,6 +427,15 @@ def _told(model: RangeModel) -> str:
     if not np.isfinite(model.error):
         return f"first model: {rank}, right about the middle of the ranges; it grows"
     return f"model grows: {rank} after {solves}, was off by {100.0 * model.error:.2g} %"
+
+
+def _resonance(response: Response, names: tuple[str, ...]) -> Evaluation:
+    """f0, Z_min and Q of the model behind a response, and their derivatives by the numbers `names`, in this order."""
+    prediction = response.prediction
+    question = Question(OF_RESONANCE, names, prediction.values, Operation(), None, "", None)
+    found = answer(question, ReducedSystem(prediction.model.operators, prediction.values), response.frequency,
+                   prediction.solution.charge)
+    return found.evaluation({name: response.values[name] for name in names}, None)
 
 
 def _spread(response: Response, deviations: Mapping[str, float]) -> Real | None:

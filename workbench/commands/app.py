@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
+from workbench.app.growth import growing_elsewhere
 from workbench.app.section_fields import SectionFields
 from workbench.app.server import Drawing, LiveView
 from workbench.app.session import Session
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     if options.campaign is not None and not options.campaign.is_file():
         raise InputError("command line", "--campaign", str(options.campaign), "a file")
     session = Session(chip, options.state, options.vary, registry=asked.registry, band=asked.band,
-                      accuracy=asked.accuracy, drive=asked.drive, recording=recording)
+                      accuracy=asked.accuracy, drive=asked.drive, recording=recording, growing=growing_elsewhere)
     view = LiveView(session, Drawing(_section, _space), options.output, campaign=options.campaign)
 
     def ready(address: str) -> None:
