@@ -138,6 +138,11 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         low, high = value - reach, value + reach
         if unit == "m":
             low, high = movable(chip, name, low, high)
+    if unit == "m" and movable(chip, name, low, high) != (low, high):
+        ends = f"{low:g}..{high:g} m"
+        low, high = movable(chip, name, low, high)
+        raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "
+                         "vanishes and no radius passes another")
     if not low < high or not low <= value <= high:
         raise InputError("command line", f"--vary {name}", ends or f"{low:g}..{high:g}",
                          f"a lower number, then a higher one, with the present {value * factor:.6g} {shown} between "

@@ -26,6 +26,8 @@ MAGNITUDE, PHASE = (6.0, 158.0), (170.0, 222.0)
 #: Ends of |Z| are moved outwards to steps of this share of a decade, so that the picture does not breathe while a
 #: number is moved.
 _STEP = 0.25
+#: Over fewer decades than this, twos and fives are labelled between the powers of ten.
+_FEW = 2.6
 #: Between so many and twice as many frequencies are labelled.
 _LABELS = 5
 
@@ -96,7 +98,7 @@ def ticks(scale: Scale) -> dict[str, list[dict[str, Any]]]:
     places = max(0, 6 - math.floor(math.log10(step) + 1e-9))
     across = [{"at": round(float(scale.x(f)), 1), "text": f"{f / 1e6:.{places}f}"} for f in marks]
     bottom, top = scale.magnitude
-    wanted = (1.0, 2.0, 5.0) if top - bottom < 2.5 else (1.0,)
+    wanted = (1.0, 2.0, 5.0) if top - bottom < _FEW else (1.0,)
     sizes = [factor * 10.0**power for power in range(math.floor(bottom), math.ceil(top) + 1) for factor in wanted]
     up = [{"at": round(float(scale.y(z)), 1), "text": _ohm(z)} for z in sizes
           if bottom - 1e-9 <= math.log10(z) <= top + 1e-9]

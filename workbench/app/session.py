@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from geometry.names import TRANSDUCER
+from geometry.stretch import movable
 from materials.kinds import IsotropicSolid
 from materials.registry import Registry
 from workbench.app.controls import Control, controls
@@ -262,6 +263,11 @@ class Session:
                 raise InputError("live view", "number", name, f"one of {', '.join(self._controls)}")
             if not np.isfinite(number):
                 raise InputError("live view", name, number, "a finite number")
+            if self._controls[name].is_length:
+                low, high = movable(self.chip, name)
+                if not low <= number <= high:
+                    raise InputError("live view", name, f"{number:g} m", f"a length of {low:g} to {high:g} m: none "
+                                     "vanishes there, and no radius passes another")
         # Refuses lengths that do not make a chip.
         moved_chip(self.chip, {**self._values, **values})
 
@@ -279,7 +285,11 @@ class Session:
         with self._lock:
             names = self.outside()
             for name in names:
-                self._controls[name] = self._controls[name].reaching(self._values[name])
+                wider = self._controls[name].reaching(self._values[name])
+                if wider.is_length:
+                    low, high = movable(self.chip, name, wider.low, wider.high)
+                    wider = replace(wider, low=low, high=high)
+                self._controls[name] = wider
             return names
 
     def grow(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[str]:
