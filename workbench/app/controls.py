@@ -21,7 +21,10 @@ from workbench.problem import Problem
 #: How far a number can be moved to either side unless told otherwise, relative. Twice as far, a range model of six
 #: lengths has about twice as many unknowns.
 REACH = 0.05
-#: The same in units of a stated tolerance, where that is more.
+#: Nothing is moved beyond its range to more than this times what the chip's file says, or to less than one over this:
+#: the mesh is stretched, and its elements were made for that length.
+FARTHEST = 2.0
+#: The range in units of a stated tolerance, where that is more.
 TOLERANCES = 2.0
 
 #: What a range is written between, as in "substrate.thickness=0.8mm..0.9mm".
@@ -73,6 +76,12 @@ class Control:
         if self.tolerance is None:
             return 0.0
         return self.tolerance / math.sqrt(3.0) if self.is_length else self.tolerance
+
+    @property
+    def farthest(self) -> tuple[float, float]:
+        """The ends (SI) that it can be moved to, beyond its range."""
+        ends = sorted((self.value / FARTHEST, self.value * FARTHEST))
+        return min(self.low, ends[0]), max(self.high, ends[1])
 
     def told(self, number: float) -> str:
         """A number (SI) with its unit."""

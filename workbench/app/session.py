@@ -263,11 +263,13 @@ class Session:
                 raise InputError("live view", "number", name, f"one of {', '.join(self._controls)}")
             if not np.isfinite(number):
                 raise InputError("live view", name, number, "a finite number")
-            if self._controls[name].is_length:
-                low, high = movable(self.chip, name)
-                if not low <= number <= high:
-                    raise InputError("live view", name, f"{number:g} m", f"a length of {low:g} to {high:g} m: none "
-                                     "vanishes there, and no radius passes another")
+            control = self._controls[name]
+            low, high = control.farthest
+            if control.is_length:
+                low, high = movable(self.chip, name, low, high)
+            if not low <= number <= high:
+                raise InputError("live view", name, control.told(number), f"{control.told(low)} to "
+                                 f"{control.told(high)}, to which the mesh can be stretched")
         # Refuses lengths that do not make a chip.
         moved_chip(self.chip, {**self._values, **values})
 
