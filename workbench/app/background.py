@@ -12,6 +12,7 @@ from pathlib import Path
 
 from workbench.files.errors import InputError
 from workbench.physics.term import ModelError
+from workbench.ranges import OutOfRange
 
 #: Says what is being done.
 Say = Callable[[str], None]
@@ -21,7 +22,7 @@ Stopped = Callable[[], bool]
 Work = Callable[[Say, Stopped], str]
 
 #: What a computation may end with through no defect of the program, as on the command line.
-FAILURES = (InputError, RuntimeError, ModelError, OSError)
+FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError)
 
 #: Seconds between two looks at a process, and those it has to end once it was asked to.
 _LOOK, _GRACE = 0.2, 5.0

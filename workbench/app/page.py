@@ -74,8 +74,8 @@ _BAR = """
     {{ works.fit && works.fit.running ? 'Stop fitting' : 'Fit what I have freed' }}</v-btn>
   <v-btn size="small" variant="tonal" id="diagnose" v-if="can_diagnose" @click="trigger('diagnose')">
     {{ works.diagnose && works.diagnose.running ? 'Stop diagnosing' : 'Diagnose' }}</v-btn>
-  <input class="number" style="width: 170px; height: 28px; text-align: left" id="file" :value="file"
-         @change="file = $event.target.value" title="name of the chip file" />
+  <input class="number" style="width: 170px; height: 28px; text-align: left" id="file" v-model="file"
+         title="name of the chip file" />
   <v-btn size="small" color="primary" id="save" @click="trigger('save', [file])">Save as chip file</v-btn>
 </div>
 """

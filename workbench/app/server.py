@@ -61,7 +61,7 @@ class LiveView:
         self._saved: set[Path] = set()
         self._moved, self._picked = asyncio.Event(), asyncio.Event()
         self._rest: asyncio.TimerHandle | None = None
-        self._grow_again = False
+        self._grow_again, self._waiting = False, ""
         # Its own options are none of the command's.
         os.environ.setdefault("TRAME_ARGS", "--server --nosignalhandlers")
         os.environ["WSLINK_READY_MSG"] = ""
@@ -155,7 +155,6 @@ class LiveView:
         with self._state:
             names = self.session.widen()
             if names:
-                self._say(f"{', '.join(names)}: outside the ranges; a model of wider ones is being made")
                 self._grow()
             self._show_rows()
         self._background.start("check", lambda say, stopped: self.works.check(self._shown()))
@@ -353,15 +352,16 @@ class LiveView:
                 self._view = view
                 shown, cards = await self._loop.run_in_executor(pool, _shown, view, self._scale())
             except (NotReady, OutOfRange) as waiting:
+                self._waiting = str(waiting)
                 with self._state:
-                    self._say(str(waiting))
+                    self._say(self._waiting)
                 continue
             except FAILURES as error:
                 with self._state:
                     self._complain(error)
                 continue
             with self._state:
-                if self._state.message == str(NotReady()):
+                if self._state.message == self._waiting:
                     self._say("")
                 self._state.curve = shown
                 self._state.figures = cards

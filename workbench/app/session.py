@@ -339,7 +339,9 @@ class Session:
             raise NotReady("the first model is being made")
         fit = [each for each in self._models if _holds(each, values)]
         if not fit:
-            raise OutOfRange(f"outside the ranges: {', '.join(self.outside())}")
+            wide = self._models[-1]
+            beyond = [name for name, (low, high) in wide.ranges.items() if not low <= values[name] <= high]
+            raise OutOfRange(f"{', '.join(beyond)}: outside the ranges; a model of wider ones is needed")
         return min(reversed(fit), key=lambda each: each.error)
 
     # ----------------------------------------------------------------------------------------------------------------
