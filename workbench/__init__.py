@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from workbench.bench.sweep import measure as measure
     from workbench.comparison import Comparison as Comparison
     from workbench.comparison import compare as compare
+    from workbench.design.evaluation import Evaluation as Evaluation
+    from workbench.design.evaluation import Operation as Operation
+    from workbench.design.model import DesignModel as DesignModel
+    from workbench.design.model import design_model as design_model
+    from workbench.design.model import full_evaluation as full_evaluation
     from workbench.diagnosis.campaign import Campaign as Campaign
     from workbench.diagnosis.campaign import read_campaign as read_campaign
     from workbench.diagnosis.procedure import diagnose as diagnose
@@ -56,10 +61,13 @@ PUBLIC = {
     "Campaign": "workbench.diagnosis.campaign",
     "Chip": "geometry.chip",
     "Comparison": "workbench.comparison",
+    "DesignModel": "workbench.design.model",
     "Diagnosis": "workbench.diagnosis.verdict",
+    "Evaluation": "workbench.design.evaluation",
     "Figures": "workbench.merit",
     "InputError": "workbench.files.errors",
     "MaterialFit": "workbench.fitting.recordings",
+    "Operation": "workbench.design.evaluation",
     "RangeModel": "workbench.ranges",
     "Reading": "workbench.readers",
     "Registry": "materials.registry",
@@ -68,11 +76,13 @@ PUBLIC = {
     "Snapshot": "workbench.simulation",
     "Spectrum": "workbench.spectrum",
     "compare": "workbench.comparison",
+    "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.procedure",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
     "figures": "workbench.merit",
     "fit": "workbench.fitting.recordings",
+    "full_evaluation": "workbench.design.model",
     "measure": "workbench.bench.sweep",
     "parse_drive": "workbench.drive",
     "range_model": "workbench.ranges",

@@ -179,6 +179,11 @@ class ReducedModel:
         return replace(self, operators=replace(self.operators, matrices=matrices), basis=on(self.basis),
                        sketch=on(self.sketch))
 
+    def on(self, basis: Real) -> ReducedModel:
+        """The model on another basis (size, r) of the full one, its lift last."""
+        matrices, sketch = _extended(self.full, basis, self.test, None)
+        return replace(self, operators=replace(self.operators, matrices=matrices), basis=basis, sketch=sketch)
+
     def within(self, part: Real) -> ReducedModel:
         """The model on a part (r, k) of its basis, given in that."""
         matrices = part.T @ self.operators.matrices @ part

@@ -1,9 +1,11 @@
 """The bases that figures are computed on: one for the states a chip is driven in, one to find these.
 
 A spectrum needs all that resonates in its band; figures need the states about one resonance, wherever in the ranges
-that is. These lie in a far smaller space: on the reference chip, six lengths within 5 %, 150 vectors in place of 334.
-Where the deepest resonance is, a rough spectrum tells, on 80 vectors. Both are parts of the basis of the range model,
-found by the proper orthogonal decomposition, in the norm of the energy, of states at points spread over the ranges.
+that is. These lie in a far smaller space (on the reference chip, six lengths within 5 %, some 120 vectors in place of
+334), and where the deepest resonance is, a rough spectrum tells. So full solves are spent where chips are driven: a
+rough range model says where that is at points spread over the ranges, the full model is solved and linearised there,
+and what the states and their derivatives span is kept (proper orthogonal decomposition in the norm of the energy).
+Further full solves check it; where they find it wanting they join it.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +25,7 @@ from workbench.forms import combined
 from workbench.linearised import FullSystem, Linearised, ReducedSystem
 from workbench.parameter_names import ParameterName, placed
 from workbench.physics.term import Values
-from workbench.ranges import RangeModel, compacted, keys
+from workbench.ranges import Progress, RangeModel, compacted, keys
 from workbench.reduced_operators import ReducedOperators
 from workbench.reduction import ReducedModel, smallest
 from workbench.solve import Solution, one_thread
@@ -30,9 +33,13 @@ from workbench.solve import Solution, one_thread
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Points of the ranges that states are taken at, for each parameter and in all, and points that are checked by full
-#: solves.
-TAKEN, LEAST, CHECKED = 5, 16, 3
+#: Points of the ranges that the full model is first solved at, for each parameter and at least, and points by which the
+#: basis is checked in a round.
+TAKEN, LEAST, CHECKED = 3, 10, 4
+#: Most rounds of further points.
+ROUNDS = 8
+#: Points of the ranges that the rough spectrum is made for, for each parameter and at least.
+SWEPT, FEWEST = 5, 16
 #: Relative error of |Z| that is left to the rough spectrum: two resonances whose depths differ less may be confused.
 ROUGH = 0.03
 #: Points of the rough spectrum for the half-power width of the narrowest resonance met.
@@ -41,6 +48,21 @@ ACROSS = 3
 FINER = 0.5
 #: The states' first-order change by a parameter is taken over this part of its range: from there on other points count.
 REACH = 0.25
+#: The pressure is first order in what a basis leaves out, Z is second order: so many times the tolerance of Z is left.
+OF_PRESSURE = 5.0
+
+
+class NotConfirmed(RuntimeError):
+    """A design model that full solves did not confirm. Carries the relative errors of Z and of the pressure."""
+
+    def __init__(self, error: float, pressure_error: float, tolerance: float) -> None:
+        super().__init__(f"after {ROUNDS} rounds of full solves the design model is off by {100.0 * error:.2g} % in Z "
+                         f"and {100.0 * pressure_error:.2g} % in the pressure, above the tolerance of "
+                         f"{100.0 * tolerance:.2g} % and {100.0 * OF_PRESSURE * tolerance:.2g} %; narrow the ranges")
+        self.error, self.pressure_error, self.tolerance = error, pressure_error, tolerance
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (NotConfirmed, (self.error, self.pressure_error, self.tolerance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,124 +97,139 @@ class Bases:
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """States of the range model at one point: ``values`` there, the spectrum's ``sweep``, the states ``driven`` at f0
-    (or at the frequency that is stated) with their derivatives first, then at the half-power frequencies, and the
-    ``width`` (Hz) between these."""
+    """The rough spectrum at one point: ``values`` there, its ``sweep``, the frequency it is ``driven`` at and the
+    half-power ``width`` of its deepest resonance (Hz)."""
 
     values: Values
     sweep: Solution
-    driven: tuple[Linearised, ...]
+    driven: float
     width: float
 
 
-def bases_of(made: RangeModel, stated: float | None, cavity: Cavity | None, *, by_place: bool, seed: int) -> Bases:
-    """The bases for a range model; of the states at the frequency `stated` (Hz), or at f0.
+def bases_of(
+    made: RangeModel, stated: float | None, places: Sequence[Cavity], *, tolerance: float, by_place: bool, seed: int,
+    progress: Progress | None = None,
+) -> Bases:
+    """The bases for what a range model is of, for states at the frequency `stated` (Hz), or at f0.
 
-    With `by_place` the operators know where losses are.
+    Args:
+        places: the cavity, if there is one that a figure is of.
+        tolerance: relative error of Z at f0; the pressure's is :data:`OF_PRESSURE` times as much.
+        by_place: whether the operators are to know where losses are.
+
+    Raises:
+        NotConfirmed: full solves find larger errors after all rounds.
     """
-    low, high = (np.array(ends) for ends in zip(*made.ranges.values(), strict=True))
-    count = max(LEAST, TAKEN * low.size)
-    shares = qmc.Sobol(low.size, seed=seed).random(count + CHECKED)
-    points = [dict(zip(made.ranges, map(float, x), strict=True)) for x in low + (high - low) * shares]
-    moves = {name: REACH * (high - low)[k] for k, name in enumerate(made.ranges)}
+    names = tuple(ParameterName.parse(name).key for name in made.ranges)
+    points = _Points(made, qmc.Sobol(len(names), seed=seed), stated)
+    moves = np.array([REACH * (high - low) for low, high in made.ranges.values()])
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
-        samples = list(pool.map(lambda x: _sample(made, placed(made.problem.values, x), stated, moves), points))
-    taken, kept_back = samples[:count], samples[count:]
-    inner = made.reduced.basis[:-1, :-1]
-    root = np.linalg.cholesky(inner.T @ (made.reduced.energy @ inner)).T
-    model = (compacted(made.reduced, keys(made.ranges), made.problem.values, by_place=True) if by_place
-             else made.compact)
-    rough = _decomposed([_size(each.sweep) * each.sweep.states[:-1] for each in taken], root)
-    near = _decomposed([_states(each, made, moves) for each in taken], root)
-    sweeping = _sweeping(made.compact, rough, root, kept_back)
-    operating = model.within(_part(near, smallest(made.tolerance), root))
-    rows = None if cavity is None else cavity.pressure_rows(operating.basis)
-    width = min(each.width for each in samples)
+        rough = points.drawn(max(FEWEST, SWEPT * len(names)) + CHECKED, pool)
+        sweeping = _sweeping(made.compact, rough[CHECKED:], rough[:CHECKED])
+        width = min(each.width for each in rough)
+        first = rough[: max(LEAST, TAKEN * len(names))]
+        columns = list(pool.map(lambda each: _columns(made, each, names, moves, width), first))
+        for turn in range(ROUNDS):
+            basis = _decomposed(np.concatenate(columns, axis=1), made, smallest(tolerance))
+            operating = made.reduced.on(basis)
+            checked = points.drawn(CHECKED, pool)
+            fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each.values).linearised(each.driven),
+                                  checked))
+            error, pressure_error = _errors(operating, places, checked, fulls)
+            if progress is not None:
+                progress((turn + 1.0) / ROUNDS)
+            if error <= tolerance and pressure_error <= OF_PRESSURE * tolerance:
+                break
+            columns += pool.map(lambda each: _columns(made, each, names, moves, width), checked)
+        else:
+            raise NotConfirmed(error, pressure_error, tolerance)
     band = made.frequency[-1] - made.frequency[0]
     grid = np.linspace(made.frequency[0], made.frequency[-1], int(np.ceil(ACROSS * band / width)) + 1)
-    error, pressure_error = _checked(made, operating, rows, cavity, kept_back)
-    return Bases(operating.operators, operating.sketch, rows, sweeping, grid, error, pressure_error)
+    small = compacted(operating, keys(made.ranges), made.problem.values, by_place=by_place)
+    rows = places[0].pressure_rows(basis) if places else None
+    return Bases(small.operators, small.sketch, rows, sweeping, grid, error, pressure_error)
 
 
-def _size(solution: Solution) -> Real:
-    """One over the root of the charge (n,), in units of which the energy of a state is counted."""
-    return 1.0 / np.sqrt(np.abs(solution.charge))
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points spread over the ranges of a model, drawn one after the other."""
+
+    made: RangeModel
+    sampler: qmc.Sobol
+    stated: float | None
+
+    def drawn(self, count: int, pool: ThreadPoolExecutor) -> list[_Sample]:
+        low, high = (np.array(ends) for ends in zip(*self.made.ranges.values(), strict=True))
+        shares = low + (high - low) * np.array([self.sampler.random(1)[0] for _ in range(count)])
+        return list(pool.map(self._sample, shares))
+
+    def _sample(self, point: Real) -> _Sample:
+        numbers = dict(zip(self.made.ranges, map(float, point), strict=True))
+        values = placed(self.made.problem.values, numbers)
+        sweep = ReducedSystem(self.made.compact.operators, values).sweep(self.made.frequency)
+        magnitude = np.abs(sweep.impedance)
+        lowest = int(np.argmin(magnitude))
+        driven = float(sweep.frequency[lowest]) if self.stated is None else self.stated
+        return _Sample(values, sweep, driven, _width(sweep.frequency, magnitude, lowest))
 
 
-def _sample(made: RangeModel, values: Values, stated: float | None, moves: dict[str, float]) -> _Sample:
-    system = ReducedSystem(made.compact.operators, values)
-    sweep = system.sweep(made.frequency)
-    lowest = int(np.argmin(np.abs(sweep.impedance)))
-    below, above = _width(made.frequency, np.abs(sweep.impedance), lowest)
-    driven = float(made.frequency[lowest]) if stated is None else stated
-    names = tuple(ParameterName.parse(name).key for name in moves)
-    others = (below, above) if stated is None else (driven - 0.5 * (above - below), driven + 0.5 * (above - below))
-    return _Sample(values, sweep, (system.linearised(driven, names), *(system.linearised(f) for f in others)),
-                   above - below)
-
-
-def _width(frequency: Real, magnitude: Real, lowest: int) -> tuple[float, float]:
-    """About the half-power frequencies of the resonance at an index; the ends of the band where they lie outside."""
+def _width(frequency: Real, magnitude: Real, lowest: int) -> float:
+    """About the half-power width (Hz) of the resonance at an index; to the ends of the band where it goes on."""
     high = np.flatnonzero(magnitude >= np.sqrt(2.0) * magnitude[lowest])
     below, above = high[high < lowest], high[high > lowest]
-    return (float(frequency[below[-1] if below.size else 0]),
-            float(frequency[above[0] if above.size else frequency.size - 1]))
+    return float(frequency[above[0] if above.size else -1] - frequency[below[-1] if below.size else 0])
 
 
-def _states(sample: _Sample, made: RangeModel, moves: dict[str, float]) -> Complex:
-    """Columns of states about the resonance and of what moves of parameters and of the frequency change them by."""
-    columns = []
-    for each in sample.driven:
-        size = 1.0 / np.sqrt(abs(each.charge))
-        columns += [size * each.state[:-1, None], 0.5 * sample.width * size * each.by_frequency[:-1, None]]
-        if each.names:
-            columns.append(size * each.by_parameter[:-1] * np.array(list(moves.values())))
-    return np.concatenate(columns, axis=1)
+def _columns(made: RangeModel, sample: _Sample, names: tuple[str, ...], moves: Real, width: float) -> Complex:
+    """The full state (size, n) at a point and what moves of frequency and parameters change it by, over the root of
+    the charge."""
+    found = FullSystem(made.reduced.full, sample.values).linearised(sample.driven, names)
+    moved = np.column_stack([width * found.by_frequency, found.by_parameter * moves])
+    return np.column_stack([found.state, moved]) / np.sqrt(abs(found.charge))
 
 
-def _decomposed(columns: Sequence[Complex], root: Real) -> tuple[Real, Real]:
-    """Directions (r - 1, r - 1) and sizes (r - 1,) of columns (r - 1, n), largest last, in the norm that `root` is of.
-    """
-    whole = root @ np.concatenate(columns, axis=1)
-    squares, directions = np.linalg.eigh((whole @ whole.conj().T).real)
-    return directions, np.sqrt(np.maximum(squares, 0.0))
+def _decomposed(columns: Complex, made: RangeModel, least: float) -> Real:
+    """A basis (size, r) of all that `columns` (size, n) have more of than `least`, in the root of the energy; the lift
+    of the range model is its last vector."""
+    lift = made.reduced.basis[:, -1:]
+    apart = columns - lift * columns[-1:]
+    parts = np.column_stack([apart.real, apart.imag])
+    squares, vectors = np.linalg.eigh(parts[:-1].T @ (made.reduced.energy @ parts[:-1]))
+    kept = squares > least**2
+    basis = parts @ (vectors[:, kept] / np.sqrt(squares[kept]))
+    basis[-1] = 0.0
+    return np.column_stack([basis, lift])
 
 
-def _part(decomposed: tuple[Real, Real], least: float, root: Real) -> Real:
-    """The part (r, k) of a basis that holds all directions larger than `least`, its lift last."""
-    directions, sizes = decomposed
-    kept = directions[:, sizes > least]
-    result = np.zeros((len(directions) + 1, kept.shape[1] + 1))
-    result[:-1, :-1], result[-1, -1] = np.linalg.solve(root, kept), 1.0
-    return result
-
-
-def _sweeping(
-    model: ReducedModel, rough: tuple[Real, Real], root: Real, samples: Sequence[_Sample]
-) -> ReducedOperators:
+def _sweeping(model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_Sample]) -> ReducedOperators:
     """The operators of the rough spectrum: as few vectors as leave :data:`ROUGH` of |Z| at points not used for them."""
-    least = float(rough[1][-1])
+    inner = model.basis[:-1, :-1]
+    root = np.linalg.cholesky(inner.T @ (model.energy @ inner)).T
+    whole = root @ np.concatenate([each.sweep.states[:-1] / np.sqrt(np.abs(each.sweep.charge)) for each in taken], 1)
+    squares, directions = np.linalg.eigh((whole @ whole.conj().T).real)
+    kept = 1
     while True:
-        found = model.within(_part(rough, least, root)).operators
+        part = np.zeros((len(directions) + 1, kept + 1))
+        part[:-1, :-1], part[-1, -1] = np.linalg.solve(root, directions[:, -kept:]), 1.0
+        found = model.within(part).operators
         off = max(float(np.abs(np.log(np.abs(
             ReducedSystem(found, each.values).sweep(each.sweep.frequency).charge / each.sweep.charge))).max())
-            for each in samples)
-        if off <= ROUGH or least < rough[1][0]:
+            for each in checked)
+        if off <= ROUGH or kept == squares.size:
             return found
-        least *= FINER
+        kept = max(kept + 1, int(np.sum(squares > FINER**2 * squares[-kept])))
 
 
-def _checked(
-    made: RangeModel, operating: ReducedModel, rows: Real | None, cavity: Cavity | None, samples: Sequence[_Sample]
+def _errors(
+    operating: ReducedModel, places: Sequence[Cavity], samples: Sequence[_Sample], fulls: Sequence[Linearised]
 ) -> tuple[float, float]:
-    """The largest relative errors of Z and of the pressure (root mean square) against full solves near f0."""
+    """The largest relative errors of Z and of the pressure (root mean square) against full states."""
+    rows = [place.pressure_rows(operating.basis) for place in places]
     errors, pressures = [0.0], [0.0]
-    for each in samples:
-        frequency = each.driven[0].frequency
-        full = FullSystem(made.reduced.full, each.values).linearised(frequency)
-        small = ReducedSystem(operating.operators, each.values).linearised(frequency)
+    for sample, full in zip(samples, fulls, strict=True):
+        small = ReducedSystem(operating.operators, sample.values).linearised(full.frequency)
         errors.append(abs(small.charge / full.charge - 1.0))
-        if rows is not None and cavity is not None:
-            exact = np.append(full.state, 0.0)[cavity.rows]
-            pressures.append(float(np.linalg.norm(rows @ small.state - exact) / np.linalg.norm(exact)))
+        for place, row in zip(places, rows, strict=True):
+            exact = np.append(full.state, 0.0)[place.rows]
+            pressures.append(float(np.linalg.norm(row @ small.state - exact) / np.linalg.norm(exact)))
     return max(errors), max(pressures)

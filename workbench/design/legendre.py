@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.legendre import legder, legvander
+from numpy.polynomial.legendre import legder
 from numpy.typing import NDArray
+from scipy.special import eval_legendre
 
 Real = NDArray[np.float64]
 
@@ -19,13 +20,13 @@ def _differentiation(count: int, order: int) -> Real:
 
 def derivatives(x: Real, count: int, order: int) -> Real:
     """The derivatives of some `order` of P_0 ... P_(count - 1) at x (n,): (n, count)."""
-    if order == 0:
-        return np.asarray(legvander(x, count - 1))
     if order >= count:
         return np.zeros((x.size, count))
-    return np.asarray(legvander(x, count - 1 - order) @ _differentiation(count, order))
+    values = eval_legendre(np.arange(count - order), x[:, None])
+    return np.asarray(values @ _differentiation(count, order) if order else values)
 
 
-def derived(x: float, count: int) -> Real:
-    """P_0 ... P_(count - 1) at one x with their first three derivatives: (4, count)."""
-    return np.concatenate([derivatives(np.array([x]), count, order) for order in range(4)])
+def derived(x: Real, count: int) -> Real:
+    """P_0 ... P_(count - 1) at x (n,) with their first three derivatives: (4, n, count)."""
+    values = derivatives(x, count, 0)
+    return np.stack([values, *(values[:, : count - order] @ _differentiation(count, order) for order in (1, 2, 3))])

@@ -42,6 +42,8 @@ from workbench.spectrum import Spectrum
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: Relative error of Z of the range model that says where resonances are.
+SWEEP = 0.01
 #: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come of full solves.
 TOLERANCE = 1e-5
 
@@ -147,31 +149,43 @@ def design_model(
 ) -> DesignModel:
     """A model of a chip's figures over `ranges`, see `workbench.ranges.range_model` for the arguments.
 
+    Args:
+        tolerance: relative error of Z at f0; that of the pressure is `workbench.design.bases.OF_PRESSURE` times that.
+
     Raises:
         InputError: something in the chip, its materials, the ranges or the figures.
-        NotCovered: `limit` full solves were not enough.
+        NotCovered: `limit` full solves were not enough for the spectra.
+        NotConfirmed: full solves found figures that are further off than the tolerance.
     """
     check_figures(figures, chip.regions, source=chip.file, field="figures")
-    made = range_model(chip, state, ranges, registry=registry, band=band, points=points, tolerance=tolerance,
-                       limit=limit, seed=seed, progress=progress, accuracy=accuracy)
-    return of_range_model(made, chip, state, figures=figures, operation=operation, registry=registry, seed=seed)
+    made = range_model(chip, state, ranges, registry=registry, band=band, points=points, tolerance=SWEEP,
+                       limit=limit, seed=seed, progress=_part_of(progress, 0.0, 0.5), accuracy=accuracy)
+    return of_range_model(made, chip, state, figures=figures, operation=operation, registry=registry,
+                          tolerance=tolerance, seed=seed, progress=_part_of(progress, 0.5, 1.0))
+
+
+def _part_of(progress: Progress | None, begin: float, end: float) -> Progress | None:
+    """What shows the progress of a part of the work."""
+    return None if progress is None else lambda share: progress(begin + (end - begin) * share)
 
 
 def of_range_model(
     made: RangeModel, chip: Chip, state: str | None, *, figures: Sequence[str], operation: Operation | None = None,
-    registry: Registry | None = None, seed: int = 0,
+    registry: Registry | None = None, tolerance: float = 1e-3, seed: int = 0, progress: Progress | None = None,
 ) -> DesignModel:
     """The figures on a range model of that chip and state; `seed` of the points its bases are made and checked at.
 
     Raises:
         InputError: something in the chip, its materials or the figures.
+        NotConfirmed: see :func:`design_model`.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
     operation = operation or Operation()
     device, problem = fill(chip, state, registry), made.problem
     cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted, registry)
     by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in wanted)
-    bases = bases_of(made, operation.frequency, cavity, by_place=by_place, seed=seed)
+    bases = bases_of(made, operation.frequency, [] if cavity is None else [cavity], tolerance=tolerance,
+                     by_place=by_place, seed=seed, progress=progress)
     return DesignModel(chip, device.state.name, wanted, operation, made.ranges, problem.values, bases, cavity, reason,
                        made)
 

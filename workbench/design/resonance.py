@@ -40,7 +40,10 @@ class Linearisable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Resonance:
-    """A resonance: the state ``at`` f0 and those at the half-power frequencies f1 and f2."""
+    """A resonance: the state ``at`` about f0 and those about the half-power frequencies f1 and f2.
+
+    The frequencies themselves are a last step of Newton's method from these.
+    """
 
     at: Linearised
     below: Linearised
@@ -49,16 +52,28 @@ class Resonance:
     @property
     def f0(self) -> float:
         """Hz."""
-        return self.at.frequency
+        return self.at.frequency - slope(self.at) / curvature(self.at)
+
+    @property
+    def log_z_min(self) -> float:
+        """ln of the smallest |Z| in ohm."""
+        return log_impedance(self.at) - 0.5 * slope(self.at) ** 2 / curvature(self.at)
 
     @property
     def z_min(self) -> float:
         """Ohm."""
-        return math.exp(log_impedance(self.at))
+        return math.exp(self.log_z_min)
+
+    @property
+    def width(self) -> float:
+        """f2 - f1, Hz."""
+        half = self.log_z_min + 0.5 * math.log(2.0)
+        low, high = (each.frequency - (log_impedance(each) - half) / slope(each) for each in (self.below, self.above))
+        return high - low
 
     @property
     def q(self) -> float:
-        return self.f0 / (self.above.frequency - self.below.frequency)
+        return self.f0 / self.width
 
     def gradients(self, turns: Complex) -> tuple[Real, Real, Real]:
         """Derivatives (k,) of f0, Z_min and Q by the real numbers that the parameters move by `turns` (k,): 1 for a
@@ -66,8 +81,7 @@ class Resonance:
         slope_0 = log_slopes(self.at, turns)
         f0 = -mixed_slopes(self.at, turns) / curvature(self.at)
         f1, f2 = ((slope_0 - log_slopes(each, turns)) / slope(each) for each in (self.below, self.above))
-        width = self.above.frequency - self.below.frequency
-        return f0, self.z_min * slope_0, self.q * (f0 / self.f0 - (f2 - f1) / width)
+        return f0, self.z_min * slope_0, self.q * (f0 / self.f0 - (f2 - f1) / self.width)
 
 
 def log_impedance(state: Linearised) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -73,13 +74,13 @@ def find_trap(field: CavityField) -> FoundTrap:
     # On the axis the potential is even in the radius, at a wall the trap stays at the wall.
     free = np.array([0 < i < values.shape[0] - 1, 0 < j < values.shape[1] - 1])
     place = _minimum(field, place, free, steps)
-    along = [_along_xi(place[0], field), _along_eta(place[1], field)]
+    along = _at_place(place, field)
 
     def derivative(in_xi: int, in_eta: int) -> Dual:
         return _at(field, POTENTIAL, along[0][in_xi], along[1][in_eta])
 
     slopes = np.zeros((2, field.gradient.shape[-1]))
-    gradient, hessian = (derivative(1, 0), derivative(0, 1)), _hessian(field, place)
+    gradient, hessian = (derivative(1, 0), derivative(0, 1)), _hessian(field, along)
     at = np.flatnonzero(free)
     if at.size:
         slopes[at] = -np.linalg.solve(hessian[np.ix_(at, at)], np.array([gradient[n].gradient for n in at]))
@@ -110,21 +111,22 @@ def focus_time(trap: FoundTrap, square_of_voltage: Dual) -> Dual:
     share = 0.5 * (FROM + TO) + 0.5 * (FROM - TO) * points
     if trap.height.value + FROM * quarter.value > around.height.value:
         raise NoTrap("a quarter wavelength above the deepest trap there is a wall")
-    along_xi = _along_xi(trap.place[0], field)
     # Weight less buoyancy, as `particles.net_weight`.
     weight = (around.fluid["density"] * -1.0 + particle.density) * (particle.volume * GRAVITY)
-    time = Dual(0.0, np.zeros_like(quarter.gradient))
-    for fraction, rule in zip(share, weights, strict=True):
-        eta = (trap.height + quarter * float(fraction)) / around.height
-        along_eta = _along_eta(eta.value, field)
-        here = _at(field, FORCE, along_xi[0], along_eta[0])
-        by_xi = _at(field, FORCE, along_xi[1], along_eta[0]).value
-        by_eta = _at(field, FORCE, along_xi[0], along_eta[1]).value
-        force = Dual(here.value, here.gradient + by_xi * trap.slopes[0] + by_eta * eta.gradient)
-        down = (force * square_of_voltage) * -1.0 + weight
-        if not down.value > 0.0:
-            raise NoTrap("a particle a quarter wavelength above the deepest trap does not get there")
-        time = time + down**-1.0 * float(rule)
+    # The shares of the height (points,) and (points, k) of their derivatives.
+    base, rise = trap.height / around.height, quarter / around.height
+    eta, by_number = base.value + share * rise.value, base.gradient + np.outer(share, rise.gradient)
+    along_xi, along_eta = _along_xi(trap.place[0], field), _along_eta(eta, field)
+    force, gradient = field.coefficients[FORCE], field.gradient[FORCE]
+    here = along_xi[0] @ force @ along_eta[0].T
+    slopes = np.einsum("n,nmk,pm->pk", along_xi[0], gradient, along_eta[0], optimize=True)
+    slopes += (np.outer(along_xi[1] @ force @ along_eta[0].T, trap.slopes[0])
+               + (along_xi[0] @ force @ along_eta[1].T)[:, None] * by_number)
+    down = weight.value - here * square_of_voltage.value
+    by_all = weight.gradient - slopes * square_of_voltage.value - np.outer(here, square_of_voltage.gradient)
+    if not (down > 0.0).all():
+        raise NoTrap("a particle a quarter wavelength above the deepest trap does not get there")
+    time = Dual(float(weights @ (1.0 / down)), -(weights / down**2) @ by_all)
     # Stokes' drag, as `particles.drag_coefficient`.
     return time * quarter * around.fluid["shear_viscosity"] * (0.5 * (FROM - TO) * 6.0 * math.pi * particle.radius)
 
@@ -135,20 +137,31 @@ def _raster(field: CavityField) -> tuple[Real, Real]:
     counts = [math.ceil(RASTER_POINTS * length.value / wavelength) + 1
               for length in (field.around.radius, field.around.height)]
     in_s, in_t = field.coefficients.shape[1:]
-    return (derivatives(2.0 * np.linspace(0.0, 1.0, counts[0]) ** 2 - 1.0, in_s, 0),
-            derivatives(2.0 * np.linspace(0.0, 1.0, counts[1]) - 1.0, in_t, 0))
+    return _on_lines(counts[0], in_s, even=True), _on_lines(counts[1], in_t, even=False)
+
+
+@lru_cache(maxsize=64)
+def _on_lines(lines: int, count: int, *, even: bool) -> Real:
+    """Polynomials (lines, count) at equal shares of the radius (`even`) or of the height."""
+    share = np.linspace(0.0, 1.0, lines)
+    return derivatives(2.0 * share**2 - 1.0 if even else 2.0 * share - 1.0, count, 0)
 
 
 def _along_xi(xi: float, field: CavityField) -> Real:
     """Polynomials in s and their first three derivatives by xi (4, n), s = 2 xi^2 - 1."""
-    by_s = derived(2.0 * xi**2 - 1.0, field.coefficients.shape[1])
+    by_s = derived(np.array([2.0 * xi**2 - 1.0]), field.coefficients.shape[1])[:, 0]
     return np.stack([by_s[0], 4.0 * xi * by_s[1], 4.0 * by_s[1] + 16.0 * xi**2 * by_s[2],
                      48.0 * xi * by_s[2] + 64.0 * xi**3 * by_s[3]])
 
 
-def _along_eta(eta: float, field: CavityField) -> Real:
-    """Polynomials in t and their first three derivatives by eta (4, m), t = 2 eta - 1."""
-    return derived(2.0 * eta - 1.0, field.coefficients.shape[2]) * 2.0 ** np.arange(4)[:, None]
+def _along_eta(eta: Real, field: CavityField) -> Real:
+    """Polynomials in t and their first three derivatives by eta (p,): (4, p, m), t = 2 eta - 1."""
+    return derived(2.0 * eta - 1.0, field.coefficients.shape[2]) * 2.0 ** np.arange(4)[:, None, None]
+
+
+def _at_place(place: Real, field: CavityField) -> tuple[Real, Real]:
+    """Polynomials in s (4, n) and in t (4, m) at one place (xi, eta), with three derivatives."""
+    return _along_xi(float(place[0]), field), _along_eta(place[1:], field)[:, 0]
 
 
 def _at(field: CavityField, which: int, along_xi: Real, along_eta: Real) -> Dual:
@@ -157,12 +170,11 @@ def _at(field: CavityField, which: int, along_xi: Real, along_eta: Real) -> Dual
     return Dual(value, np.einsum("n,nmk,m->k", along_xi, field.gradient[which], along_eta))
 
 
-def _hessian(field: CavityField, place: Real) -> Real:
+def _hessian(field: CavityField, along: tuple[Real, Real]) -> Real:
     """Second derivatives (2, 2) of the potential by xi and eta."""
-    along = _along_xi(place[0], field), _along_eta(place[1], field)
-    potential = field.coefficients[POTENTIAL]
-    return np.array([[along[0][2] @ potential @ along[1][0], along[0][1] @ potential @ along[1][1]],
-                     [along[0][1] @ potential @ along[1][1], along[0][0] @ potential @ along[1][2]]])
+    potential, (in_xi, in_eta) = field.coefficients[POTENTIAL], along
+    mixed = in_xi[1] @ potential @ in_eta[1]
+    return np.array([[in_xi[2] @ potential @ in_eta[0], mixed], [mixed, in_xi[0] @ potential @ in_eta[2]]])
 
 
 def _minimum(field: CavityField, start: Real, free: NDArray[np.bool_], steps: Real) -> Real:
@@ -175,9 +187,9 @@ def _minimum(field: CavityField, start: Real, free: NDArray[np.bool_], steps: Re
     for _ in range(20):
         if not at.size:
             break
-        along = _along_xi(place[0], field), _along_eta(place[1], field)
+        along = _at_place(place, field)
         gradient = np.array([along[0][1] @ potential @ along[1][0], along[0][0] @ potential @ along[1][1]])
-        hessian = _hessian(field, place)[np.ix_(at, at)]
+        hessian = _hessian(field, along)[np.ix_(at, at)]
         if np.linalg.eigvalsh(hessian)[0] <= 0.0:
             return start
         step = np.zeros(2)

@@ -1,0 +1,206 @@
+"""Figures of reduced and of full models: against `simulate`, against their own differences, against each other."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.chip import Chip, read_chip
+from materials.registry import Registry
+from workbench.design.bases import OF_PRESSURE, NotConfirmed
+from workbench.design.evaluation import Evaluation, Operation
+from workbench.design.figures import FIGURES
+from workbench.design.model import DesignModel, design_model, full_evaluation, of_range_model
+from workbench.drive import GeneratorDrive, PowerDrive
+from workbench.files.errors import InputError
+from workbench.parameter_names import part
+from workbench.ranges import OutOfRange
+from workbench.simulation import simulate
+from workbench.traps import focus_time
+
+#: The published losses of the disc are rounded.
+pytestmark = pytest.mark.filterwarnings("ignore:.*the losses create energy")
+
+PLA, WATER = "pla/acevedo_2026", "water/iapws_2011"
+CHIP = Path(__file__).resolve().parent.parent / "geometry" / "chips" / "reference_chip.toml"
+COARSE = 5e-3
+LOSS = f"{PLA}.shear_modulus.loss"
+#: All figures of the catalogue and two shares of the losses.
+ALL = (*FIGURES, "loss.substrate", "loss.transducer")
+WARM = Operation(thermal_resistance={"substrate": 3.0, "": 1.0})
+TOLERANCE = 1e-3
+
+
+@pytest.fixture(scope="module")
+def chip() -> Chip:
+    found = read_chip(CHIP)
+    return replace(found, states=tuple(replace(state, particle="polystyrene", particle_radius=5e-6)
+                                       if state.name == "filled" else state for state in found.states))
+
+
+@pytest.fixture(scope="module")
+def model(chip: Chip) -> DesignModel:
+    own = Registry().load(PLA).parameters()["shear_modulus"].imag
+    ranges = {"sidewall.thickness": (0.71e-3, 0.73e-3), "cavity.radius": (3.92e-3, 4.08e-3),
+              LOSS: (1.05 * own, 0.95 * own)}
+    return design_model(chip, "filled", ranges, figures=ALL, operation=WARM, points=81, tolerance=TOLERANCE,
+                        accuracy=COARSE)
+
+
+def full(chip: Chip, values: dict[str, float], **options: object) -> Evaluation:
+    return full_evaluation(chip, "filled", values, figures=ALL, operation=WARM, points=81,
+                           accuracy=COARSE, **options)
+
+
+def test_figures_of_a_full_evaluation_are_those_of_a_simulation(chip: Chip) -> None:
+    found = full(chip, {}).figures
+    run = simulate(chip, "filled", accuracy=COARSE)
+    trap, excitation = run.traps.traps[0], run.traps.excitation
+    # On the model, or on points of its spectrum: its interpolant is good to 1e-5.
+    assert found["f0"] == pytest.approx(run.figures.f0, rel=1e-7)
+    assert (found["z_min"], found["q"]) == pytest.approx((run.figures.z_min, run.figures.q), rel=2e-4)
+    assert found["power"] == pytest.approx(run.fields.power, rel=1e-4)
+    # One polynomial, or gradients recovered on a coarse mesh: both leave some tenths of a per cent.
+    assert found["p0"] == pytest.approx(excitation.pressure_amplitude, rel=5e-3)
+    assert found["e_ac"] == pytest.approx(excitation.energy_density, rel=1e-2)
+    assert found["mean_e_ac"] == pytest.approx(excitation.mean_energy_density, rel=1e-2)
+    floor = chip.holes[0].z_bottom
+    assert found["trap_height"] == pytest.approx(trap.height - floor, abs=1e-6)
+    assert found["trap_radius"] == pytest.approx(trap.radius, abs=5e-6)
+    assert found["trap_depth"] == pytest.approx(trap.depth, rel=2e-2)
+    assert found["axial_stiffness"] == pytest.approx(trap.axial_stiffness, rel=3e-2)
+    assert found["focus_time"] == pytest.approx(focus_time(run.traps), rel=2e-2)
+    shares = {place: power / sum(run.losses.values()) for place, power in run.losses.items()}
+    assert found["loss.substrate"] == pytest.approx(shares["substrate"], rel=1e-4)
+    warm = sum(power * (3.0 if place == "substrate" else 1.0) for place, power in run.losses.items())
+    assert found["heating"] == pytest.approx(warm, rel=1e-3)
+
+
+def test_a_design_model_gives_the_figures_of_full_solves(chip: Chip, model: DesignModel) -> None:
+    assert model.bases.error <= TOLERANCE
+    assert model.bases.pressure_error <= OF_PRESSURE * TOLERANCE
+    values = {"sidewall.thickness": 0.713e-3, "cavity.radius": 4.05e-3}
+    small, exact = model(values), full(chip, values)
+    for name in ("f0", "z_min", "q", "power", "heating", "loss.substrate"):
+        # The mesh is another one: what it leaves comes in.
+        assert small.figures[name] == pytest.approx(exact.figures[name], rel=3e-3), name
+    for name in ("p0", "e_ac", "mean_e_ac", "trap_depth", "axial_stiffness", "focus_time"):
+        assert small.figures[name] == pytest.approx(exact.figures[name], rel=2e-2), name
+    assert small.figures["trap_height"] == pytest.approx(exact.figures["trap_height"], abs=1e-6)
+    assert small.frequency == small.figures["f0"]
+    assert not small.missing
+
+
+def differences(of: object, point: dict[str, float], step: float) -> dict[str, np.ndarray]:
+    """Derivatives by central differences of fourth order."""
+    found: dict[str, list[float]] = {name: [] for name in ALL}
+    for name, value in point.items():
+        ends = [of({**point, name: value * (1.0 + k * step)}).figures for k in (-2, -1, 1, 2)]
+        for each in ALL:
+            a, b, c, d = (end[each] for end in ends)
+            found[each].append((a - 8.0 * b + 8.0 * c - d) / (12.0 * step * value))
+    return {name: np.array(slopes) for name, slopes in found.items()}
+
+
+def test_gradients_are_exact(model: DesignModel) -> None:
+    point = {name: part(model.values, name) for name in model.names}
+    found = model(point, gradient=True)
+    slopes = differences(model, point, 2e-4)
+    for name in ALL:
+        # By how much a figure changes over the step: what roots and rounding leave of that is 1e-5.
+        scale = np.abs(found.gradient[name] * np.array(list(point.values()))).max()
+        off = np.abs((found.gradient[name] - slopes[name]) * np.array(list(point.values()))).max()
+        assert off <= 2e-5 * scale + 1e-9 * abs(found.figures[name]), name
+
+
+@pytest.mark.parametrize("drive", [GeneratorDrive(10.0), PowerDrive(0.5)])
+def test_gradients_follow_the_drive_and_a_stated_frequency(model: DesignModel, drive: object) -> None:
+    point = {name: part(model.values, name) for name in model.names}
+    centre = model(point).frequency
+    for frequency in (None, centre + 500.0):
+        driven = replace(model, operation=replace(WARM, drive=drive, frequency=frequency))
+        found = driven(point, gradient=True)
+        assert found.frequency == pytest.approx(centre + (500.0 if frequency else 0.0), rel=1e-9)
+        slopes = differences(driven, point, 2e-4)
+        for name in ("voltage", "power", "mean_e_ac", "focus_time", "heating"):
+            scale = np.abs(found.gradient[name] * np.array(list(point.values()))).max()
+            off = np.abs((found.gradient[name] - slopes[name]) * np.array(list(point.values()))).max()
+            assert off <= 2e-5 * scale + 1e-9 * abs(found.figures[name]), (name, frequency)
+    if isinstance(drive, PowerDrive):
+        assert driven(point).figures["power"] == pytest.approx(0.5, rel=1e-9)
+
+
+def test_gradients_of_a_full_evaluation_are_those_of_the_reduced_model(chip: Chip, model: DesignModel) -> None:
+    point = {name: part(model.values, name) for name in model.names}
+    exact, small = full(chip, point, gradient=True), model(point, gradient=True)
+    for name in ("f0", "z_min", "q", "mean_e_ac", "loss.substrate"):
+        scale = np.abs(exact.gradient[name] * np.array(list(point.values()))).max()
+        off = np.abs((exact.gradient[name] - small.gradient[name]) * np.array(list(point.values()))).max()
+        # The states' derivatives are of first order in what the basis leaves out.
+        assert off <= 2e-2 * scale, name
+
+
+def test_the_fluid_counts_where_it_moves(chip: Chip) -> None:
+    # Density and sound speed come into energy, potential and force besides the pressure.
+    sound = Registry().load(WATER, temperature=293.15).sound_speed
+    tiny = design_model(chip, "filled", {f"{WATER}.sound_speed": (0.999 * sound, 1.001 * sound)}, figures=ALL,
+                        operation=WARM, points=81, accuracy=COARSE)
+    found = tiny({}, gradient=True)
+    slopes = differences(tiny, {f"{WATER}.sound_speed": sound}, 1e-4)
+    for name in ("mean_e_ac", "e_ac", "trap_depth", "axial_stiffness", "focus_time"):
+        assert found.gradient[name] == pytest.approx(slopes[name], rel=1e-4), name
+
+
+def test_a_model_goes_to_another_process(model: DesignModel) -> None:
+    there = pickle.loads(pickle.dumps(model))
+    assert there.range_model is None
+    assert there({}).figures == model({}).figures
+    with pytest.raises(ValueError, match="sent to another process"):
+        there.spectrum()
+    assert model.spectrum().frequency.size == 81
+
+
+def test_what_is_missing_says_why(chip: Chip, model: DesignModel) -> None:
+    made = model.range_model
+    empty = design_model(chip, "empty", {"cavity.radius": (3.98e-3, 4.02e-3)}, figures=("f0", "p0", "heating"),
+                         points=41, accuracy=COARSE)
+    found = empty({})
+    assert np.isnan(found.figures["p0"])
+    assert "no fluid" in found.missing["p0"]
+    assert "no thermal resistance" in found.missing["heating"]
+    assert np.isfinite(found.figures["f0"])
+    bare = replace(chip, states=tuple(replace(s, particle=None, particle_radius=None) for s in chip.states))
+    without = of_range_model(made, bare, "filled", figures=("p0", "trap_height"))({})
+    assert "names no particle" in without.missing["trap_height"]
+    assert np.isfinite(without.figures["p0"])
+    # At the edge of the band there is no resonance, and so no frequency to drive at.
+    aside = full_evaluation(chip, "filled", {}, figures=("f0", "p0"), band=(0.95e6, 0.97e6), points=21,
+                            accuracy=COARSE)
+    assert np.isnan(aside.frequency)
+    assert "edge of the band" in aside.missing["p0"]
+
+
+def test_bad_questions(chip: Chip, model: DesignModel) -> None:
+    with pytest.raises(InputError, match="did you mean 'e_ac'"):
+        full_evaluation(chip, "filled", {}, figures=("e_acc",))
+    with pytest.raises(InputError, match="every figure once"):
+        full_evaluation(chip, "filled", {}, figures=("f0", "f0"))
+    with pytest.raises(InputError, match=r"sidewall\.thickness"):
+        full_evaluation(chip, "filled", {"sidewal.thickness": 1e-3}, figures=("f0",))
+    with pytest.raises(InputError, match="did you mean"):
+        full_evaluation(chip, "filled", {f"{PLA}.sheer_modulus": 1e9}, figures=("f0",), accuracy=COARSE)
+    with pytest.raises(OutOfRange, match="the model was made for"):
+        model({"cavity.radius": 5e-3})
+    with pytest.raises(KeyError, match="no range for"):
+        model({"cavity.height": 3e-3})
+
+
+def test_a_model_that_full_solves_refute_is_refused(model: DesignModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("workbench.design.bases.ROUNDS", 1)
+    with pytest.raises(NotConfirmed, match="narrow the ranges") as refusal:
+        of_range_model(model.range_model, model.chip, "filled", figures=("f0", "p0"), tolerance=1e-7)
+    assert pickle.loads(pickle.dumps(refusal.value)).error == refusal.value.error
