@@ -12,14 +12,15 @@ from workbench.app import plot
 
 _STYLE = """
 html { overflow-y: auto !important; }
-.live { display: grid; grid-template-columns: 340px 1fr; gap: 10px; padding: 8px 12px; background: #f4f6f8;
+.live { display: grid; grid-template: 36px 1fr / 340px 1fr; gap: 6px 10px; padding: 8px 12px; background: #f4f6f8;
         min-height: 100vh; font-family: Roboto, sans-serif; color: #1c2733; }
 .live .bar { grid-column: 1 / 3; display: flex; align-items: center; gap: 8px; height: 36px; }
 .live .bar h1 { font-size: 17px; font-weight: 600; margin: 0 8px 0 0; white-space: nowrap; }
 .live .bar .state { color: #5a6b7b; margin-right: auto; font-size: 13px; white-space: nowrap; overflow: hidden;
         text-overflow: ellipsis; }
 .live .card { background: white; border: 1px solid #dfe5ea; border-radius: 8px; }
-.live .side { padding: 6px 10px; align-self: start; max-height: calc(100vh - 60px); overflow-y: auto; }
+.live .left { display: flex; flex-direction: column; gap: 6px; align-self: start; max-height: calc(100vh - 60px); }
+.live .side { padding: 6px 10px; overflow-y: auto; }
 .live .heads { display: flex; font-size: 11px; color: #5a6b7b; padding: 2px 0 4px; }
 .live .row { border-top: 1px solid #eef1f4; padding: 4px 0 0; }
 .live .row .names { display: flex; align-items: baseline; gap: 4px; font-size: 12.5px; }
@@ -51,7 +52,10 @@ html { overflow-y: auto !important; }
 .live .legend { display: inline-block; width: 90px; height: 9px; border: 1px solid #cfd8e0; }
 .live .row .v-slider.v-input--horizontal { min-height: 24px; }
 .live .legends { white-space: nowrap; font-size: 11px; color: #43525f; }
-.live .works { font-size: 11.5px; color: #43525f; margin-bottom: 6px; padding: 3px 10px; min-height: 26px; }
+.live .works { font-size: 11.5px; color: #43525f; padding: 4px 10px; line-height: 1.35;
+        min-height: 80px; overflow-y: auto; flex-shrink: 1; }
+.live .works > div { margin-bottom: 3px; }
+.live .v-btn { text-transform: none; letter-spacing: 0; }
 .live .works .kind { font-weight: 600; }
 .live .works a { color: #1565c0; }
 .live .error { color: #c0392b; }
@@ -144,7 +148,10 @@ _SPECTRUM = f"""
           transform="rotate(-90 12 {sum(plot.MAGNITUDE) / 2:g})">|Z| (ohm)</text>
     <text x="12" y="{sum(plot.PHASE) / 2:g}" text-anchor="middle"
           transform="rotate(-90 12 {sum(plot.PHASE) / 2:g})">phase</text>
-    <path v-if="curve.tolerance" id="tolerance" :d="curve.tolerance" fill="#bcd6f2" fill-opacity="0.7"></path>
+    <clipPath id="panel"><rect x="{plot.LEFT:g}" y="{plot.MAGNITUDE[0]:g}" width="{plot.RIGHT - plot.LEFT:g}"
+      height="{plot.MAGNITUDE[1] - plot.MAGNITUDE[0]:g}"></rect></clipPath>
+    <path v-if="curve.tolerance" id="tolerance" clip-path="url(#panel)" :d="curve.tolerance" fill="#bcd6f2"
+          fill-opacity="0.7"></path>
     <path v-if="recorded.magnitude" id="recorded" :d="recorded.magnitude" fill="none" stroke="#e07b00"
           stroke-width="1.4"></path>
     <path v-if="recorded.phase" :d="recorded.phase" fill="none" stroke="#e07b00" stroke-width="1.2"></path>
@@ -175,7 +182,7 @@ _FIELDS = """
       <span class="legends">{{ each.low }} <span class="legend" :style="{background: each.colours}"></span>
       {{ each.high }} {{ each.unit }}</span></div>
     <svg :id="'picture_' + each.name" :viewBox="'0 0 ' + each.width + ' ' + (each.height + 16)"
-         style="width: 100%; display: block">
+         style="display: block; width: 100%" :style="{maxHeight: each.wide ? '196px' : '118px'}">
       <image :href="each.png" x="0" y="0" :width="each.width" :height="each.height" preserveAspectRatio="none"></image>
       <path :d="each.outline" fill="none" stroke="#303030" stroke-width="0.4"></path>
       <g v-for="mark in each.marks" :key="mark.x + ',' + mark.y"><title>{{ mark.text }}</title>
@@ -203,8 +210,8 @@ _WORKS = """
 def template(count: int) -> str:
     """The page with `count` numbers that can be moved."""
     rows = "".join(_ROW.replace("[I]", f"[{i}]").replace("_I", f"_{i}") for i in range(count))
-    return (f"<div class='live'>{_BAR}<div class='card side'>{_HEADS}{rows}</div>"
-            f"<div>{_WORKS}{_FIGURES}{_SPECTRUM}{_FIELDS}</div></div>")
+    return (f"<div class='live'>{_BAR}<div class='left'><div class='card side'>{_HEADS}{rows}</div>{_WORKS}</div>"
+            f"<div>{_FIGURES}{_SPECTRUM}{_FIELDS}</div></div>")
 
 
 #: What the page reads off the spectrum where the mouse points: the nearest of its frequencies.

@@ -87,7 +87,7 @@ def described(section: SectionFields, *, stated: bool) -> str:
     if section.traps.traps:
         trap = section.traps.traps[0]
         words += f" · deepest trap r {1e3 * trap.radius:.2f}, z {1e3 * trap.height:.3f} mm"
-    return words if stated else f"{words} · the chip names no particle"
+    return words if stated else f"{words} · the chip names no particle, this is of the usual one"
 
 
 def embedded(png: bytes) -> str:

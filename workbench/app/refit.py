@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -54,9 +53,8 @@ def refit(
     constants = {name: number for name, number in held.items()
                  if ParameterName.parse(name).kind is not Kind.DIMENSION}
     chip = moved_chip(session.chip, {name: number for name, number in held.items() if name not in constants})
-    name = Path(measured.origin.source).stem or "recording"
-    prepared = prepare(chip, session.registry, kind="pzt", name=name, measured=measured, state=session.state,
-                       free=free, band=session.band, accuracy=session.accuracy)
+    prepared = prepare(chip, session.registry, kind="pzt", name=session.recording_name, measured=measured,
+                       state=session.state, free=free, band=session.band, accuracy=session.accuracy)
 
     def holding(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
         return tuple(replace(each, problem=each.problem.with_values(placed(each.problem.values, constants)))

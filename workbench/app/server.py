@@ -378,8 +378,7 @@ class LiveView:
         low, high = self.session.band
         with contextlib.suppress(ValueError):
             inside = recording.restricted(low, high)
-            name = Path(recording.origin.source).name or "recording"
-            self._state.recorded = {**plot.curves(self._scale(), inside), "name": name}
+            self._state.recorded = {**plot.curves(self._scale(), inside), "name": self.session.recording_name}
 
     async def _drawing(self, pool: ThreadPoolExecutor) -> None:
         """Show the fields of the present numbers at the present frequency whenever one of them has changed."""

@@ -119,6 +119,7 @@ class Session:
         accuracy: float | Discretisation = ACCURACY,
         drive: Drive | None = None,
         recording: Spectrum | None = None,
+        recording_name: str = "recording",
         growing: Growing = growing_here,
     ) -> None:
         """A session of `chip` in `state`, its last one if None, in which the numbers `wanted` can be moved
@@ -131,7 +132,7 @@ class Session:
         self.registry = Registry() if registry is None else registry
         self.band = chip.band if band is None else band
         self.drive: Drive = VoltageDrive() if drive is None else drive
-        self.recording = recording
+        self.recording, self.recording_name = recording, recording_name
         self._growing = growing
         self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
         device = fill(chip, self.state, self.registry)

@@ -43,7 +43,9 @@ def run(options: argparse.Namespace, console: Console) -> int:
     if options.campaign is not None and not options.campaign.is_file():
         raise InputError("command line", "--campaign", str(options.campaign), "a file")
     session = Session(chip, options.state, options.vary, registry=asked.registry, band=asked.band,
-                      accuracy=asked.accuracy, drive=asked.drive, recording=recording, growing=growing_elsewhere)
+                      accuracy=asked.accuracy, drive=asked.drive, recording=recording,
+                      recording_name="" if options.recording is None else options.recording.name,
+                      growing=growing_elsewhere)
     view = LiveView(session, Drawing(_section, _space), options.output, campaign=options.campaign)
 
     def ready(address: str) -> None:
