@@ -1,27 +1,19 @@
-"""Growing models in a process of their own, so that neither page nor answers ever wait for them.
-
-What comes over is all that answering needs: the model with what no number moves summed up, a tenth of the whole.
-"""
+"""Range models that answer while they grow, made here or in a process of their own."""
 
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection
 from typing import Any
 
 from geometry.chip import Chip
 from materials.registry import Registry
+from workbench.app.elsewhere import Send, elsewhere
 from workbench.discretisation import Discretisation
 from workbench.operators import assemble
 from workbench.problem import build, fill
 from workbench.ranges import NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
-
-#: How much such a process stands back for others, in the steps of ``nice``: the page is answered first.
-_NICE = 10
 
 
 @dataclass(frozen=True)
@@ -56,53 +48,29 @@ def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
 def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
     """The same, made by another process, which is ended with this iterator. The models cannot grow here.
 
+    What comes over is all that answering needs: the model with what no number moves summed up, a tenth of the whole.
+
     Raises:
         InputError, NotCovered: as of `workbench.ranges.growing_model`.
         RuntimeError: the process ended without a word.
     """
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_grow, args=(there, wanted), daemon=True)
-    process.start()
-    there.close()
-    try:
-        plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)
-        problem, _ = with_ranges(plain, wanted.chip, wanted.ranges)
-        operators, known = assemble(problem.mesh, problem.terms), fingerprint(problem)
-        while True:
-            try:
-                found = here.recv()
-            except EOFError:
-                raise RuntimeError("the process that makes the model ended without a word") from None
-            if found is None:
-                return
-            if isinstance(found, Exception):
-                raise found
-            model, of = found
+    plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)
+    problem, _ = with_ranges(plain, wanted.chip, wanted.ranges)
+    operators, known = assemble(problem.mesh, problem.terms), fingerprint(problem)
+    with contextlib.closing(elsewhere(_grow, wanted)) as models:
+        for model, of in models:
             if of != known:
                 raise RuntimeError("the process that makes the model has another mesh of the chip")
             yield replace(model, problem=problem, reduced=replace(model.reduced, full=operators))
-    finally:
-        process.terminate()
-        process.join()
-        here.close()
 
 
-def _grow(there: Connection, wanted: Wanted) -> None:
-    """What the process does: send every model with the fingerprint of its problem, and None or an error at the end."""
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
+def _grow(send: Send, wanted: Wanted) -> None:
+    """Send every model with the fingerprint of its problem."""
     try:
-        last: Any = None
         for model in growing_here(wanted):
-            there.send((_sendable(model), fingerprint(model.problem)))
+            send((_sendable(model), fingerprint(model.problem)))
     except NotCovered as reached:
-        last = NotCovered(_sendable(reached.model))
-    except Exception as error:
-        # Whatever it is, it is for who asked.
-        last = error
-    with contextlib.suppress(BrokenPipeError):
-        there.send(last)
+        raise NotCovered(_sendable(reached.model)) from None
 
 
 def _sendable(model: RangeModel) -> RangeModel:

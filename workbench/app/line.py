@@ -6,7 +6,7 @@ of the range model's (on the reference chip 90 vectors of 250).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,9 +45,11 @@ class Line:
         return Response(values, Prediction(self.reduced.solve(self.model.frequency, there), self.reduced, there))
 
 
-def line_model(model: RangeModel, name: str, values: Mapping[str, float]) -> Line | None:
-    """The line of `model` through `values` (SI) along `name`; None for a :data:`SMALL` model, and where the line is off
-    by more than the model's tolerance.
+def line_model(
+    model: RangeModel, name: str, values: Mapping[str, float], stopped: Callable[[], bool] = lambda: False
+) -> Line | None:
+    """The line of `model` through `values` (SI) along `name`; None for a :data:`SMALL` model, where the line is off by
+    more than the model's tolerance, and once `stopped`.
 
     What it is off by is found out half way between the points that it was made of.
     """
@@ -59,6 +61,8 @@ def line_model(model: RangeModel, name: str, values: Mapping[str, float]) -> Lin
     points = np.linspace(low, high, POINTS)
     states = []
     for number in points:
+        if stopped():
+            return None
         found = compact.solve(watched, placed(model.problem.values, {**values, name: float(number)}))
         states.append(found.states / np.sqrt(np.abs(found.charge)))
     line = Line(model, name, rest(values, name), narrowed(compact, np.concatenate(states, axis=1), NEGLIGIBLE))

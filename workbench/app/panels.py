@@ -9,7 +9,7 @@ import numpy as np
 
 from workbench.app import plot
 from workbench.app.section_fields import SectionFields
-from workbench.app.session import SpectrumView
+from workbench.app.spectrum_view import SpectrumView
 
 
 class Drawn(Protocol):

@@ -22,7 +22,8 @@ from workbench.app.background import FAILURES, Background
 from workbench.app.page import lay_out
 from workbench.app.panels import Drawn, curve, described, embedded, figure_cards, picture
 from workbench.app.section_fields import SectionFields
-from workbench.app.session import NotReady, Session, SpectrumView
+from workbench.app.session import NotReady, Session
+from workbench.app.spectrum_view import SpectrumView
 from workbench.app.works import KINDS, REPORT, Works
 from workbench.files.errors import InputError
 from workbench.ranges import OutOfRange
@@ -59,7 +60,9 @@ class LiveView:
         self._view: SpectrumView | None = None
         self._dots: tuple[Mapping[str, float], list[tuple[float, complex]]] = ({}, [])
         self._saved: set[Path] = set()
-        self._moved, self._picked = asyncio.Event(), asyncio.Event()
+        # What is to be answered: the spectrum, then the fields, then what makes the next answer faster.
+        self._asked = asyncio.Event()
+        self._moved = self._picked = self._idle = False
         self._rest: asyncio.TimerHandle | None = None
         self._grow_again, self._waiting = False, ""
         # Its own options are none of the command's.
@@ -83,7 +86,7 @@ class LiveView:
             OSError: the port is taken.
         """
         self._loop = asyncio.get_running_loop()
-        answers, pictures = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+        answers = ThreadPoolExecutor(1)
         self._server.controller.on_server_bind.add(self._bind)
 
         def started(**_state: object) -> None:
@@ -94,19 +97,17 @@ class LiveView:
         served = self._server.start(port=port, host=guard.HOST, timeout=0, open_browser=False, exec_mode="coroutine",
                                     show_connection_info=False, disable_logging=True)
         serving = asyncio.ensure_future(served)
-        loops = [asyncio.ensure_future(each) for each in (self._answering(answers), self._drawing(pictures))]
+        answering = asyncio.ensure_future(self._answering(answers))
         self._grow()
         try:
             await asyncio.shield(serving)
         finally:
-            for each in loops:
-                each.cancel()
-            await asyncio.gather(*loops, return_exceptions=True)
+            answering.cancel()
+            await asyncio.gather(answering, return_exceptions=True)
             await self._server.stop()
             await serving
             await asyncio.to_thread(self._background.close)
             answers.shutdown()
-            pictures.shutdown()
 
     def _bind(self, wslink: Any) -> None:
         from aiohttp import web
@@ -186,17 +187,20 @@ class LiveView:
     def _pick(self, share: float) -> None:
         self._frequency = self._scale().frequency_at(float(share))
         self._show_frequency()
-        self._picked.set()
+        self._picked = True
+        self._asked.set()
 
     def _follow(self) -> None:
         self._frequency = None
         self._show_frequency()
-        self._picked.set()
+        self._picked = True
+        self._asked.set()
 
     def _space(self) -> None:
         self._state.in_space = not self._state.in_space
         self._state.space = ""
-        self._picked.set()
+        self._picked = True
+        self._asked.set()
 
     def _save(self, name: str) -> None:
         """Save the chip under a plain name in the folder; nothing that was there before is overwritten."""
@@ -281,7 +285,8 @@ class LiveView:
         self._show_numbers()
 
     def _touch(self) -> None:
-        self._moved.set()
+        self._moved = True
+        self._asked.set()
 
     def _changed(self) -> None:
         """Numbers are others than the page shows."""
@@ -343,33 +348,51 @@ class LiveView:
         self._state.full_dots = plot.dots(self._scale(), frequency.real, impedance) if found else []
 
     async def _answering(self, pool: ThreadPoolExecutor) -> None:
-        """Show the spectrum of the present numbers whenever they have changed."""
+        """Answer what is asked, in one thread of its own, whatever is most urgent first."""
         while True:
-            await self._moved.wait()
-            self._moved.clear()
+            await self._asked.wait()
             try:
-                view = await self._loop.run_in_executor(pool, self.session.spectrum)
-                self._view = view
-                shown, cards = await self._loop.run_in_executor(pool, _shown, view, self._scale())
+                if self._moved:
+                    self._moved = False
+                    await self._answer_spectrum(pool)
+                elif self._picked:
+                    self._picked = False
+                    await self._answer_fields(pool)
+                elif self._idle:
+                    self._idle = False
+                    await self._loop.run_in_executor(pool, self.session.prepare_line, self._is_moved)
+                else:
+                    self._asked.clear()
             except (NotReady, OutOfRange) as waiting:
                 self._waiting = str(waiting)
                 with self._state:
                     self._say(self._waiting)
-                continue
             except FAILURES as error:
                 with self._state:
                     self._complain(error)
-                continue
-            with self._state:
-                if self._state.message == self._waiting:
-                    self._say("")
-                self._state.curve = shown
-                self._state.figures = cards
-                self._state.can_undo, self._state.can_redo = self.session.can_undo, self.session.can_redo
-                self._show_recording()
-                self._show_frequency()
-                self._show_dots()
-            self._picked.set()
+
+    def _is_moved(self) -> bool:
+        return self._moved
+
+    async def _answer_spectrum(self, pool: ThreadPoolExecutor) -> None:
+        view = await self._loop.run_in_executor(pool, self.session.spectrum)
+        self._view = view
+        shown, cards = await self._loop.run_in_executor(pool, _shown, view, self._scale())
+        with self._state:
+            if self._state.message == self._waiting:
+                self._say("")
+            self._state.curve, self._state.figures = shown, cards
+            self._state.can_undo, self._state.can_redo = self.session.can_undo, self.session.can_redo
+            self._show_recording()
+            self._show_frequency()
+            self._show_dots()
+        self._picked = self._idle = True
+
+    async def _answer_fields(self, pool: ThreadPoolExecutor) -> None:
+        found = await self._loop.run_in_executor(pool, self._drawn, self._shown(), self._state.in_space)
+        with self._state:
+            for name, shown in found.items():
+                self._state[name] = shown
 
     def _show_recording(self) -> None:
         recording = self.session.recording
@@ -379,25 +402,6 @@ class LiveView:
         with contextlib.suppress(ValueError):
             inside = recording.restricted(low, high)
             self._state.recorded = {**plot.curves(self._scale(), inside), "name": self.session.recording_name}
-
-    async def _drawing(self, pool: ThreadPoolExecutor) -> None:
-        """Show the fields of the present numbers at the present frequency whenever one of them has changed."""
-        while True:
-            await self._picked.wait()
-            self._picked.clear()
-            frequency, in_space = self._shown(), self._state.in_space
-            try:
-                found = await self._loop.run_in_executor(pool, self._drawn, frequency, in_space)
-            except (NotReady, OutOfRange):
-                continue
-            except FAILURES as error:
-                with self._state:
-                    self._complain(error)
-                continue
-            with self._state:
-                for name, shown in found.items():
-                    self._state[name] = shown
-            self._background.start("line", lambda say, stopped: f"{self.session.prepare_line()}")
 
     def _drawn(self, frequency: float, in_space: bool) -> dict[str, Any]:
         section = self.session.section(frequency)

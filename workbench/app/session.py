@@ -18,7 +18,6 @@ from pathlib import Path
 from threading import RLock
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.chip_file import write_chip
@@ -31,22 +30,18 @@ from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
 from workbench.app.line import Line, line_model, rest
 from workbench.app.section_fields import SectionFields, moved_chip, section_fields
-from workbench.comparison import Comparison, compare
-from workbench.design.evaluation import OF_RESONANCE, Evaluation, Operation, Question, answer
+from workbench.app.spectrum_view import SpectrumView, spectrum_view
 from workbench.design.model import particle_of
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.files.errors import InputError
-from workbench.linearised import ReducedSystem
 from workbench.operators import assemble
 from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import build, fill
-from workbench.ranges import NotCovered, OutOfRange, RangeModel, Response
+from workbench.ranges import NotCovered, OutOfRange, RangeModel
 from workbench.solve import solve_full, sweep
 from workbench.spectrum import Spectrum
-
-Real = NDArray[np.float64]
 
 #: Frequencies of the band at which the spectrum is answered; twice as many take twice as long.
 POINTS = 121
@@ -61,33 +56,24 @@ class NotReady(RuntimeError):
     """Nothing can be answered before the first model is there."""
 
 
-@dataclass(frozen=True, eq=False)
-class SpectrumView:
-    """The spectrum of the present numbers, and what follows from it.
+@dataclass(frozen=True)
+class Present:
+    """A chip with its lengths, and the ``constants`` (SI) of its materials that are others than these say."""
 
-    ``figures`` are f0 (Hz), Z_min (ohm) and Q by name (`workbench.design.figures`), empty where the band has no
-    resonance, and ``no_resonance`` says why. ``deviations`` are theirs by the tolerances, and ``spread`` (n,) that of
-    |Z|, relative, all standard and to first order; empty and None where nothing has a tolerance. ``error`` is what the
-    model was off by where full solves checked it last (infinite where none has), ``estimate`` what it estimates to be
-    off by here. ``comparison`` is with the recording, if there is one that overlaps.
-    """
+    chip: Chip
+    state: str
+    constants: Mapping[str, float]
+    registry: Registry
+    band: tuple[float, float]
+    accuracy: float | Discretisation
 
-    response: Response
-    figures: Mapping[str, float]
-    deviations: Mapping[str, float]
-    no_resonance: str
-    spread: Real | None
-    error: float
-    comparison: Comparison | None
-
-    @property
-    def spectrum(self) -> Spectrum:
-        return self.response.spectrum
-
-    @property
-    def estimate(self) -> float:
-        """Largest estimated relative error of the impedance; over wide ranges many times too large."""
-        return float(self.response.error.max())
+    def solve(self, send: Callable[[tuple[float, complex]], None], count: int) -> None:
+        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves on a mesh of the chip's own: `count` of
+        them evenly over the band, each as soon as it is solved."""
+        problem = build(fill(self.chip, self.state, self.registry), band=self.band, accuracy=self.accuracy)
+        operators = assemble(problem.mesh, problem.terms)
+        for solution in sweep(operators, np.linspace(*self.band, count), placed(problem.values, self.constants)):
+            send((float(solution.frequency[0]), complex(np.conj(solution.impedance[0]))))
 
 
 @dataclass(frozen=True)
@@ -349,7 +335,7 @@ class Session:
     # What they give.
 
     def spectrum(self) -> SpectrumView:
-        """The spectrum of the present numbers, and their figures: roots on the model, not on the points of a plot.
+        """The spectrum of the present numbers, and its figures of merit.
 
         Raises:
             NotReady, OutOfRange: no model answers for them yet.
@@ -358,13 +344,7 @@ class Session:
             values, deviations = self.values, {each.name: each.deviation for each in self.controls}
             model, line = self._best(values), self._line
         response = line(values) if line is not None and line.holds(model, values) else model(values)
-        found = _resonance(response, tuple(name for name, each in deviations.items() if each > 0.0))
-        merit = {name: number for name, number in found.figures.items() if name not in found.missing}
-        gradient = {} if found.gradient is None else found.gradient
-        moved = {name: float(np.linalg.norm([slope * deviations[by] for slope, by in zip(
-            gradient[name], found.values, strict=True)])) for name in merit if name in gradient}
-        return SpectrumView(response, merit, moved, next(iter(found.missing.values()), ""),
-                            _spread(response, deviations), model.error, _compared(self.recording, response.spectrum))
+        return spectrum_view(response, deviations, model.error, self.recording)
 
     def section(self, frequency: float) -> SectionFields:
         """The fields of the present numbers at a `frequency` (Hz) within the band.
@@ -377,8 +357,11 @@ class Session:
             model = self._best(values)
         return section_fields(self.chip, model, values, frequency, self.drive, self.particle)
 
-    def prepare_line(self) -> bool:
-        """Make a small model for the number that was moved last, unless there is one; whether one was made."""
+    def prepare_line(self, stopped: Callable[[], bool] = lambda: False) -> bool:
+        """Make a small model for the number that was moved last, unless there is one; whether one was made.
+
+        Given up where it is `stopped`, since somebody waits for a spectrum.
+        """
         with self._lock:
             values, name = self.values, self._last_moved
             if not name or not self._models or self.outside():
@@ -386,7 +369,7 @@ class Session:
             model, line = self._best(values), self._line
         if line is not None and line.name == name and line.holds(model, values):
             return False
-        found = line_model(model, name, values)
+        found = line_model(model, name, values, stopped)
         with self._lock:
             if found is not None and rest(self._values, name) == found.others:
                 self._line = found
@@ -405,16 +388,12 @@ class Session:
         full = solve_full(model.reduced.full, at, numbers).impedance[0]
         return Check(values, frequency, float(abs(model.compact.solve(at, numbers).impedance[0] / full - 1.0)))
 
-    def full_spectrum(self, count: int) -> Iterator[tuple[float, complex]]:
-        """Frequencies (Hz) and impedances (ohm, e^{+j w t}) of the present numbers by full solves, on a mesh of their
-        own: `count` of them evenly over the band, each as soon as it is solved."""
-        values = self.values
-        chip = moved_chip(self.chip, values)
-        problem = build(fill(chip, self.state, self.registry), band=self.band, accuracy=self.accuracy)
-        numbers = placed(problem.values, {name: values[name] for name in self.moved_constants()})
-        operators = assemble(problem.mesh, problem.terms)
-        for solution in sweep(operators, np.linspace(*self.band, count), numbers):
-            yield float(solution.frequency[0]), complex(np.conj(solution.impedance[0]))
+    def present(self, values: Mapping[str, float] | None = None) -> Present:
+        """The chip with its present numbers, or with `values` (SI) only, for who works on it elsewhere."""
+        with self._lock:
+            held = self.values if values is None else values
+            constants = {name: number for name, number in held.items() if not self._controls[name].is_length}
+            return Present(moved_chip(self.chip, held), self.state, constants, self.registry, self.band, self.accuracy)
 
 
 def _bead(registry: Registry) -> Particle:
@@ -442,31 +421,3 @@ def _told(model: RangeModel) -> str:
     if not np.isfinite(model.error):
         return f"first model: {rank}, right about the middle of the ranges; it grows"
     return f"model grows: {rank} after {solves}, was off by {100.0 * model.error:.2g} %"
-
-
-def _resonance(response: Response, names: tuple[str, ...]) -> Evaluation:
-    """f0, Z_min and Q of the model behind a response, and their derivatives by the numbers `names`, in this order."""
-    prediction = response.prediction
-    question = Question(OF_RESONANCE, names, prediction.values, Operation(), None, "", None)
-    found = answer(question, ReducedSystem(prediction.model.operators, prediction.values), response.frequency,
-                   prediction.solution.charge)
-    return found.evaluation({name: response.values[name] for name in names}, None)
-
-
-def _spread(response: Response, deviations: Mapping[str, float]) -> Real | None:
-    """Relative standard deviation (n,) of |Z|, of independent numbers with these standard deviations (SI)."""
-    names = tuple(name for name, deviation in deviations.items() if deviation > 0.0)
-    if not names:
-        return None
-    slopes = (response.gradient(names) / response.impedance[:, None]).real
-    return np.asarray(np.sqrt(np.sum((slopes * np.array([deviations[name] for name in names])) ** 2, axis=1)))
-
-
-def _compared(recording: Spectrum | None, simulated: Spectrum) -> Comparison | None:
-    if recording is None:
-        return None
-    try:
-        return compare(recording, simulated)
-    except ValueError:
-        # Of another band.
-        return None

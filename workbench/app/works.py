@@ -9,8 +9,9 @@ import numpy as np
 
 from geometry.chip_file import write_chip
 from workbench.app.background import Say, Stopped, lines_of, run_command
-from workbench.app.refit import refit
-from workbench.app.session import Session
+from workbench.app.elsewhere import Send, elsewhere
+from workbench.app.refit import Refit, refit
+from workbench.app.session import Present, Session
 from workbench.diagnosis.campaign import DIMENSIONS
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
@@ -61,12 +62,12 @@ class Works:
         say(f"0 of {SOLVED} frequencies")
         found: list[tuple[float, complex]] = []
         model = self._session.spectrum().spectrum.interpolant()
-        for frequency, impedance in self._session.full_spectrum(SOLVED):
+        for frequency, impedance in elsewhere(_solve, self._session.present(), SOLVED, stopped=stopped):
             found.append((frequency, impedance))
             solved(frequency, impedance)
-            if stopped():
-                return f"stopped after {len(found)} of {SOLVED} frequencies"
             say(f"{len(found)} of {SOLVED} frequencies")
+        if len(found) < SOLVED:
+            return f"stopped after {len(found)} of {SOLVED} frequencies"
         frequencies, impedances = (np.array([each[k] for each in found]) for k in (0, 1))
         off = np.abs(model(frequencies.real) / impedances - 1.0)
         return (f"{SOLVED} frequencies on a mesh of its own: the model is off by {100.0 * off.max():.2g} % at most, "
@@ -78,10 +79,15 @@ class Works:
         recording, free = session.recording, [each.name for each in session.controls if each.name in self.free]
         if recording is None or not free:
             raise InputError("live view", "fit", "nothing free", "a recording, and the numbers ticked that may move")
-        values = session.values
-        say(f"{', '.join(free)}")
-        found = refit(session, recording, free, values, say, stopped)
-        if found is None:
+        told = ", ".join(free)
+        say(told)
+        values, found = session.values, None
+        held = {name: number for name, number in values.items() if name not in free}
+        for found in elsewhere(refit, session.present(held), {name: values[name] for name in free}, recording,
+                               session.recording_name, stopped=stopped):
+            if isinstance(found, str):
+                say(f"{told}: {found}")
+        if not isinstance(found, Refit):
             return "stopped"
         session.put(found.values)
         by_name = {each.name: each for each in session.controls}
@@ -124,3 +130,7 @@ class Works:
         path = folder / "campaign.toml"
         write_atomic(path, "\n".join(lines) + "\n")
         return path
+
+
+def _solve(send: Send, present: Present, count: int) -> None:
+    present.solve(send, count)
