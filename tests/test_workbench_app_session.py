@@ -17,7 +17,7 @@ from workbench.app.background import Background
 from workbench.app.controls import controls
 from workbench.app.growth import Wanted, growing_elsewhere
 from workbench.app.history import History
-from workbench.app.line import line_model
+from workbench.app.local import along, around, local_model
 from workbench.app.plot import HEIGHT, LEFT, RIGHT, Scale, curves, ticks
 from workbench.app.session import NotReady, Session
 from workbench.app.works import Works
@@ -62,7 +62,7 @@ def test_the_first_model_answers_in_the_middle_and_the_last_everywhere(tmp_path:
     assert np.abs(early.spectrum().response.impedance / session.spectrum().response.impedance - 1.0).max() < CLOSE
     session.put({THICKNESS: 0.8199e-3, RADIUS: 1.4801e-3})
     solved: list[tuple[float, complex]] = []
-    session.present().solve(solved.append, 7)
+    session.present().solve(solved.append, np.linspace(*session.band, 7).tolist())
     exact = dict(solved)
     at = session.spectrum().spectrum.interpolant()
     # On a mesh of its own, whose elements are as coarse but elsewhere.
@@ -119,22 +119,26 @@ def test_the_spread_is_that_of_differences(session: Session) -> None:
     assert view.deviations["f0"] == pytest.approx(by_difference, rel=1e-3)
 
 
-def test_a_line_is_the_model_and_holds_along_one_number_only(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("workbench.app.line.SMALL", 0)
+def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("workbench.app.local.SMALL", 0)
     session.move(THICKNESS, 0.805e-3)
-    model = session._best(session.values)
-    line = line_model(model, THICKNESS, session.values)
+    centre = session.values
+    model = session._best(centre)
+    line, star = (local_model(model, centre, reach) for reach in (along(model, THICKNESS), around(model, centre)))
     assert line is not None
-    there, beside = session.values | {THICKNESS: 0.793e-3}, session.values | {RADIUS: 1.49e-3}
-    assert line.holds(model, there)
-    assert not line.holds(model, beside)
-    assert np.abs(line(there).impedance / model(there).impedance - 1.0).max() < model.tolerance
-    assert session.prepare_line()
-    assert not session.prepare_line()
-
-
-def test_a_full_solve_checks_the_model(session: Session) -> None:
-    assert 0.0 < session.check(0.965e6).off < CLOSE
+    assert star is not None
+    far, near, beside = centre | {THICKNESS: 0.783e-3}, centre | {THICKNESS: 0.804e-3}, centre | {RADIUS: 1.502e-3}
+    assert [each.holds(model, values) for each in (line, star) for values in (far, near, beside)] == [
+        True, True, False, False, True, True]
+    assert not star.holds(model, near | {RADIUS: 1.502e-3})
+    for local, values in ((line, far), (line, near), (star, near), (star, beside)):
+        assert np.abs(local(values).impedance / model(values).impedance - 1.0).max() < model.tolerance
+    assert local_model(model, centre, around(model, centre), lambda: True) is None
+    # First for the number that moves, then for all of them; then nothing is left to do.
+    assert [session.prepare() for _ in range(3)] == [True, True, False]
+    assert session.spectrum().response.prediction.model is not model.compact
 
 
 def test_steps_can_be_undone_and_done_again(session: Session) -> None:

@@ -54,10 +54,15 @@ def elsewhere(
         here.close()
 
 
-def _run(there: Connection, work: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """What the process does: every result with the word "sent", then "end" or "error"."""
+def stand_back() -> None:
+    """Let others go first, from now on."""
     with contextlib.suppress(OSError):
         os.nice(_NICE)
+
+
+def _run(there: Connection, work: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    """What the process does: every result with the word "sent", then "end" or "error"."""
+    stand_back()
     last: tuple[str, Any] = ("end", None)
     try:
         work(lambda found: there.send(("sent", found)), *arguments)

@@ -106,6 +106,7 @@ class LiveView:
             await asyncio.gather(answering, return_exceptions=True)
             await self._server.stop()
             await serving
+            self.works.close()
             await asyncio.to_thread(self._background.close)
             answers.shutdown()
 
@@ -359,8 +360,8 @@ class LiveView:
                     self._picked = False
                     await self._answer_fields(pool)
                 elif self._idle:
-                    self._idle = False
-                    await self._loop.run_in_executor(pool, self.session.prepare_line, self._is_moved)
+                    # Until there is nothing left to make ready.
+                    self._idle = await self._loop.run_in_executor(pool, self.session.prepare, self._is_moved)
                 else:
                     self._asked.clear()
             except (NotReady, OutOfRange) as waiting:

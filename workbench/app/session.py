@@ -28,7 +28,7 @@ from materials.registry import Registry
 from workbench.app.controls import Control, controls
 from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
-from workbench.app.line import Line, line_model, rest
+from workbench.app.local import LocalModel, along, around, local_model
 from workbench.app.section_fields import SectionFields, moved_chip, section_fields
 from workbench.app.spectrum_view import SpectrumView, spectrum_view
 from workbench.design.model import particle_of
@@ -40,7 +40,7 @@ from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import build, fill
 from workbench.ranges import NotCovered, OutOfRange, RangeModel
-from workbench.solve import solve_full, sweep
+from workbench.solve import sweep
 from workbench.spectrum import Spectrum
 
 #: Frequencies of the band at which the spectrum is answered; twice as many take twice as long.
@@ -67,22 +67,13 @@ class Present:
     band: tuple[float, float]
     accuracy: float | Discretisation
 
-    def solve(self, send: Callable[[tuple[float, complex]], None], count: int) -> None:
-        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves on a mesh of the chip's own: `count` of
-        them evenly over the band, each as soon as it is solved."""
+    def solve(self, send: Callable[[tuple[float, complex]], None], frequencies: Sequence[float]) -> None:
+        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves on a mesh of the chip's own, each as
+        soon as it is solved."""
         problem = build(fill(self.chip, self.state, self.registry), band=self.band, accuracy=self.accuracy)
         operators = assemble(problem.mesh, problem.terms)
-        for solution in sweep(operators, np.linspace(*self.band, count), placed(problem.values, self.constants)):
+        for solution in sweep(operators, np.array(frequencies), placed(problem.values, self.constants)):
             send((float(solution.frequency[0]), complex(np.conj(solution.impedance[0]))))
-
-
-@dataclass(frozen=True)
-class Check:
-    """One full solve at a ``frequency`` (Hz): the model's impedance was ``off`` by so much, relative."""
-
-    values: Mapping[str, float]
-    frequency: float
-    off: float
 
 
 class Session:
@@ -131,7 +122,7 @@ class Session:
         self._history = History(dict(self._values))
         self._last_moved = ""
         self._models: tuple[RangeModel, ...] = ()
-        self._line: Line | None = None
+        self._local: tuple[LocalModel, ...] = ()
 
     # ----------------------------------------------------------------------------------------------------------------
     # The numbers.
@@ -342,8 +333,9 @@ class Session:
         """
         with self._lock:
             values, deviations = self.values, {each.name: each.deviation for each in self.controls}
-            model, line = self._best(values), self._line
-        response = line(values) if line is not None and line.holds(model, values) else model(values)
+            model = self._best(values)
+            local = next((each for each in self._local if each.holds(model, values)), None)
+        response = model(values) if local is None else local(values)
         return spectrum_view(response, deviations, model.error, self.recording)
 
     def section(self, frequency: float) -> SectionFields:
@@ -357,26 +349,32 @@ class Session:
             model = self._best(values)
         return section_fields(self.chip, model, values, frequency, self.drive, self.particle)
 
-    def prepare_line(self, stopped: Callable[[], bool] = lambda: False) -> bool:
-        """Make a small model for the number that was moved last, unless there is one; whether one was made.
+    def prepare(self, stopped: Callable[[], bool] = lambda: False) -> bool:
+        """Make one of the small models that the next answer may come from, unless both are there; whether one was made.
 
-        Given up where it is `stopped`, since somebody waits for a spectrum.
+        They are for the number that was moved last, anywhere in its range, and for any one number near the present
+        ones. Given up once `stopped`, since somebody waits for a spectrum.
         """
         with self._lock:
             values, name = self.values, self._last_moved
-            if not name or not self._models or self.outside():
+            if not self._models or self.outside():
                 return False
-            model, line = self._best(values), self._line
-        if line is not None and line.name == name and line.holds(model, values):
-            return False
-        found = line_model(model, name, values, stopped)
-        with self._lock:
-            if found is not None and rest(self._values, name) == found.others:
-                self._line = found
-        return found is not None
+            model = self._best(values)
+            known = [each for each in self._local if each.holds(model, values)]
+        wanted = [along(model, name)] if name in model.ranges else []
+        wanted.append(around(model, values))
+        for reach in wanted:
+            if any(each.reach.keys() == reach.keys() and (len(reach) == 1 or each.centre == values) for each in known):
+                continue
+            found = local_model(model, values, reach, stopped)
+            if found is not None:
+                with self._lock:
+                    self._local = (found, *(each for each in known if each.reach.keys() != reach.keys()))
+                return True
+        return False
 
-    def check(self, frequency: float) -> Check:
-        """One full solve at a `frequency` (Hz), on the mesh of the model.
+    def impedance(self, frequency: float) -> complex:
+        """The impedance (ohm, e^{+j w t}) of the present numbers at a `frequency` (Hz) within the band.
 
         Raises:
             NotReady, OutOfRange: no model answers for the present numbers yet.
@@ -384,9 +382,8 @@ class Session:
         with self._lock:
             values = self.values
             model = self._best(values)
-        numbers, at = placed(model.problem.values, values), np.array([frequency])
-        full = solve_full(model.reduced.full, at, numbers).impedance[0]
-        return Check(values, frequency, float(abs(model.compact.solve(at, numbers).impedance[0] / full - 1.0)))
+        found = model.compact.solve(np.array([frequency]), placed(model.problem.values, values))
+        return complex(np.conj(found.impedance[0]))
 
     def present(self, values: Mapping[str, float] | None = None) -> Present:
         """The chip with its present numbers, or with `values` (SI) only, for who works on it elsewhere."""
