@@ -136,7 +136,7 @@ def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
     for local, values in ((line, far), (line, near), (star, near), (star, beside)):
         assert np.abs(local(values).impedance / model(values).impedance - 1.0).max() < model.tolerance
     assert local_model(model, centre, around(model, centre), lambda: True) is None
-    # First for the number that moves, then for all of them; then nothing is left to do.
+    # First near all numbers, then for the one that moves; then nothing is left to do.
     assert [session.prepare() for _ in range(3)] == [True, True, False]
     assert session.spectrum().response.prediction.model is not model.compact
 

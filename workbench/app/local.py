@@ -17,9 +17,9 @@ from workbench.parameter_names import placed
 from workbench.ranges import RangeModel, Ranges, Response
 from workbench.reduction import ReducedModel, narrowed
 
-#: Points of a range at which states are taken for one number, and for each of many; and of how many frequencies of the
-#: model one is used.
-ALONG, AROUND, EVERY = 9, 4, 3
+#: Points of its range at which states are taken for one number, and for each of many, besides the centre; and of how
+#: many frequencies of the model one is used.
+ALONG, AROUND, EVERY = 9, 2, 3
 #: Part of a range to either side that the model about a point is made for.
 NEAR = 0.125
 #: Up to so many unknowns a range model itself answers within some ten milliseconds.
@@ -75,19 +75,18 @@ def local_model(
         return None
     watched, compact = model.frequency[::EVERY], model.compact
     count = ALONG if len(reach) == 1 else AROUND
+    points = [{**centre, name: float(number)} for name, ends in reach.items() for number in np.linspace(*ends, count)]
     states = []
-    for name, (low, high) in reach.items():
-        for number in np.linspace(low, high, count):
-            if stopped():
-                return None
-            found = compact.solve(watched, placed(model.problem.values, {**centre, name: float(number)}))
-            states.append(found.states / np.sqrt(np.abs(found.charge)))
+    for values in (centre, *points):
+        if stopped():
+            return None
+        found = compact.solve(watched, placed(model.problem.values, values))
+        states.append(found.states / np.sqrt(np.abs(found.charge)))
     made = LocalModel(model, dict(centre), reach, narrowed(compact, np.concatenate(states, axis=1), NEGLIGIBLE))
     for name, (low, high) in reach.items():
         if stopped():
             return None
-        # In the middle of the last interval, where polynomials are least sure.
-        number = high - 0.5 * (high - low) / (count - 1)
+        number = high - 0.5 * (high - max(centre[name], high - (high - low) / (count - 1)))
         there = placed(model.problem.values, {**centre, name: float(number)})
         off = np.abs(made.reduced.solve(watched, there).impedance / compact.solve(watched, there).impedance - 1.0)
         if off.max() > model.tolerance:

@@ -352,8 +352,8 @@ class Session:
     def prepare(self, stopped: Callable[[], bool] = lambda: False) -> bool:
         """Make one of the small models that the next answer may come from, unless both are there; whether one was made.
 
-        They are for the number that was moved last, anywhere in its range, and for any one number near the present
-        ones. Given up once `stopped`, since somebody waits for a spectrum.
+        They are for any one number near the present ones, and for the number that was moved last, anywhere in its
+        range. Given up once `stopped`, since somebody waits for a spectrum.
         """
         with self._lock:
             values, name = self.values, self._last_moved
@@ -361,8 +361,7 @@ class Session:
                 return False
             model = self._best(values)
             known = [each for each in self._local if each.holds(model, values)]
-        wanted = [along(model, name)] if name in model.ranges else []
-        wanted.append(around(model, values))
+        wanted = [around(model, values), *([along(model, name)] if name in model.ranges else [])]
         for reach in wanted:
             if any(each.reach.keys() == reach.keys() and (len(reach) == 1 or each.centre == values) for each in known):
                 continue
