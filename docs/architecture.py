@@ -35,6 +35,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "render": ("workbench.render",),
     "diagnosis": ("workbench.diagnosis",),
     "ranges": ("workbench.ranges",),
+    "design": ("workbench.design",),
     "commands": ("workbench.commands", "workbench.cli", "workbench.options", "workbench.__main__"),
 }
 

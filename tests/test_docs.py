@@ -18,7 +18,7 @@ from workbench.options import parser
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: What takes more than some ten seconds.
-SLOW = ("wb.fit(", "wb.diagnose(", "wb.range_model(", "wb.design_model(", "add_effect")
+SLOW = ("wb.fit(", "wb.diagnose(", "wb.range_model(", "wb.design_model(", "wb.study(", "add_effect")
 #: Words of a command that stand for something of the reader's.
 STANDS_FOR = {"DIR", "FOLDER", "RECORDING"}
 

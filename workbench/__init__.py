@@ -33,6 +33,13 @@ if TYPE_CHECKING:
     from workbench.design.model import DesignModel as DesignModel
     from workbench.design.model import design_model as design_model
     from workbench.design.model import full_evaluation as full_evaluation
+    from workbench.design.plan import Study as Study
+    from workbench.design.plan import read_study as read_study
+    from workbench.design.stated import stated_uncertainty as stated_uncertainty
+    from workbench.design.study import study as study
+    from workbench.design.study_result import StudyResult as StudyResult
+    from workbench.design.tolerance import Tolerance as Tolerance
+    from workbench.design.tolerance import tolerance as tolerance
     from workbench.diagnosis.campaign import Campaign as Campaign
     from workbench.diagnosis.campaign import read_campaign as read_campaign
     from workbench.diagnosis.procedure import diagnose as diagnose
@@ -50,6 +57,7 @@ if TYPE_CHECKING:
     from workbench.readers import read_recording as read_recording
     from workbench.render.gallery import draw_state as draw_state
     from workbench.render.plots import draw_spectra as draw_spectra
+    from workbench.render.tolerances import draw_tolerance as draw_tolerance
     from workbench.simulation import Simulation as Simulation
     from workbench.simulation import Snapshot as Snapshot
     from workbench.simulation import simulate as simulate
@@ -75,11 +83,15 @@ PUBLIC = {
     "Simulation": "workbench.simulation",
     "Snapshot": "workbench.simulation",
     "Spectrum": "workbench.spectrum",
+    "Tolerance": "workbench.design.tolerance",
+    "Study": "workbench.design.plan",
+    "StudyResult": "workbench.design.study_result",
     "compare": "workbench.comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.procedure",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
+    "draw_tolerance": "workbench.render.tolerances",
     "figures": "workbench.merit",
     "fit": "workbench.fitting.recordings",
     "full_evaluation": "workbench.design.model",
@@ -90,8 +102,12 @@ PUBLIC = {
     "read_campaign": "workbench.diagnosis.campaign",
     "read_chip": "geometry.chip",
     "read_recording": "workbench.readers",
+    "read_study": "workbench.design.plan",
     "simulate": "workbench.simulation",
     "snapshot": "workbench.simulation",
+    "stated_uncertainty": "workbench.design.stated",
+    "tolerance": "workbench.design.tolerance",
+    "study": "workbench.design.study",
 }
 
 __all__ = sorted(PUBLIC)

@@ -89,6 +89,20 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _study(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("study", type=Path, metavar="STUDY.toml", help="a chip, what varies, the figures asked for; see "
+                     "workbench/design/plan.py")
+    sub.add_argument("--jobs", type=int, metavar="N",
+                     help="pieces of work at a time (default: one for each core, or for each thread of the cluster)")
+    sub.add_argument("--dask", metavar="ADDRESS",
+                     help='a Dask cluster, by the address of its scheduler, such as "tcp://127.0.0.1:8786" (default: '
+                     "processes of this machine)")
+    sub.add_argument("--overwrite", action="store_true",
+                     help="begin anew in a folder that holds another study (default: refused; the same one goes on)")
+    _with_materials(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
 def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("recording", type=Path, metavar="RECORDING")
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
@@ -168,6 +182,53 @@ def _sensitivity(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--scalings", type=int, default=50, metavar="N",
                      help="scalings of every part from 0.7 to 1.3 (default 50, as in the paper)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _tolerance(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    sub.add_argument("--require", action="append", default=[], metavar="TEXT",
+                     help='what the chip must do, such as "f0 within 5 kHz" or "e_ac >= 20 J/m^3 at 10 Vpp" (may be '
+                          "repeated; without any: only what matters, no yield)")
+    _with_uncertainty(sub)
+    sub.add_argument("--figure", action="append", default=[], metavar="NAME",
+                     help="a further figure to look at (may be repeated; default f0, z_min, q and what is required)")
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP + "; of figures whose requirement states none")
+    sub.add_argument("--thermal-resistance", action="append", default=[], metavar="R",
+                     help='of heating: "10 K/W" for all regions, or "transducer = 10 K/W" (may be repeated; default '
+                          "none)")
+    follows = sub.add_mutually_exclusive_group()
+    follows.add_argument("--track", dest="tracking", action="store_true",
+                         help="the drive follows f0 of each chip, as a bench does (default)")
+    follows.add_argument("--fixed-frequency", dest="tracking", action="store_false",
+                         help="the drive stays at f0 of the chip as stated")
+    sub.add_argument("--samples", type=int, default=2000, metavar="N",
+                     help="samples of the yield (default 2000, whose interval is 2 %% to either side)")
+    sub.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples (default 0)")
+    sub.add_argument("--sobol", type=int, default=0, metavar="N",
+                     help="Sobol indices by N (a power of two) times the uncertain numbers plus two evaluations "
+                          "(default: none)")
+    sub.add_argument("--every", action="store_true",
+                     help="sensitivities to every number, by 1 %% of it where no uncertainty is stated (default: the "
+                          "uncertain ones, or every one if none is)")
+    _with_model(sub)
+    sub.set_defaults(tracking=True)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _with_uncertainty(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--uncertainty", action="append", default=[], metavar="TEXT",
+                     help='what is uncertain beyond chip file and registry: "superstrate.thickness = 20 um" (limits), '
+                          '"pla.shear_modulus = 3 %%" (standard uncertainty); uniform, normal or standard behind it, '
+                          "or exact (may be repeated)")
+    sub.add_argument("--uncertainties", type=Path, metavar="FILE.toml",
+                     help="the same in a table [uncertainty] of a file (default: none)")
+    sub.add_argument("--distribution", choices=("uniform", "normal"), default="uniform",
+                     help="what the tolerance of a length is: limits, all within them as likely (default), or three "
+                          "standard deviations of a normal law")
+    sub.add_argument("--posterior", type=Path, action="append", default=[], metavar="FIT.json",
+                     help="fit.json of a fit, whose numbers, uncertainties and correlations are taken (may be "
+                          "repeated; default: as the registry states)")
 
 
 def _fit(sub: argparse.ArgumentParser) -> None:
@@ -321,11 +382,13 @@ def _import(sub: argparse.ArgumentParser) -> None:
 #: What every command is for, and what adds its options.
 COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
+    "study": ("figures of a chip over ranges of its dimensions and materials, resumable, with pictures", _study),
     "compare": ("compare a recorded impedance with the simulation of a chip", _compare),
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
     "render": ("draw the fields of a chip at one frequency", _render),
     "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),
+    "tolerance": ("what tolerances leave of a chip: what matters, yield, what to make more exactly", _tolerance),
     "fit": ("find material constants from recordings, with intervals, and save them", _fit),
     "diagnose": ("locate what differs between model and recordings, and name the physics left out", _diagnose),
     "app": ("the live view: move dimensions and constants on a page, see spectrum and fields", _app),

@@ -1,0 +1,96 @@
+"""Tables of a study: statistics of its figures, the points where they are extreme, and what full solves say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from workbench.design.axes import NumberAxis
+from workbench.design.figures import figure
+from workbench.design.study_result import MISSING, STATE, StudyResult
+from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.report.page import Table, number
+
+
+def statistics_table(result: StudyResult) -> Table:
+    """Every figure in every state: how many points have it, extremes, quantiles and mean."""
+    rows = []
+    for each in result.statistics:
+        shown = figure(each.figure)
+        values = (each.lowest, each.low, each.median, each.high, each.highest, each.mean)
+        rows.append((_headed(each.figure, shown.shown), each.state, f"{each.count} of {each.points}",
+                     *(_told(value, shown.factor) for value in values)))
+    return Table(("figure", "state", "points", "lowest", "5 %", "median", "95 %", "highest", "mean"), tuple(rows))
+
+
+def extremes_table(result: StudyResult) -> Table:
+    """The points at which the figures are lowest and highest."""
+    rows = []
+    for each in result.statistics:
+        shown = figure(each.figure)
+        for words, row, value in (("lowest", each.lowest_row, each.lowest),
+                                  ("highest", each.highest_row, each.highest)):
+            if row >= 0:
+                told = f"{_told(value, shown.factor)} {shown.shown}".strip()
+                rows.append((f"{words} {each.figure}", each.state, told, str(row), _place(result, row)))
+    return Table(("", "state", "figure", "row", "where"), tuple(rows))
+
+
+def _place(result: StudyResult, row: int) -> str:
+    """What varies, at one row of the table."""
+    told = []
+    for axis in result.study.axes:
+        value = result.columns[axis.name][row]
+        told.append(f"{axis.name} {number(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
+                    if isinstance(axis, NumberAxis) else f"{axis.name} {value}")
+    return ", ".join(told)
+
+
+def confirmed_table(result: StudyResult) -> Table:
+    """Every figure at the points solved in full: the largest difference of the reduced model, there and relative to
+    the range that the figure has in the study."""
+    rows = []
+    states = result.columns[STATE]
+    for state in result.study.states:
+        for name in result.study.figures:
+            both = [each for each in result.confirmations if each.figure == name and states[each.row] == state]
+            if not both:
+                continue
+            shown = figure(name)
+            known = [each for each in both if not math.isnan(each.difference)]
+            worst = max(known, key=lambda each: abs(each.difference), default=None)
+            extent = next(s.highest - s.lowest for s in result.statistics if (s.state, s.figure) == (state, name))
+            rows.append((
+                _headed(name, shown.shown), state, str(len(both)), str(len(both) - len(known)),
+                *(("", "", "", "") if worst is None else (
+                    _told(worst.reduced, shown.factor), _told(worst.full, shown.factor),
+                    number(100.0 * abs(worst.difference / worst.full), 2) if worst.full else "",
+                    number(100.0 * abs(worst.difference) / extent, 2) if extent > 0.0 else ""))))
+    return Table(("figure", "state", "solved in full", "one of both lacks it", "reduced, where it is off most",
+                  "full there", "difference (%)", "of the range in the study (%)"), tuple(rows))
+
+
+def missing_table(result: StudyResult) -> Table | None:
+    """Why figures are missing, and at how many points; None where none is."""
+    reasons, counts = np.unique(result.columns[MISSING], return_counts=True)
+    found = sorted(((int(count), str(reason)) for reason, count in zip(reasons, counts, strict=True) if reason),
+                   reverse=True)
+    if not found:
+        return None
+    # A reason may name numbers of its point: thousands of rows say no more than the commonest.
+    shown = [(reason, str(count)) for count, reason in found[:MOST_REASONS]]
+    rest = sum(count for count, _ in found[MOST_REASONS:])
+    return Table(("missing figures and why", "points"), (*shown, *([("other reasons", str(rest))] if rest else [])))
+
+
+#: Reasons that a report lists.
+MOST_REASONS = 12
+
+
+def _headed(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
+
+
+def _told(value: float, factor: float) -> str:
+    return "" if math.isnan(value) else number(value / factor, 5)

@@ -1,0 +1,150 @@
+"""``workbench tolerance``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geometry.chip import Chip, read_chip
+from workbench.commands.asked import asked_model, output_folder
+from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.design.figures import check_figures
+from workbench.design.requirement import parse_requirements
+from workbench.design.stated import Statement, parse_statement, read_statements, stated_uncertainty
+from workbench.design.tolerance import Tolerance, check, tolerance
+from workbench.design.tolerance_report import (
+    figures_table,
+    inputs_table,
+    sensitivities_table,
+    sobol_table,
+    tightening_table,
+    tolerance_record,
+    write_samples,
+    yields_table,
+)
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.report.page import Block, Note, Table, write_json, write_report
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def run(options: argparse.Namespace, console: Console) -> int:
+    """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
+    chip = read_chip(options.chip)
+    asked = asked_model(options, chip)
+    required = parse_requirements(options.require, chip.regions)
+    figures = check_figures([name.casefold() for name in options.figure], chip.regions, source="command line",
+                            field="--figure")
+    uncertainty = stated_uncertainty(
+        chip, options.state, registry=asked.registry, law=options.distribution, statements=_statements(options),
+        posteriors=options.posterior)
+    resistance = _thermal_resistance(options.thermal_resistance, chip)
+    check(uncertainty, required, options.samples, options.sobol, chip, names=("--samples", "--sobol"))
+    folder = output_folder(options.output)
+    with progress_bars(console) as show:
+        found = tolerance(
+            chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=asked.drive,
+            thermal_resistance=resistance, tracking=options.tracking, samples=options.samples,
+            sobol_points=options.sobol, every=options.every, seed=options.seed, registry=asked.registry,
+            band=asked.band, accuracy=asked.accuracy,
+            progress=lambda text, share: show(chip.state(options.state).name, text, share))
+        show(found.state, "done", 1.0)
+    if found.outcomes is not None:
+        write_samples(found, folder / "tolerance.parquet")
+    write_json(folder / "tolerance.json", {**tolerance_record(found), "chip_file": str(options.chip)})
+    write_tolerance_report(found, folder)
+    _tell(found, console)
+    return 0
+
+
+def _statements(options: argparse.Namespace) -> list[Statement]:
+    """What a file says, then what the command line says."""
+    of_file = [] if options.uncertainties is None else list(read_statements(options.uncertainties))
+    return of_file + [parse_statement(text) for text in options.uncertainty]
+
+
+def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]:
+    """Thermal resistances (K/W) by region; "" for all that are not named."""
+    found: dict[str, float] = {}
+    for text in texts:
+        region, equals, written = text.rpartition("=")
+        field = "--thermal-resistance"
+        name = choose(region.strip(), chip.regions, source="command line", field=field) if equals else ""
+        value = parse_quantity(written.strip(), "thermal resistance", source="command line", field=field)
+        if value <= 0.0:
+            raise InputError("command line", field, text, "a resistance above zero")
+        if name in found:
+            raise InputError("command line", field, text, "every region once")
+        found[name] = value
+    return found
+
+
+def _tell(found: Tolerance, console: Console) -> None:
+    """Print what was found."""
+    title = f"{found.chip.name}, {found.state}, {_driven(found)}"
+    print_table(title, figures_table(found))
+    print_table("what matters", sensitivities_table(found))
+    if found.sobol is not None:
+        print_table("shares of the variance", sobol_table(found))
+    if found.yields is not None:
+        print_table("yield", yields_table(found))
+        print_table("what to make more exactly", tightening_table(found))
+    for text in found.findings:
+        print_line(text)
+    if found.model is not None and found.outcomes is not None:
+        console.print(f"{len(found.outcomes.points)} samples on a model of {found.model.rank} unknowns, relative error "
+                      f"{100.0 * found.model.error:.2g} %; it took {found.model.seconds:.0f} of {found.seconds:.0f} s",
+                      markup=False)
+
+
+def _driven(found: Tolerance) -> str:
+    return ("drive follows f0" if found.frequency is None else f"driven at {found.frequency / 1e6:.4f} MHz")
+
+
+def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
+    """``report.html`` with its pictures."""
+    from workbench.render.tolerances import draw_tolerance
+
+    pictures = draw_tolerance(found, folder)
+    blocks: list[tuple[str, list[Block]]] = []
+    first: list[Block] = [Note(text) for text in found.findings]
+    first.append(f"{_driven(found)}; {found.drive}" + ("" if found.outcomes is None else
+                 f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
+    first.append(figures_table(found))
+    if found.yields is not None:
+        first += [yields_table(found), pictures["yield"], pictures["samples"]]
+        first.append(
+            "The linear estimate takes every figure as linear in the uncertain numbers, with the exact derivatives of "
+            "full solves at their means. Beside it is what the samples' yield has more, on the same samples.")
+        blocks.append(("Yield", first))
+        blocks.append(("What to make more exactly", [
+            tightening_table(found),
+            "Found by weighing the samples as if they were of the narrower law (importance sampling), with the linear "
+            "estimate on many more samples as control variate. A normal number is taken to be measured once more, so "
+            "well that half of its uncertainty is left; what a fit correlates with it becomes narrower too."]))
+    else:
+        blocks.append(("Figures", first))
+    matters: list[Block] = [pictures["tornado"]] if "tornado" in pictures else []
+    blocks.append(("What matters", [*matters, sensitivities_table(found)]))
+    if found.sobol is not None:
+        blocks.append(("Shares of the variance", [
+            sobol_table(found), f"Sobol indices by {found.sobol.evaluations} evaluations, with bootstrap intervals of "
+            "95 %: the share of the figure's variance that a number causes alone, and together with all others."]))
+    blocks.append(("What is uncertain", [inputs_table(found)] if found.uncertainty.inputs else ["Nothing is stated."]))
+    if found.model is not None:
+        blocks.append(("The model", [_model_table(found)]))
+    return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances", blocks)
+
+
+def _model_table(found: Tolerance) -> Table:
+    assert found.model is not None
+    rows = [("unknowns", str(found.model.rank)),
+            ("largest relative error found by full solves", f"{100.0 * found.model.error:.2g} %"),
+            ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
+    rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
+             for label, off in found.model.off.items()]
+    return Table(("", ""), tuple(rows))

@@ -1,0 +1,353 @@
+"""What varies in a study: numbers within ranges or of a list, and materials as alternatives.
+
+    [vary]
+    "substrate.thickness" = { from = "0.7 mm", to = "1.0 mm", points = 5 }
+    "couplant.thickness" = { values = ["10 um", "20 um", "50 um"] }
+    "sidewall.thickness" = { tolerance = true }          # that of the chip file
+    "cavity.radius" = { tolerance = "50 um" }            # to both sides of what the chip file says; or "2 %"
+    "pla/acevedo_2026.shear_modulus" = { tolerance = "10 %" }
+    "superstrate.material" = { materials = ["soda_lime_glass", "borosilicate_glass"] }
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.names import CAVITY, VACUUM
+from geometry.parts import Layer, State, millimetres
+from geometry.stretch import between, movable, tied
+from materials.entry import KINDS
+from materials.registry import Registry
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import UNITS, parse_quantity
+from workbench.files.tables import Table
+from workbench.parameter_names import ParameterName
+from workbench.problem import fill
+
+Real = NDArray[np.float64]
+
+#: How the name of what fills a region ends, as something that varies.
+MATERIAL = ".material"
+
+_KEYS = ("from", "to", "points", "values", "tolerance", "materials")
+_EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } or, for what fills a region, '
+            '{ materials = [...] }')
+
+
+@dataclass(frozen=True)
+class NumberAxis:
+    """A number that varies, by its parameter ``name`` (`workbench.parameter_names`): between ``low`` and ``high``, or
+    over ``values`` where there are any; ``points`` of a range on a grid. All in SI ``unit``."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    values: tuple[float, ...] = ()
+    points: int | None = None
+
+    def levels(self) -> Real:
+        """The numbers (n,) of a grid or a list."""
+        return np.array(self.values) if self.values else np.linspace(self.low, self.high, self.points or 2)
+
+    def at(self, share: Real) -> Real:
+        """The numbers (n,) at shares (n,) from 0 to 1 of the way; of a list each has an equal part of the way."""
+        return self.low + (self.high - self.low) * share if not self.values else np.array(self.values)[
+            _index(share, len(self.values))]
+
+
+@dataclass(frozen=True)
+class MaterialAxis:
+    """What fills a ``region``: one of ``materials``, by their full names. Its numbers are places in that list."""
+
+    region: str
+    materials: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.region}{MATERIAL}"
+
+    def levels(self) -> Real:
+        """The places (n,) in the list."""
+        return np.arange(float(len(self.materials)))
+
+    def at(self, share: Real) -> Real:
+        """The places (n,) in the list at shares (n,) from 0 to 1 of it."""
+        return _index(share, len(self.materials)).astype(float)
+
+
+Axis = NumberAxis | MaterialAxis
+
+
+def _index(share: Real, count: int) -> NDArray[np.int64]:
+    return np.minimum((share * count).astype(np.int64), count - 1)
+
+
+def read_axes(table: Table, chip: Chip, states: Sequence[str], registry: Registry, *, method: str) -> tuple[Axis, ...]:
+    """What the table [vary] says, of a chip in those `states`; `method` is that of the sample.
+
+    Raises:
+        InputError: a name that nothing has, a range that is none, that loses a tolerance nobody stated or that passes
+            a neighbouring radius, a material that is unknown or that a state cannot hold.
+    """
+    entries = dict(_flat(table))
+    if not entries:
+        raise InputError(table.source, table.field, "nothing", "at least one thing that varies")
+    choices = {name: _choice(name, table.at(name), entry, chip, states, registry)
+               for name, entry in entries.items() if "materials" in entry or name.endswith(MATERIAL)}
+    numbers = Numbers.of(chip, states, list(choices.values()), registry)
+    axes: list[Axis] = []
+    for name, entry in entries.items():
+        _check_points(entry, method, ranged="from" in entry or "tolerance" in entry)
+        axes.append(choices[name] if name in choices else _number_axis(name, table.at(name), entry, numbers))
+    _check_lengths(chip, [axis for axis in axes if isinstance(axis, NumberAxis)], table)
+    return tuple(axes)
+
+
+def _flat(table: Table) -> Iterator[tuple[str, Table]]:
+    """The entries by name; without quotes ``substrate.thickness`` is a table in a table, and means the same."""
+    for key in table:
+        inner = Table.of(table.content[key], source=table.source, field=table.at(key), expected=_EXAMPLE)
+        if inner.content and all(isinstance(value, Mapping) for value in inner.content.values()):
+            yield from ((f"{key}.{name}", entry) for name, entry in _flat(inner))
+        else:
+            yield key, inner.only(_KEYS)
+
+
+def _check_points(entry: Table, method: str, *, ranged: bool) -> None:
+    if method == "grid" and ranged:
+        entry.required("points", "how many points the range has on the grid, such as points = 5")
+        entry.whole("points", low=2, high=100_000)
+    elif "points" in entry:
+        raise entry.error("points", "none here: " + ("values say how many" if not ranged else
+                          f"[sample] says how many there are where the method is {method!r}"))
+    if method == "list" and ranged:
+        raise InputError(entry.source, entry.field, "a range", "values = [...], or materials = [...], as many as "
+                         "everything else has: a list is taken row by row")
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers of a chip that can vary: ``common`` what all its states with all alternatives have, the values by
+    name (SI; several where they differ), ``others`` what only some of these have; ``tolerances`` (m) of lengths."""
+
+    common: Mapping[str, frozenset[float]]
+    others: frozenset[str]
+    tolerances: Mapping[str, float | None]
+
+    @classmethod
+    def of(cls, chip: Chip, states: Sequence[str], choices: Sequence[MaterialAxis], registry: Registry) -> Numbers:
+        """Those of a chip in its states with all choices of materials."""
+        lengths = {name: each for name, each in chip.dimensions().items() if not name.startswith("ports.")}
+        found: list[dict[str, float]] = []
+        for state, *chosen in product(states, *(axis.materials for axis in choices)):
+            picked = {axis.region: name for axis, name in zip(choices, chosen, strict=True)}
+            held = fill(with_materials(chip, picked, registry), state, registry).materials.values()
+            coefficients = {f"{m.name}.{key}": value for m in held for key, value in m.parameters().items()}
+            found.append({name: each.value for name, each in lengths.items()}
+                         | {name: value.real for name, value in coefficients.items()}
+                         | {f"{name}.loss": value.imag for name, value in coefficients.items()})
+        everywhere = set.intersection(*(set(each) for each in found))
+        common = {name: frozenset(each[name] for each in found) for name in found[0] if name in everywhere}
+        return cls(common, frozenset(set().union(*found) - everywhere),
+                   {name: each.tolerance for name, each in lengths.items()})
+
+    def full_name(self, written: str) -> str:
+        """``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name."""
+        parsed = ParameterName.parse(written)
+        full = {owner for owner in (ParameterName.parse(name).owner for name in {*self.common, *self.others})
+                if "/" in owner and owner.split("/")[0] == parsed.owner}
+        return f"{full.pop()}.{parsed.local}" if len(full) == 1 else written
+
+
+def _number_axis(written: str, field: str, entry: Table, numbers: Numbers) -> NumberAxis:
+    name = numbers.full_name(written)
+    if name in numbers.others:
+        raise InputError(entry.source, field, written, "a number of a material that every state and every alternative "
+                         "holds; what only some of them hold asks for a study of its own")
+    if name not in numbers.common:
+        shown = [known for known in numbers.common if not known.endswith(".loss")]
+        raise InputError(entry.source, field, written, "a length that the spectrum feels or a material's coefficient "
+                         f"(with .loss its imaginary part): {', '.join(shown)}", nearest_names(name, numbers.common))
+    dimension = dimension_of(name)
+    unit = next(iter(UNITS[dimension]))
+    if "values" in entry:
+        return NumberAxis(name, unit, *_values(entry, dimension))
+    if "tolerance" in entry:
+        low, high = _tolerance(name, entry, dimension, numbers)
+    else:
+        low, high = (_quantity(entry, key, dimension) for key in ("from", "to"))
+    if not low < high:
+        raise InputError(entry.source, field, f"{low:g} to {high:g} {unit}", "from a lower number to a higher one")
+    points = entry.content.get("points")
+    return NumberAxis(name, unit, low, high, points=points)
+
+
+def _quantity(entry: Table, key: str, dimension: str) -> float:
+    entry.required(key, f"a {dimension} with its unit; what varies is given as {_EXAMPLE}")
+    return entry.quantity(key, dimension)
+
+
+def _values(entry: Table, dimension: str) -> tuple[float, float, tuple[float, ...]]:
+    """The lowest, the highest, and all values of a list."""
+    for key in ("from", "to", "tolerance"):
+        if key in entry:
+            raise entry.error(key, "values, or a range, not both")
+    listed = entry.content["values"]
+    if not isinstance(listed, list) or not listed:
+        raise entry.error("values", f"a list of {dimension}s with their units")
+    found = tuple(parse_quantity(text, dimension, source=entry.source, field=f"{entry.at('values')}[{index}]")
+                  for index, text in enumerate(listed))
+    if len(set(found)) < 2:
+        raise entry.error("values", "two different values at least; what stays the same belongs in the chip file")
+    return min(found), max(found), found
+
+
+def _tolerance(name: str, entry: Table, dimension: str, numbers: Numbers) -> tuple[float, float]:
+    """The ends of the range that a tolerance leaves about what the chip file or the material says."""
+    for key in ("from", "to"):
+        if key in entry:
+            raise entry.error(key, "a tolerance, or from and to, not both")
+    if len(numbers.common[name]) > 1:
+        raise entry.error("tolerance", f"from and to: {name} is not the same number in all states")
+    (value,), stated = numbers.common[name], entry.content["tolerance"]
+    if stated is True:
+        width = numbers.tolerances.get(name)
+        if width is None:
+            expected = ("a tolerance such as \"20 um\": the chip file states none of this length"
+                        if name in numbers.tolerances else 'a tolerance such as "5 %"; only lengths have one of their '
+                        "own, in the chip file")
+            raise entry.error("tolerance", expected)
+    elif isinstance(stated, str) and stated.strip().endswith("%"):
+        width = abs(value) * entry.quantity("tolerance", "dimensionless")
+    else:
+        width = entry.quantity("tolerance", dimension)
+    if not width > 0.0:
+        raise entry.error("tolerance", f"a tolerance above zero; {name} is {value:g}")
+    return value - width, value + width
+
+
+def dimension_of(name: str) -> str:
+    """The dimension of a parameter by name, a key of `workbench.files.quantities.UNITS`."""
+    parsed = ParameterName.parse(name)
+    if "/" not in parsed.owner:
+        return "length"
+    for kind in KINDS.values():
+        # The first form of a kind is the one that a solver has.
+        known = {**kind.required, **kind.optional, **(kind.forms[0].dimensions if kind.forms else {})}
+        if parsed.coefficient in known:
+            return known[parsed.coefficient]
+    return "diffusivity" if parsed.coefficient == "diffusivity_of_sound" else "dimensionless"
+
+
+def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: Table) -> None:
+    """Lengths are above zero, no radius passes another one, and of radii that coincide one varies."""
+    first = tied(chip)
+    base = centred(chip, axes, table)
+    radii: dict[str, NumberAxis] = {}
+    for axis in axes:
+        if axis.name not in base.dimensions():
+            continue
+        field, ends = table.at(axis.name), f"{millimetres(axis.low)} to {millimetres(axis.high)}"
+        low, high = movable(base, axis.name)
+        if not axis.low > 0.0:
+            raise InputError(table.source, field, ends, "lengths above zero")
+        if axis.name not in first:
+            continue
+        other = radii.setdefault(first[axis.name], axis)
+        if other is not axis:
+            raise InputError(table.source, field, axis.name, f"one of the radii that coincide, which move together: "
+                             f"{other.name} varies already")
+        if not low <= axis.low or not axis.high <= high:
+            below, above = between(base, axis.name)
+            raise InputError(table.source, field, ends, f"radii from {millimetres(low)} to {millimetres(high)}: the "
+                             f"next ones are at {millimetres(below)} and {millimetres(above)}, and the parts between "
+                             "must stay")
+    ordered = sorted(radii.values(), key=lambda axis: base.dimensions()[axis.name].value)
+    for inner, outer in pairwise(ordered):
+        if not inner.high < outer.low:
+            raise InputError(table.source, table.at(outer.name), f"from {millimetres(outer.low)}",
+                             f"a radius above the {millimetres(inner.high)} that {inner.name} reaches")
+
+
+def centred(chip: Chip, axes: Sequence[NumberAxis], table: Table | None = None) -> Chip:
+    """The chip with lengths whose range does not hold what its file says set to the middle of the range."""
+    known, first = chip.dimensions(), tied(chip)
+    moved = {axis.name: 0.5 * (axis.low + axis.high) for axis in axes
+             if axis.name in known and not axis.low <= known[axis.name].value <= axis.high}
+    together = {other: value for name, value in moved.items() for other in known
+                if other == name or first.get(other, other) == first.get(name, name)}
+    try:
+        return chip.with_dimensions(together)
+    except InputError as error:
+        if table is None:
+            raise
+        raise InputError(table.source, table.field, ", ".join(f"{n} of {millimetres(v)}" for n, v in moved.items()),
+                         f"lengths that make a chip; {error.field} would be {error.value}, expected is "
+                         f"{error.expected}") from error
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+def _choice(
+    name: str, field: str, entry: Table, chip: Chip, states: Sequence[str], registry: Registry
+) -> MaterialAxis:
+    region, regions = name.removesuffix(MATERIAL), chip.regions
+    if not name.endswith(MATERIAL) or region not in regions:
+        known = [f"{each}{MATERIAL}" for each in regions]
+        raise InputError(entry.source, field, name, f"what fills a region: {', '.join(known)}",
+                         nearest_names(name, known))
+    if "materials" not in entry:
+        raise InputError(entry.source, field, dict(entry.content), "{ materials = [...] }, the names of materials")
+    entry.only(("materials",))
+    written = entry.texts("materials", expected="a list of names of materials")
+    found: list[str] = []
+    for index, text in enumerate(written):
+        place = f"{entry.at('materials')}[{index}]"
+        try:
+            full, _ = registry.find(text)
+        except InputError as error:
+            raise InputError(entry.source, place, text, error.expected, error.nearest) from error
+        if full in found:
+            raise InputError(entry.source, place, text, "every material once")
+        found.append(full)
+    if len(found) < 2:
+        raise entry.error("materials", "two materials at least; one alone belongs in the chip file")
+    for state in states:
+        if region == CAVITY and chip.state(state).cavity in (None, VACUUM):
+            raise InputError(entry.source, field, name, f"states with something in the cavity; {state!r} has nothing "
+                             "there")
+        for full in found:
+            try:
+                fill(with_materials(chip, {region: full}, registry), state, registry)
+            except InputError as error:
+                raise InputError(entry.source, entry.at("materials"), full, f"a material that {region} can be made of: "
+                                 f"{error}") from error
+    return MaterialAxis(region, tuple(found))
+
+
+def with_materials(chip: Chip, chosen: Mapping[str, str], registry: Registry) -> Chip:
+    """The chip with other materials by region, full names; one in place of another brings its own density."""
+    def density(layer: Layer, name: str) -> float | None:
+        return layer.density if registry.find(layer.material)[0] == name else None
+
+    layers = tuple(
+        layer if (name := chosen.get(layer.region)) is None
+        else replace(layer, material=name, density=density(layer, name)) for layer in chip.layers)
+    return replace(chip, layers=layers, states=tuple(_holding(state, chosen) for state in chip.states))
+
+
+def _holding(state: State, chosen: Mapping[str, str]) -> State:
+    cavity = state.cavity if state.cavity in (None, VACUUM) else chosen.get(CAVITY, state.cavity)
+    return replace(state, cavity=cavity,
+                   materials={region: chosen.get(region, name) for region, name in state.materials.items()})

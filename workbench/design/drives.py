@@ -1,0 +1,101 @@
+"""The figures of one chip at several drives, side by side: what requirements that state different ones ask for.
+
+A chip is linear, but its impedance says what voltage a generator or a constant power leave at its electrodes, so each
+drive is an operation of its own on the same reduced model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.evaluation import Evaluation, Operation
+from workbench.design.figures import LOSS_SHARE, Figure, figure
+from workbench.design.model import DesignModel
+from workbench.design.requirement import Requirement
+from workbench.drive import Drive
+
+Real = NDArray[np.float64]
+
+#: Figures that are the same at every drive.
+UNDRIVEN = ("f0", "z_min", "q", "trap_height", "trap_offset", "trap_radius")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A figure at a drive; its ``label`` is the figure's name, with the drive where there are several."""
+
+    label: str
+    figure: Figure
+    drive: Drive
+
+
+def quantities(names: Sequence[str], requirements: Sequence[Requirement], drive: Drive) -> tuple[Quantity, ...]:
+    """The figures called `names` at the `drive`, and those of `requirements` at theirs, each once."""
+    asked = [(figure(name), drive) for name in names]
+    asked += [(each.figure, each.drive or drive) for each in requirements]
+    found: dict[tuple[str, str], Quantity] = {}
+    for each, at in asked:
+        undriven = each.name in UNDRIVEN or each.name.startswith(LOSS_SHARE)
+        key = each.name, "" if undriven or str(at) == str(drive) else str(at)
+        found.setdefault(key, Quantity(each.name if not key[1] else f"{each.name} at {at}", each,
+                                       drive if undriven else at))
+    return tuple(found.values())
+
+
+def label_of(requirement: Requirement, known: Sequence[Quantity], drive: Drive) -> str:
+    """Which of the `known` quantities a requirement is about."""
+    at = requirement.drive or drive
+    mine = [each for each in known if each.figure == requirement.figure]
+    return next((each.label for each in mine if str(each.drive) == str(at)), mine[0].label)
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """An `workbench.design.model.Evaluator` whose figures are the labels of ``asked``, on the reduced ``model``.
+
+    ``operation`` is what all drives share: frequency and thermal resistances.
+    """
+
+    model: DesignModel
+    asked: tuple[Quantity, ...]
+    operation: Operation = field(default_factory=Operation)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.model.names
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        return tuple(each.label for each in self.asked)
+
+    def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
+        return together([
+            (mine, replace(self.model, figures=tuple(each.figure.name for each in mine),
+                           operation=replace(self.operation, drive=mine[0].drive))(values, gradient=gradient))
+            for mine in by_drive(self.asked)])
+
+
+def by_drive(asked: Sequence[Quantity]) -> list[tuple[Quantity, ...]]:
+    """Quantities in groups of one drive."""
+    drives = dict.fromkeys(str(each.drive) for each in asked)
+    return [tuple(each for each in asked if str(each.drive) == drive) for drive in drives]
+
+
+def together(parts: Sequence[tuple[Sequence[Quantity], Evaluation]]) -> Evaluation:
+    """Evaluations of one chip at different drives as one, figures by label."""
+    figures: dict[str, float] = {}
+    missing: dict[str, str] = {}
+    gradient: dict[str, Real] = {}
+    for mine, found in parts:
+        for each in mine:
+            figures[each.label] = found.figures[each.figure.name]
+            if each.figure.name in found.missing:
+                missing[each.label] = found.missing[each.figure.name]
+            if found.gradient is not None:
+                gradient[each.label] = found.gradient[each.figure.name]
+    first = parts[0][1]
+    return replace(first, figures=figures, missing=missing, gradient=None if first.gradient is None else gradient)

@@ -1,0 +1,126 @@
+"""A study divided into parts, each of which one model serves: one state of the chip and one choice of materials."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from workbench.design.axes import centred, with_materials
+from workbench.design.evaluation import Evaluation
+from workbench.design.model import SWEEP, full_evaluation, of_range_model
+from workbench.design.plan import Study
+from workbench.files.writing import write_atomic
+from workbench.parameter_names import part as part_of
+from workbench.problem import fill
+from workbench.ranges import Progress, Ranges, load, range_model
+
+Real = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Frequencies of the band in which resonances are first looked for.
+FREQUENCIES = 161
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Points of a study that one model serves.
+
+    ``number`` counts the parts, ``label`` tells them apart in words; ``chip`` in ``state`` is what is modelled, with
+    the ``materials`` chosen by region; ``rows`` (k,) of the study's table have the numbers ``points``
+    (k, numbers of the study).
+    """
+
+    number: int
+    label: str
+    chip: Chip
+    state: str
+    materials: Mapping[str, str]
+    rows: Indices
+    points: Real
+
+
+class Models(Protocol):
+    """Where the models of a study come from. What is done by :meth:`confirmed` may be done in another process."""
+
+    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
+        """The model of a part, an `Evaluator` pickled: what the file `path` holds if there is one, and does once this
+        returns. Files beside it, called alike, may keep what is known on the way."""
+
+    def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
+        """The figures at one point (numbers of the study,) of a part, by full solves."""
+
+
+def parts_of(study: Study) -> list[Part]:
+    """The parts of a study, states first; their rows together are all rows of the table, each once."""
+    found: list[Part] = []
+    numbers, choices = study.columns(study.numbers), study.columns(study.choices).astype(np.int64)
+    base = centred(study.chip, study.numbers)
+    for index, state in enumerate(study.states):
+        for chosen in np.unique(choices, axis=0):
+            there = np.flatnonzero((choices == chosen).all(axis=1))
+            materials = {axis.region: axis.materials[k] for axis, k in zip(study.choices, chosen, strict=True)}
+            found.append(Part(
+                len(found), ", ".join((state, *materials.values())), with_materials(base, materials, study.registry),
+                state, materials, index * len(study.sample) + there, numbers[there]))
+    return found
+
+
+def ranges_of(study: Study, part: Part) -> Ranges:
+    """The ranges of the model of a part, wide enough for the numbers that its chip and materials have themselves."""
+    held = fill(part.chip, part.state, study.registry).materials.values()
+    present = {f"{m.name}.{key}": value for m in held for key, value in m.parameters().items()}
+    present |= {name: complex(each.value) for name, each in part.chip.dimensions().items()}
+    found = {}
+    for axis in study.numbers:
+        own = part_of(present, axis.name)
+        found[axis.name] = min(axis.low, own), max(axis.high, own)
+    return found
+
+
+@dataclass(frozen=True)
+class ReducedModels:
+    """Design models, kept on disk, and on the way the range models they are made from; confirmed by full solves on a
+    mesh of the chip's own.
+
+    What is on the disk is used in any case, also right after it was made: arrays that are laid out otherwise in memory
+    give other last bits.
+    """
+
+    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
+        """The model of a part.
+
+        Raises:
+            NotCovered: more full solves are needed for the spectra than the study allows.
+            NotConfirmed: full solves found figures that are further off than the study's tolerance.
+        """
+        if not path.exists():
+            rough = path.with_suffix(".npz")
+            if not rough.exists():
+                range_model(part.chip, part.state, ranges_of(study, part), registry=study.registry, band=study.band,
+                            points=FREQUENCIES, tolerance=SWEEP, limit=study.limit, accuracy=study.accuracy,
+                            progress=lambda share: progress(0.5 * share)).save(rough)
+            kept = load(rough, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
+            made = of_range_model(
+                kept, part.chip, part.state, figures=study.figures, operation=study.operation, registry=study.registry,
+                tolerance=study.tolerance, progress=lambda share: progress(0.5 + 0.5 * share))
+            write_atomic(path, pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL))
+        progress(1.0)
+        return path.read_bytes()
+
+    def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
+        """The figures at one point of a part, by full solves."""
+        return full_evaluation(
+            part.chip, part.state, named(study, point), figures=study.figures, operation=study.operation,
+            registry=study.registry, band=study.band, accuracy=study.accuracy)
+
+
+def named(study: Study, point: Sequence[float] | Real) -> dict[str, float]:
+    """A point (numbers of the study,) as numbers by parameter name."""
+    return {axis.name: float(value) for axis, value in zip(study.numbers, point, strict=True)}

@@ -1,0 +1,203 @@
+"""A study: a chip, what varies, and the figures that are asked for, as one value, read from a file.
+
+    [study]
+    chip = "chip.toml"              # path relative to the study's file
+    states = ["empty", "filled"]    # or state = "filled"; the last one of the chip file if neither is given
+    figures = ["f0", "e_ac", "trap_offset", "loss.couplant"]
+    drive = "10 Vpp"                # as of the option --drive; 10 Vpp unless stated
+    frequency = "f0"                # the drive follows f0 (unless stated otherwise), or a frequency
+    band = ["0.95 MHz", "1.1 MHz"]  # where f0 is looked for; that of the chip file unless stated
+    tolerance = "0.1 %"             # relative error of the reduced model's impedance
+    accuracy = "0.05 %"             # of the mesh, as of the option --accuracy
+    confirm = 5                     # points that are solved in full at the end
+
+    [thermal]                       # K/W, for the figure "heating"; "all" stands for regions not named
+    transducer = "4 K/W"
+    all = "10 K/W"
+
+    [sample]
+    method = "sobol"                # or grid (unless stated otherwise), list, latin hypercube
+    points = 10000
+    seed = 1
+
+    [vary]                          # see `workbench.design.axes`
+    "substrate.thickness" = { from = "0.7 mm", to = "1.0 mm" }
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip, read_chip
+from materials.registry import Registry, user_registry
+from workbench.design.axes import Axis, MaterialAxis, NumberAxis, read_axes
+from workbench.design.evaluation import Operation
+from workbench.design.figures import check_figures
+from workbench.design.sampling import Sampling, read_sampling, sample
+from workbench.discretisation import ACCURACY, discretisation
+from workbench.drive import parse_drive
+from workbench.files.errors import InputError, choose
+from workbench.files.tables import Table
+from workbench.ranges import LIMIT
+
+Real = NDArray[np.float64]
+
+#: Relative error of the reduced model's impedance unless stated otherwise, and points solved in full at the end.
+TOLERANCE, CONFIRMED = 1e-3, 5
+
+_KEYS = ("name", "chip", "state", "states", "figures", "drive", "frequency", "band", "tolerance", "accuracy", "limit",
+         "confirm")
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is asked of a chip, checked.
+
+    ``axes`` vary as ``sampling`` says, in every one of ``states``; ``figures`` by name; ``band`` (Hz) where f0 is
+    looked for; ``tolerance`` relative error of the reduced model's impedance, made with ``limit`` full solves at most;
+    ``accuracy`` that of the mesh; ``confirmed`` how many points are solved in full at the end; ``file`` the name errors
+    are reported under.
+
+    Raises:
+        InputError: the axes and the sampling make no points.
+    """
+
+    name: str
+    chip: Chip
+    states: tuple[str, ...]
+    figures: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    sampling: Sampling
+    operation: Operation
+    band: tuple[float, float]
+    tolerance: float = TOLERANCE
+    accuracy: float = ACCURACY
+    limit: int = LIMIT
+    confirmed: int = CONFIRMED
+    registry: Registry = field(default_factory=Registry)
+    file: str = "study"
+
+    def __post_init__(self) -> None:
+        # So that a mistake is answered where the study is made, not where its points are first asked for.
+        _ = self.sample
+
+    @cached_property
+    def sample(self) -> Real:
+        """The points (n, len(axes)) of one state, see `workbench.design.sampling.sample`."""
+        return sample(self.axes, self.sampling, source=self.file)
+
+    @property
+    def size(self) -> int:
+        """Points of all states: row ``s * n + i`` of the study's table is point i in state s."""
+        return len(self.states) * len(self.sample)
+
+    @property
+    def numbers(self) -> tuple[NumberAxis, ...]:
+        """The axes that are numbers."""
+        return tuple(axis for axis in self.axes if isinstance(axis, NumberAxis))
+
+    @property
+    def choices(self) -> tuple[MaterialAxis, ...]:
+        """The axes that are materials."""
+        return tuple(axis for axis in self.axes if isinstance(axis, MaterialAxis))
+
+    def columns(self, axes: Sequence[Axis]) -> Real:
+        """The columns (n, len(axes)) of the sample that belong to some of the axes."""
+        return self.sample[:, [self.axes.index(axis) for axis in axes]]
+
+
+def read_study(path: Path | str, *, materials: Sequence[Path] = ()) -> Study:
+    """Read and check a study's file and the chip it names; `materials` are further folders of materials.
+
+    Raises:
+        InputError: a mistake in one of the files.
+    """
+    path = Path(path)
+    table = Table.read(path).only(("study", "thermal", "sample", "vary"))
+    table.required("study", "a table [study] with the chip and the figures")
+    head = table.table("study", expected="a table [study]").only(_KEYS)
+    chip = read_chip(path.parent / head.text("chip", expected='the chip file, such as "chip.toml"'))
+    registry, states = user_registry(materials), _states(head, chip)
+    figures = check_figures(head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]'),
+                            chip.regions, source=head.source, field=head.at("figures"))
+    if not figures:
+        raise head.error("figures", "one figure at least")
+    band = _band(head, chip)
+    operation = replace(_thermal(table, chip, figures), drive=parse_drive(
+        head.text("drive", "10 Vpp"), source=head.source, field=head.at("drive")),
+        frequency=_frequency(head, band))
+    sampling = read_sampling(table.table("sample", expected="a table [sample]"))
+    table.required("vary", "a table [vary] of what varies")
+    axes = read_axes(table.table("vary", expected="a table [vary]"), chip, states, registry, method=sampling.method)
+    return Study(
+        head.text("name", path.stem), chip, states, figures, axes, sampling, operation, band,
+        _share(head, "tolerance", TOLERANCE), _accuracy(head), head.whole("limit", LIMIT, low=1, high=100_000),
+        head.whole("confirm", CONFIRMED, low=0, high=1000), registry, str(path))
+
+
+def _states(head: Table, chip: Chip) -> tuple[str, ...]:
+    known = [state.name for state in chip.states]
+    if "state" in head and "states" in head:
+        raise head.error("state", "state or states, not both")
+    if "states" not in head:
+        return (head.choice("state", known, known[-1]),)
+    found = head.texts("states", expected=f"a list of states of the chip: {', '.join(known)}")
+    if not found or len(set(found)) < len(found):
+        raise head.error("states", "one state at least, every one once")
+    for name in found:
+        choose(name, known, source=head.source, field=head.at("states"))
+    return found
+
+
+def _band(head: Table, chip: Chip) -> tuple[float, float]:
+    if "band" not in head:
+        return chip.band
+    band = head.quantities("band", "frequency", expected="two frequencies with their units")
+    if not 0.0 < band[0] < band[1]:
+        raise head.error("band", "a lower and a higher frequency")
+    return band
+
+
+def _frequency(head: Table, band: tuple[float, float]) -> float | None:
+    if head.text("frequency", "f0") == "f0":
+        return None
+    frequency = head.quantity("frequency", "frequency")
+    if not band[0] <= frequency <= band[1]:
+        raise head.error("frequency", f'"f0", or a frequency within the band, {band[0]:g} to {band[1]:g} Hz')
+    return frequency
+
+
+def _thermal(table: Table, chip: Chip, figures: tuple[str, ...]) -> Operation:
+    """An operation with the thermal resistances (K/W) by region, that of all others by ""."""
+    thermal = table.table("thermal", expected="a table [thermal] of thermal resistances by region")
+    thermal.only((*chip.regions, "all"))
+    found = {"" if key == "all" else key: thermal.quantity(key, "thermal resistance") for key in thermal}
+    for key, value in zip(thermal, found.values(), strict=True):
+        if not value >= 0.0:
+            raise thermal.error(key, "a thermal resistance of zero or more")
+    if "heating" in figures and not found:
+        raise InputError(table.source, "thermal", "nothing", 'thermal resistances for the figure "heating", such as '
+                         'all = "10 K/W"')
+    return Operation(thermal_resistance=found)
+
+
+def _share(head: Table, key: str, default: float) -> float:
+    value = head.quantity(key, "dimensionless", default)
+    if not 0.0 < value < 1.0:
+        raise head.error(key, 'a relative error between 0 and 1, such as "0.1 %"')
+    return value
+
+
+def _accuracy(head: Table) -> float:
+    value = head.quantity("accuracy", "dimensionless", ACCURACY)
+    try:
+        discretisation(value)
+    except InputError as error:
+        raise head.error("accuracy", error.expected) from None
+    return value

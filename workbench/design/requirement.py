@@ -1,0 +1,145 @@
+"""What a chip must do, as a sentence: ``f0 within 5 kHz``, ``E_ac >= 20 J/m^3 at 10 Vpp``.
+
+    <figure> within <margin> [of <centre>] [at <drive>]
+    <figure> >= <number> [at <drive>]          or <=
+
+Figures are those of `workbench.design.figures`, in capitals or not. Without a centre, a margin is about what the chip
+as stated does; a margin may be a percentage of its centre. The drive is as of `workbench.drive.parse_drive`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.figures import FIGURES, LOSS_SHARE, Figure, figure
+from workbench.drive import Drive, parse_drive
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import parse_quantity
+
+EXPECTED = ('such as "f0 within 5 kHz", "trap_offset within 50 um of 0 um", "z_min <= 10 ohm" or '
+            '"e_ac >= 20 J/m^3 at 10 Vpp"')
+
+_SENTENCE = re.compile(r"\s*(?P<name>[\w./]+)(?![\w./])\s*(?P<verb>[<>=!~]+|\w+)\s*(?P<rest>.*?)\s*",
+                       re.IGNORECASE)
+_DRIVEN = re.compile(r"(?P<what>.*?)\s+at\b\s*(?P<drive>.*)", re.IGNORECASE)
+_CENTRED = re.compile(r"(?P<margin>.*?)\s+of\b\s*(?P<centre>.*)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One requirement, in SI: the ``figure`` from ``low`` to ``high``.
+
+    With a ``margin`` these are unknown until the centre is: ``centre`` is that, None where it is the chip's own figure,
+    and ``relative`` says that the margin is a share of it. ``drive`` is None where none is stated.
+    """
+
+    text: str
+    figure: Figure
+    drive: Drive | None = None
+    low: float = -math.inf
+    high: float = math.inf
+    margin: float | None = None
+    centre: float | None = None
+    relative: bool = False
+
+    def limits(self, nominal: float) -> tuple[float, float]:
+        """Lowest and highest figure that will do, for a chip as stated of `nominal` figure (SI).
+
+        Raises:
+            InputError: the margin is about the chip's own figure, and it has none.
+        """
+        if self.margin is None:
+            return self.low, self.high
+        centre = nominal if self.centre is None else self.centre
+        if not math.isfinite(centre):
+            raise InputError("command line", "--require", self.text, f"a centre, \"within ... of ...\": the chip as "
+                             f"stated has no {self.figure.name}")
+        margin = self.margin * (abs(centre) if self.relative else 1.0)
+        return centre - margin, centre + margin
+
+    def met(self, values: NDArray[np.float64], nominal: float) -> NDArray[np.bool_]:
+        """Which of the figures `values` (n,) will do; one that does not exist, NaN, will not."""
+        low, high = self.limits(nominal)
+        return (values >= low) & (values <= high)
+
+
+def parse_requirement(
+    text: str, regions: Iterable[str], *, source: str = "command line", field: str = "--require"
+) -> Requirement:
+    """The requirement that a sentence states, of a chip with these `regions`.
+
+    Raises:
+        InputError: it is none: no known figure, no comparison, a number of another dimension, an unknown drive.
+    """
+    found = _SENTENCE.fullmatch(text) if isinstance(text, str) else None
+    if found is None:
+        raise InputError(source, field, text, f"a requirement {EXPECTED}")
+    named = _figure(found["name"], regions, text, source, field)
+    what, drive = found["rest"], None
+    driven = _DRIVEN.fullmatch(what)
+    if driven is not None:
+        what, drive = driven["what"], parse_drive(driven["drive"], source=source, field=f'{field} "{text}"')
+
+    def number(part: str, dimension: str = named.dimension) -> float:
+        return parse_quantity(part, dimension, source=source, field=f'{field} "{text}"')
+
+    match found["verb"].casefold():
+        case "within":
+            return _within(text, named, drive, what, source, field)
+        case ">=" | ">":
+            return Requirement(text, named, drive, low=number(what))
+        case "<=" | "<":
+            return Requirement(text, named, drive, high=number(what))
+    raise InputError(source, f'{field} "{text}"', found["verb"], "within, >= or <= behind the figure",
+                     nearest_names(found["verb"], ("within", ">=", "<=")))
+
+
+def _within(text: str, named: Figure, drive: Drive | None, what: str, source: str, field: str) -> Requirement:
+    def number(part: str, dimension: str) -> float:
+        return parse_quantity(part, dimension, source=source, field=f'{field} "{text}"')
+
+    centred = _CENTRED.fullmatch(what)
+    written = what if centred is None else centred["margin"]
+    # A figure that is itself told in per cent has its margin in the same.
+    relative = written.rstrip().endswith("%") and named.shown != "%"
+    margin = number(written, "dimensionless" if relative else named.dimension)
+    centre = None if centred is None else number(centred["centre"], named.dimension)
+    if not margin > 0.0:
+        raise InputError(source, f'{field} "{text}"', written, "a margin above zero")
+    if relative and centre == 0.0:
+        raise InputError(source, f'{field} "{text}"', written, f"a margin with its unit, such as \"1 "
+                         f"{named.shown or '1'}\": per cents of 0 are 0")
+    return Requirement(text, named, drive, margin=margin, centre=centre, relative=relative)
+
+
+def _figure(name: str, regions: Iterable[str], text: str, source: str, field: str) -> Figure:
+    known = {each.casefold(): each for each in (*FIGURES, *(LOSS_SHARE + region for region in regions))}
+    if name.casefold() not in known:
+        raise InputError(source, f'{field} "{text}"', name, "a figure: " + ", ".join(known.values()),
+                         nearest_names(name, known.values()))
+    return figure(known[name.casefold()])
+
+
+def parse_requirements(
+    texts: Sequence[str], regions: Iterable[str], *, source: str = "command line", field: str = "--require"
+) -> tuple[Requirement, ...]:
+    """Requirements, each stated once.
+
+    Raises:
+        InputError: as :func:`parse_requirement`, or the same sentence twice.
+    """
+    known = tuple(regions)
+    found: list[Requirement] = []
+    for text in texts:
+        each = parse_requirement(text, known, source=source, field=field)
+        if any((each.figure, each.drive, each.low, each.high, each.margin, each.centre) ==
+               (other.figure, other.drive, other.low, other.high, other.margin, other.centre) for other in found):
+            raise InputError(source, field, text, "every requirement once")
+        found.append(each)
+    return tuple(found)

@@ -1,0 +1,180 @@
+"""What matters: how every figure of a chip changes with every number, at the chip as stated and over its uncertainty.
+
+Derivatives are exact ones of full solves (`workbench.design.model.full_evaluation`); how far a figure moves is told for
+the standard uncertainty of each number, or for :data:`SHARE` of the number where none is stated. Sobol indices say
+which share of a figure's variance a number causes, alone (first order) and with all others (total).
+
+(`workbench sensitivity` is another question: which constants of a free disc its spectrum tells, as in the paper.)
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.evaluation import Evaluation
+from workbench.design.model import Evaluator
+from workbench.design.outcomes import evaluate
+from workbench.design.uncertainty import Input, Uncertainty
+from workbench.files.errors import InputError
+
+Real = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+#: Change of a number whose uncertainty nobody states, relative: the unit that its influence is told in.
+SHARE = 0.01
+
+#: Confidence of the intervals of Sobol indices.
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Exact first-order sensitivities of figures at ``nominal`` numbers.
+
+    ``steps`` (k,) SI are the standard uncertainties of the numbers ``names``, or :data:`SHARE` of them where not
+    ``stated``; ``figures`` SI by label, ``gradient`` (k,) SI per SI by label.
+    """
+
+    names: tuple[str, ...]
+    nominal: Mapping[str, float]
+    steps: Real
+    stated: tuple[bool, ...]
+    figures: Mapping[str, float]
+    gradient: Mapping[str, Real]
+
+    def changes(self, label: str) -> Real:
+        """By how much (k,) the figure changes where each number grows by its step, to first order."""
+        return self.gradient[label] * self.steps
+
+    def ranked(self, label: str) -> list[int]:
+        """The numbers by the size of what they change, largest first; those whose influence is unknown last."""
+        size = np.abs(self.changes(label))
+        return sorted(range(len(self.names)), key=lambda k: -size[k] if math.isfinite(size[k]) else math.inf)
+
+    def deviation(self, label: str, uncertainty: Uncertainty) -> float:
+        """Standard uncertainty of the figure to first order, correlations included."""
+        slopes = np.array([self.gradient[label][self.names.index(name)] for name in uncertainty.names])
+        return float(np.sqrt(max(slopes @ uncertainty.covariance @ slopes, 0.0)))
+
+
+def sensitivities(found: Evaluation, uncertainty: Uncertainty) -> Sensitivities:
+    """The sensitivities of an evaluation with gradients.
+
+    Raises:
+        ValueError: it has none.
+    """
+    if found.gradient is None:
+        raise ValueError("sensitivities need an evaluation with gradients")
+    known = {each.name: each.deviation for each in uncertainty.inputs}
+    steps = np.array([known.get(name, SHARE * abs(number)) for name, number in found.values.items()])
+    return Sensitivities(tuple(found.values), dict(found.values), steps, tuple(name in known for name in found.values),
+                         dict(found.figures), dict(found.gradient))
+
+
+@dataclass(frozen=True, eq=False)
+class SobolIndices:
+    """Shares of the variance of figures, over independent numbers.
+
+    Each of ``first``, ``total`` (figures, inputs) with the ends of its interval ``_low``, ``_high``, at
+    :data:`CONFIDENCE`; NaN for a figure that does not exist at some of the points, or never changes. ``evaluations`` is
+    what it took.
+    """
+
+    figures: tuple[str, ...]
+    names: tuple[str, ...]
+    first: Real
+    first_low: Real
+    first_high: Real
+    total: Real
+    total_low: Real
+    total_high: Real
+    evaluations: int
+
+
+def check_sobol(uncertainty: Uncertainty, count: int, *, source: str, field: str) -> None:
+    """Refuse what Sobol indices are not defined for.
+
+    Raises:
+        InputError: correlated inputs, none at all, or a count that is no power of two.
+    """
+    if count < 2 or count & (count - 1):
+        below = 2 ** max(1, int(math.log2(max(count, 2))))
+        raise InputError(source, field, count, "a power of two, which the points of Sobol's sequence come in",
+                         (str(below), str(2 * below)))
+    if not uncertainty.inputs:
+        raise InputError(source, field, count, "numbers that are uncertain; none is")
+    if uncertainty.correlated:
+        raise InputError(source, field, count, "independent numbers: shares of the variance are not defined for "
+                         "correlated ones, and a fit correlates "
+                         + ", ".join(each.name for each in uncertainty.correlated)
+                         + "; state the uncertainty of all but one of them yourself, or leave the indices out")
+
+
+def sobol(
+    evaluator: Evaluator, uncertainty: Uncertainty, count: int, *, seed: int = 0, progress: Progress | None = None
+) -> SobolIndices:
+    """Sobol indices by `count` (2 + inputs) evaluations (Saltelli 2010), with bootstrap intervals.
+
+    Raises:
+        InputError: see :func:`check_sobol`.
+    """
+    from scipy.stats import DegenerateDataWarning, sobol_indices
+
+    check_sobol(uncertainty, count, source="sobol", field="count")
+    size, asked, seen = len(uncertainty.inputs), tuple(evaluator.figures), list[Real]()
+    whole = count * (2 + size)
+
+    def outcome(points: Real) -> Real:
+        # One row an input; scipy asks for A, B, and A with the columns of B, all at once.
+        before = sum(map(len, seen))
+
+        def share(part: float) -> None:
+            if progress is not None:
+                progress((before + part * points.shape[1]) / whole)
+
+        seen.append(evaluate(evaluator, uncertainty, points.T, progress=share).values)
+        return seen[-1].T
+
+    generator = np.random.default_rng(seed)
+    # An index that is the same in every resample has no interval, which is what the warning says.
+    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DegenerateDataWarning)
+        found = sobol_indices(func=outcome, n=count, dists=[_distribution(each) for each in uncertainty.inputs],
+                              rng=generator)
+        spread = found.bootstrap(confidence_level=CONFIDENCE)
+
+    values = np.concatenate(seen)
+    # Of these scipy says 0.
+    unknown = ~np.isfinite(values).all(axis=0) | (np.ptp(values, axis=0) == 0.0)
+
+    def rows(indices: object) -> Real:
+        return np.where(unknown[:, None], np.nan, np.asarray(indices, dtype=float).reshape(len(asked), size))
+
+    first, total = rows(found.first_order), rows(found.total_order)
+    ends = [np.where(np.isnan(end), index, end) for index, kind in ((first, spread.first_order),
+                                                                    (total, spread.total_order))
+            for end in map(rows, (kind.confidence_interval.low, kind.confidence_interval.high))]
+    return SobolIndices(asked, uncertainty.names, first, ends[0], ends[1], total, ends[2], ends[3], len(values))
+
+
+def _distribution(each: Input) -> Any:
+    """The law of an input as scipy has it, cut where it is cut."""
+    from scipy.stats import truncnorm, uniform
+
+    if each.law == "uniform":
+        return uniform(loc=each.low, scale=each.high - each.low)
+    low, high = ((end - each.mean) / each.deviation for end in (each.low, each.high))
+    return truncnorm(low, high, loc=each.mean, scale=each.deviation)
+
+
+def names_to_ask(uncertainty: Uncertainty, known: Sequence[str], *, every: bool) -> tuple[str, ...]:
+    """The numbers whose influence is asked for: the uncertain ones, then, if `every`, all others that are `known`."""
+    rest = [name for name in known if name not in uncertainty.names] if every or not uncertainty.inputs else []
+    return (*uncertainty.names, *rest)

@@ -1,0 +1,356 @@
+"""What is stated of a chip's uncertainty: tolerances of its file, uncertainties of its materials, fits, and a person's
+own word, each taking the place of those before it.
+
+A person's word is a text, ``superstrate.thickness = 20 um``: of a length its limits, of a coefficient its standard
+uncertainty. ``uniform`` or ``normal`` behind it make either a limit, ``standard`` a standard uncertainty; per cents are
+of the number itself, and ``exact`` leaves it certain. In a TOML file the same stands in a table::
+
+    [uncertainty]
+    "superstrate.thickness" = "20 um"
+    "pla/acevedo_2026.shear_modulus" = "5 %"
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from geometry.chip import Chip
+from geometry.stretch import movable, tied
+from materials.entry import KINDS
+from materials.fit import Correlation
+from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.registry import Registry
+from workbench.design.uncertainty import Input, Law, Uncertainty, from_limits, from_standard
+from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import Table
+from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName
+from workbench.problem import FilledChip, fill
+
+#: Of a fluid, what the model holds as a number of its own; its losses follow from others.
+FLUID_NUMBERS = ("density", "sound_speed")
+
+_STATEMENT = re.compile(r"\s*(?P<name>[^=\s]+)\s*=\s*(?P<amount>.*?)\s*")
+#: An amount, and the word behind its unit: what follows a bare number is a unit.
+_AMOUNT = re.compile(r"(?P<amount>.*?)(?:(?<=[^\d\s])\s+(?P<word>[A-Za-z]{5,}))?")
+_WORDS = (*get_args(Law), "standard")
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A person's word on the uncertainty of a number: its ``name`` and ``amount`` as written, and where."""
+
+    name: str
+    amount: str
+    source: str
+    field: str
+
+
+def parse_statement(text: str, *, source: str = "command line", field: str = "--uncertainty") -> Statement:
+    """The statement ``name = amount``.
+
+    Raises:
+        InputError: it has no name or no amount.
+    """
+    found = _STATEMENT.fullmatch(text)
+    if found is None or not found["amount"]:
+        raise InputError(source, field, text, 'a name and its uncertainty, such as "superstrate.thickness = 20 um"')
+    return Statement(found["name"], found["amount"], source, f"{field} {found['name']}")
+
+
+def read_statements(path: Path) -> tuple[Statement, ...]:
+    """The statements of the ``[uncertainty]`` table of a TOML file.
+
+    Raises:
+        InputError: no such file or table, or an amount that is no text.
+    """
+    root = Table.read(path).only(("uncertainty",))
+    root.required("uncertainty", "a table [uncertainty] of names and amounts")
+    table = root.table("uncertainty")
+    found = []
+    for name, amount in _flat(table.content):
+        if not isinstance(amount, str):
+            raise InputError(str(path), f"uncertainty.{name}", amount, 'a text, such as "20 um"')
+        found.append(Statement(name, amount, str(path), f"uncertainty.{name}"))
+    return tuple(found)
+
+
+def _flat(content: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
+    """Keys without quotation marks, whose dots have made tables of them, as the names that were meant."""
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{key}.")
+        else:
+            yield before + key, value
+
+
+def stated_uncertainty(
+    chip: Chip,
+    state: str | None = None,
+    *,
+    registry: Registry | None = None,
+    law: Law = "uniform",
+    statements: Sequence[Statement | str] = (),
+    posteriors: Sequence[Path] = (),
+) -> Uncertainty:
+    """All that is uncertain of a chip in a state.
+
+    Args:
+        law: what a tolerance is: the limits of a uniform law, or three standard deviations of a normal one.
+        statements: a person's own word, which goes before everything else.
+        posteriors: files ``fit.json`` of fits with intervals, whose numbers, uncertainties and correlations go before
+            those of the chip file and of the registry.
+
+    Raises:
+        InputError: a tolerance, a posterior or a statement that cannot be used.
+    """
+    device = fill(chip, state, registry)
+    given = [parse_statement(each) if isinstance(each, str) else each for each in statements]
+    found = _Collected({}, [], [])
+    _lengths(chip, law, found)
+    for material in dict.fromkeys(each.name for each in device.materials.values()):
+        _coefficients(next(each for each in device.materials.values() if each.name == material), found)
+    for path in posteriors:
+        _posterior(path, device, found)
+    known = numbers_of(device)
+    for each in given:
+        _say(each, device, known, law, found)
+    return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
+
+
+def numbers_of(device: FilledChip) -> dict[str, float]:
+    """Every number (SI) that figures depend on, by name: lengths, radii that coincide once; moduli, densities, losses.
+
+    A loss that is zero is there, but those of densities and of fluids are not.
+    """
+    first = tied(device.chip)
+    found = {name: each.value for name, each in device.chip.dimensions().items()
+             if first.get(name, name) == name and not name.startswith("ports.")}
+    for material in device.materials.values():
+        for name, number in material.parameters().items():
+            if isinstance(material, Fluid) and name not in FLUID_NUMBERS:
+                continue
+            found[f"{material.name}.{name}"] = number.real
+            if not isinstance(material, Fluid) and name != "density":
+                found[f"{material.name}.{name}{LOSS}"] = number.imag
+    return found
+
+
+@dataclass
+class _Collected:
+    """Inputs by name, the correlations between some of them, and what was left out."""
+
+    inputs: dict[str, Input]
+    correlations: list[Correlation]
+    notes: list[str]
+
+    def put(self, new: Input) -> None:
+        """Take an input in the place of what was known of it, correlations included."""
+        self.drop(new.name)
+        self.inputs[new.name] = new
+
+    def drop(self, name: str) -> None:
+        """Forget an input and what correlates it with others."""
+        self.inputs.pop(name, None)
+        self.correlations = [_without(each, name) for each in self.correlations]
+
+    def uncertainty(self, materials: Mapping[str, Piezoelectric | IsotropicSolid]) -> Uncertainty:
+        names = list(self.inputs)
+        matrix = np.eye(len(names))
+        for each in self.correlations:
+            at = [names.index(name) for name in each.names]
+            matrix[np.ix_(at, at)] = each.rows
+        lossy = {ParameterName.parse(name).owner for name in names if name.endswith(LOSS)}
+        return Uncertainty(tuple(self.inputs.values()), matrix,
+                           {name: each for name, each in materials.items() if name in lossy},
+                           tuple(dict.fromkeys(self.notes)))
+
+
+def _without(correlation: Correlation, name: str) -> Correlation:
+    kept = [k for k, other in enumerate(correlation.names) if other != name]
+    return Correlation(tuple(correlation.names[k] for k in kept),
+                       tuple(tuple(correlation.rows[i][j] for j in kept) for i in kept))
+
+
+def _lengths(chip: Chip, law: Law, found: _Collected) -> None:
+    """Lengths with a tolerance; radii that coincide are one, and must state the same."""
+    first, known = tied(chip), chip.dimensions()
+    for name, length in known.items():
+        if not length.tolerance:
+            continue
+        if name.startswith("ports."):
+            found.notes.append(f"{name}: no figure depends on it")
+            continue
+        mine = first.get(name, name)
+        stated = {other: known[other].tolerance for other in known
+                  if first.get(other, other) == mine and known[other].tolerance}
+        if len(set(stated.values())) > 1:
+            raise InputError(chip.file, f"{name}.tolerance", ", ".join(f"{k}: {v:g} m" for k, v in stated.items()),
+                             "one tolerance of radii that coincide, which are one length")
+        found.put(from_limits(mine, length.value, length.tolerance, law, origin=chip.file,
+                              ends=movable(chip, mine), tied=_tied(chip, mine)))
+
+
+def _tied(chip: Chip, name: str) -> tuple[str, ...]:
+    return tuple(other for other, mine in tied(chip).items() if mine == name and other != name)
+
+
+def _coefficients(material: Material, found: _Collected) -> None:
+    """What a registry entry states of its numbers, with the correlation that a fit left among them."""
+    numbers, left_out = material.parameters(), []
+    for field, value in material.values.items():
+        for key, spread in ((field, value.uncertainty), (field + LOSS, value.loss_uncertainty)):
+            if not spread:
+                continue
+            if field not in numbers or (isinstance(material, Fluid) and field not in FLUID_NUMBERS):
+                left_out.append(key)
+                continue
+            mean = numbers[field].imag if key.endswith(LOSS) else numbers[field].real
+            found.put(from_standard(f"{material.name}.{key}", mean, spread, origin=material.name))
+    if left_out:
+        found.notes.append(f"{material.name}: the uncertainty of {', '.join(left_out)} is left out: no number of the "
+                           "model")
+    if material.fit is not None and material.fit.correlation is not None:
+        stored = material.fit.correlation
+        names = tuple(f"{material.name}.{name.replace(' loss', LOSS)}" for name in stored.names)
+        known = Correlation(names, stored.rows)
+        for name in names:
+            if name not in found.inputs:
+                known = _without(known, name)
+        found.correlations.append(known)
+
+
+def _posterior(path: Path, device: FilledChip, found: _Collected) -> None:
+    """The numbers, standard uncertainties and correlations of a fit; what belongs to its bench is averaged over."""
+    table = _read_fit(path)
+    names, rows = _correlation(table)
+    known = numbers_of(device)
+    own = table.text("material", ""), table.content.get("saved_as")
+    kept: list[tuple[int, str]] = []
+    for each in table.tables("parameters", expected="the parameters of a fit"):
+        stated, mean, spread = each.text("name"), each.optional_number("value"), each.optional_number("standard_error")
+        if stated.startswith(BENCH):
+            continue
+        name = _name_here(stated, own, device, found)
+        if not name:
+            continue
+        if mean is None or spread is None or not spread > 0.0:
+            raise each.error("standard_error", f"a standard uncertainty of {stated}: a fit with intervals, which those "
+                             "of the paper's algorithms are not")
+        if stated not in names:
+            raise InputError(table.source, "correlation.names", stated, "a row for every parameter of the fit")
+        choose(name, known, source=table.source, field=each.field)
+        ends = movable(device.chip, name) if ParameterName.parse(name).kind is Kind.DIMENSION else None
+        found.put(from_standard(name, mean, spread, origin=str(path), ends=ends, tied=_tied(device.chip, name)))
+        kept.append((names.index(stated), name))
+    if not kept:
+        raise InputError(table.source, "parameters", own[0], "a fit of a material of the chip: "
+                         + ", ".join(sorted({m.name for m in device.materials.values()})))
+    matrix = tuple(tuple(rows[i][j] for j, _ in kept) for i, _ in kept)
+    found.correlations.append(Correlation(tuple(name for _, name in kept), matrix))
+
+
+def _read_fit(path: Path) -> Table:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), "file", str(error), "a fit.json of workbench fit") from None
+    return Table.of(content, source=str(path), field="", expected="a fit.json of workbench fit")
+
+
+def _correlation(table: Table) -> tuple[tuple[str, ...], list[list[float]]]:
+    """Names and rows of the correlation of a fit, symmetric with ones on the diagonal.
+
+    Raises:
+        InputError: no matrix of finite numbers.
+    """
+    inner = table.table("correlation")
+    names, rows = inner.texts("names"), inner.content.get("rows")
+    try:
+        matrix = np.array(rows, dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all():
+        raise inner.error("rows", f"{len(names)} rows of {len(names)} finite numbers: a fit with intervals")
+    matrix = np.clip(0.5 * (matrix + matrix.T), -1.0, 1.0)
+    np.fill_diagonal(matrix, 1.0)
+    return names, matrix.tolist()
+
+
+def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Collected) -> str:
+    """What a number of a fit is called on this chip: the fitted material may be there as it was saved. Empty where the
+    chip has no such number."""
+    parsed, present = ParameterName.parse(stated), {each.name for each in device.materials.values()}
+    if parsed.kind is Kind.DIMENSION:
+        first = tied(device.chip)
+        if stated in device.chip.dimensions():
+            return first.get(stated, stated)
+    elif parsed.owner in present:
+        return stated
+    elif parsed.owner == own[0] and own[1] in present:
+        return f"{own[1]}.{parsed.local}"
+    found.notes.append(f"{stated}: the chip has no such number, it is averaged over")
+    return ""
+
+
+def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: Law, found: _Collected) -> None:
+    name = _meant(each, device, known)
+    mean = found.inputs[name].mean if name in found.inputs else known[name]
+    is_length = ParameterName.parse(name).kind is Kind.DIMENSION
+    match = _AMOUNT.fullmatch(each.amount)
+    assert match is not None
+    amount, word = match["amount"], match["word"] or (law if is_length else "standard")
+    if any(name in known_to.names and len(known_to.names) > 1 for known_to in found.correlations):
+        found.notes.append(f"{name}: {each.source} goes before what a fit says of it, correlations included")
+    if each.amount == "exact":
+        found.drop(name)
+        return
+    choose(word, _WORDS, source=each.source, field=each.field)
+    if amount.endswith("%"):
+        spread = parse_quantity(amount, "dimensionless", source=each.source, field=each.field) * abs(mean)
+    else:
+        spread = parse_quantity(amount, _dimension(name, device), source=each.source, field=each.field)
+    if not spread > 0.0:
+        raise InputError(each.source, each.field, each.amount, 'an amount above zero, or "exact"'
+                         + (": the number is 0, give an amount with its unit" if mean == 0.0 else ""))
+    ends = movable(device.chip, name) if is_length else None
+    make = from_standard(name, mean, spread, origin=each.source, ends=ends, tied=_tied(device.chip, name)) \
+        if word == "standard" else from_limits(name, mean, spread, "normal" if word == "normal" else "uniform",
+                                               origin=each.source, ends=ends, tied=_tied(device.chip, name))
+    found.put(make)
+
+
+def _meant(each: Statement, device: FilledChip, known: Mapping[str, float]) -> str:
+    """The number that a statement is about: a material may be named without its source where it is the only one."""
+    first = tied(device.chip)
+    name = first.get(each.name, each.name)
+    if name in known:
+        return name
+    owner, _, rest = name.partition(".")
+    full = sorted({m.name for m in device.materials.values() if m.name.partition("/")[0] == owner})
+    if len(full) == 1 and f"{full[0]}.{rest}" in known:
+        return f"{full[0]}.{rest}"
+    if len(full) > 1:
+        raise InputError(each.source, each.field, each.name, "one of " + ", ".join(f"{one}.{rest}" for one in full))
+    short = {one.partition("/")[0] + "." + one.partition(".")[2]: one for one in known if "/" in one}
+    near = nearest_names(each.name, [*known, *short])
+    raise InputError(each.source, each.field, each.name, "a number that figures depend on: " + ", ".join(known),
+                     tuple(dict.fromkeys(short.get(one, one) for one in near)))
+
+
+def _dimension(name: str, device: FilledChip) -> str:
+    """What kind of quantity a number is, see `workbench.files.quantities.UNITS`."""
+    parsed = ParameterName.parse(name)
+    if parsed.kind is Kind.DIMENSION:
+        return "length"
+    material = next(each for each in device.materials.values() if each.name == parsed.owner)
+    kind = next(each for each in KINDS.values() if each.build is type(material))
+    dimensions = {**kind.required, **kind.optional, **{k: v for form in kind.forms for k, v in form.dimensions.items()}}
+    return dimensions[parsed.key.rpartition(".")[2]]

@@ -1,0 +1,199 @@
+"""A study is run: models, points, full solves of some of them, each on the disk as soon as it is finished.
+
+    found = study(read_study("study.toml"), "out/study")
+    found.columns["e_ac"]
+
+Every part of a study, one state of the chip and one choice of materials, has one model; workers do a few points of it
+at a time. A model is the one on the disk, and each point is worked out alone, so a run that was interrupted ends with
+the same table to the last bit.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.evaluation import Evaluation
+from workbench.design.executors import processes
+from workbench.design.model import Evaluator
+from workbench.design.parts import Models, Part, ReducedModels, parts_of
+from workbench.design.plan import Study
+from workbench.design.study_folder import Rows, StudyFolder, opened
+from workbench.design.study_result import StudyResult
+from workbench.files.errors import InputError
+from workbench.solve import one_thread
+
+Real = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Called with a part of the study, what is being done for it, and the fraction of it that is done.
+Progress = Callable[[str, str, float], None]
+
+#: Points that a worker does at a time, about a second's work: what a kill loses at most, for each worker. Half as many
+#: would double the share of the time that goes into sending models, some 2 %.
+CHUNK = 50
+
+#: Tasks given to the workers for each that is being worked on: one waits while one is done.
+AHEAD = 2
+
+
+def study(
+    plan: Study,
+    folder: Path | str,
+    *,
+    jobs: int | None = None,
+    executor: Executor | None = None,
+    overwrite: bool = False,
+    models: Models | None = None,
+    progress: Progress | None = None,
+) -> StudyResult:
+    """Run a study; `folder` then holds its table as ``study.parquet``, ``study.nc`` and ``study.json``.
+
+    Every finished point is on the disk at once; the same study in the same folder goes on from there.
+
+    Args:
+        jobs: how many tasks are worked on at a time, one for each core if None.
+        executor: works the points out; processes of this machine if None. A script that uses these must be guarded by
+            ``if __name__ == "__main__":``.
+        overwrite: begin anew in a folder that holds another study.
+        models: where models come from; `workbench.design.parts.ReducedModels` if None.
+        progress: called with a part of the study, what is done for it, and the fraction that is done.
+
+    Raises:
+        InputError: the folder holds another study, or something in the chip, its materials or the ranges.
+        NotCovered: a range model needs more full solves than the study allows.
+        RuntimeError: a point could not be worked out, or a worker ended.
+    """
+    jobs = os.cpu_count() or 1 if jobs is None else jobs
+    if jobs < 1:
+        raise InputError("study", "jobs", jobs, "one or more")
+    models, show = models or ReducedModels(), progress or _unseen
+    parts = parts_of(plan)
+    with opened(Path(folder), plan, parts, overwrite=overwrite) as kept:
+        with _workers(executor, jobs) as pool:
+            run = _Run(plan, kept, pool, AHEAD * jobs, show)
+            for part in parts:
+                run.points_of(part, models)
+            run.full_solves(parts, models)
+        found = StudyResult(plan, kept.rows(), kept.full_rows())
+        found.write(Path(folder))
+    return found
+
+
+def _unseen(_part: str, _activity: str, _fraction: float) -> None:
+    pass
+
+
+@contextmanager
+def _workers(executor: Executor | None, jobs: int) -> Iterator[Executor]:
+    """The executor that was given, which stays open, or processes of this machine."""
+    if executor is not None:
+        yield executor
+        return
+    with processes(jobs) as pool:
+        try:
+            yield pool
+        except BrokenProcessPool as error:
+            raise RuntimeError("a worker process ended before its work was done (out of memory, or killed; or a script "
+                               'that is not guarded by if __name__ == "__main__":); what was finished is on the disk'
+                               ) from error
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A piece of work: ``function`` of ``arguments`` in another process; this one does ``then`` with its result."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    then: Callable[[Any], None]
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What the steps of a run share; ``ahead`` tasks are given out at a time."""
+
+    plan: Study
+    kept: StudyFolder
+    pool: Executor
+    ahead: int
+    show: Progress
+
+    def points_of(self, part: Part, models: Models) -> None:
+        """All points of a part that are not finished yet."""
+        left = np.flatnonzero(~np.isin(part.rows, self.kept.rows().index))
+        if left.size:
+            self.show(part.label, "model", 0.0)
+            model = models.model(self.plan, part, self.kept.model(part), partial(self.show, part.label, "model"))
+            self._work(self._point_tasks(model, part, left))
+        self.show(part.label, "points", 1.0)
+
+    def _point_tasks(self, model: bytes, part: Part, left: Indices) -> Iterator[_Task]:
+        names, finished = [axis.name for axis in self.plan.numbers], len(part.rows) - left.size
+
+        def keep(rows: Rows) -> None:
+            nonlocal finished
+            self.kept.keep(rows)
+            finished += len(rows.index)
+            self.show(part.label, "points", finished / len(part.rows))
+
+        self.show(part.label, "points", finished / len(part.rows))
+        for at in np.split(left, range(CHUNK, left.size, CHUNK)):
+            yield _Task(_evaluated, (model, names, part.rows[at], part.points[at], self.plan.figures), keep)
+
+    def full_solves(self, parts: Sequence[Part], models: Models) -> None:
+        """Full solves of some points of the table, drawn by the seed of the sample."""
+        count = min(self.plan.confirmed, self.plan.size)
+        drawn = np.random.default_rng(self.plan.sampling.seed).choice(self.plan.size, count, replace=False)
+        left = np.setdiff1d(drawn, self.kept.full_rows().index)
+        finished = count - left.size
+
+        def keep(row: int, found: Evaluation) -> None:
+            nonlocal finished
+            self.kept.keep_full(Rows.of([row], [found], self.plan.figures))
+            finished += 1
+            self.show("confirmed", "full solves", finished / count)
+
+        self._work(_Task(models.confirmed, (self.plan, part, part.points[at]), partial(keep, int(part.rows[at])))
+                   for part in parts for at in np.flatnonzero(np.isin(part.rows, left)))
+
+    def _work(self, tasks: Iterator[_Task]) -> None:
+        """Do all tasks, each result as soon as it is there."""
+        given: dict[Future[Any], _Task] = {}
+        try:
+            while True:
+                for task in islice(tasks, self.ahead - len(given)):
+                    given[self.pool.submit(task.function, *task.arguments)] = task
+                if not given:
+                    return
+                for future in wait(given, return_when=FIRST_COMPLETED).done:
+                    given.pop(future).then(future.result())
+        finally:
+            for future in given:
+                future.cancel()
+
+
+def _evaluated(model: bytes, names: Sequence[str], rows: Indices, points: Real, figures: tuple[str, ...]) -> Rows:
+    """The figures at `points` (k, numbers), which are `rows` (k,) of the study's table."""
+    evaluator: Evaluator = pickle.loads(model)
+    found = []
+    with one_thread():
+        for row, point in zip(rows, points, strict=True):
+            try:
+                # By place: of radii that coincide the model has another name than the study.
+                found.append(evaluator(dict(zip(evaluator.names, map(float, point), strict=True))))
+            except Exception as error:
+                where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, point, strict=True))
+                raise RuntimeError(f"point {row} of the study ({where}): {error!r}") from error
+    return Rows.of(rows, found, figures)

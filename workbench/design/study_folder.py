@@ -1,0 +1,203 @@
+"""The folder of a study: what was asked, and every point that is finished, each file written whole or not at all.
+
+    begun.json          what was asked; a study that asks something else is refused
+    models/0.npz                the range model of a part, see `workbench.ranges.RangeModel.save`
+    models/0.pickle             the model made from it (only a folder that one trusts is to be gone on with)
+    points/00000000.npz         finished points, called after the first of them
+    points/full.00000042.npz    the full solve of a point
+
+A run that is killed at any moment goes on from here: nothing is ever half there, and what is not there is done again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import importlib.metadata
+import io
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.axes import NumberAxis
+from workbench.design.evaluation import Evaluation
+from workbench.design.parts import Part
+from workbench.design.plan import Study
+from workbench.files.errors import InputError
+from workbench.files.writing import write_atomic
+from workbench.problem import fill
+
+Real = NDArray[np.float64]
+
+#: What begun.json begins with; raise it where the layout changes.
+FORMAT = 1
+
+_BEGUN, _MODELS, _POINTS, _FULL, _LOCK = "begun.json", "models", "points", "full.", ".lock"
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Finished points: their ``index`` (k,) in the study's table, ``figures`` (k, figures) in SI, ``missing`` (k,) why
+    there are none, ``frequency`` (k,) Hz driven at, ``error`` (k,) estimated relative error of Z there."""
+
+    index: NDArray[np.int64]
+    figures: Real
+    missing: NDArray[np.str_]
+    frequency: Real
+    error: Real
+
+    @classmethod
+    def of(cls, index: Sequence[int] | NDArray[np.int64], found: Sequence[Evaluation], names: Sequence[str]) -> Rows:
+        """The evaluations of points of the table; `names` are the study's figures."""
+        return cls(
+            np.asarray(index, dtype=np.int64),
+            np.array([[each.figures[name] for name in names] for each in found], dtype=float).reshape(-1, len(names)),
+            np.array([_reasons(each) for each in found], dtype=np.str_),
+            np.array([each.frequency for each in found], dtype=float),
+            np.array([each.error for each in found], dtype=float))
+
+    @classmethod
+    def joined(cls, rows: Sequence[Rows], names: Sequence[str]) -> Rows:
+        """All of them, each once, in the order of the table."""
+        whole = [cls.of([], [], names), *rows]
+        together = cls(*(np.concatenate([getattr(each, column.name) for each in whole]) for column in fields(cls)))
+        _, order = np.unique(together.index, return_index=True)
+        return together.chosen(order)
+
+    def chosen(self, at: NDArray[np.int64]) -> Rows:
+        """Those at places (m,)."""
+        return Rows(*(getattr(self, column.name)[at] for column in fields(self)))
+
+
+def _reasons(found: Evaluation) -> str:
+    """Why figures are missing: each reason once, behind the figures it is of."""
+    reasons: dict[str, list[str]] = {}
+    for name, reason in found.missing.items():
+        reasons.setdefault(reason, []).append(name)
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in reasons.items())
+
+
+@dataclass(frozen=True)
+class StudyFolder:
+    """The folder ``path`` of a study with those ``figures``, as long as :func:`opened` holds it."""
+
+    path: Path
+    figures: tuple[str, ...]
+
+    def model(self, part: Part) -> Path:
+        """The file of the model of a part."""
+        return self.path / _MODELS / f"{part.number}.pickle"
+
+    def keep(self, rows: Rows) -> None:
+        """Put finished points on the disk; they are there when this returns."""
+        write_atomic(self.path / _POINTS / f"{rows.index[0]:08d}.npz", _packed(rows))
+
+    def keep_full(self, rows: Rows) -> None:
+        """The same for one point by a full solve."""
+        write_atomic(self.path / _POINTS / f"{_FULL}{rows.index[0]:08d}.npz", _packed(rows))
+
+    def rows(self) -> Rows:
+        """All finished points."""
+        return self._read("[0-9]*.npz")
+
+    def full_rows(self) -> Rows:
+        """All points solved in full."""
+        return self._read(f"{_FULL}*.npz")
+
+    def _read(self, pattern: str) -> Rows:
+        return Rows.joined([_unpacked(path) for path in sorted((self.path / _POINTS).glob(pattern))], self.figures)
+
+
+@contextmanager
+def opened(path: Path, study: Study, parts: Sequence[Part], *, overwrite: bool = False) -> Iterator[StudyFolder]:
+    """The folder for a study, made if need be, for this process alone; `overwrite` begins anew.
+
+    Raises:
+        InputError: the folder holds another study, another process is at work in it, or it is a file.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError(study.file, "folder", str(path), "a folder; a file is in the way")
+    path.mkdir(parents=True, exist_ok=True)
+    with (path / _LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(study.file, "folder", str(path), "a folder in which no other study is at work") from None
+        _begin(path, study, parts, overwrite=overwrite)
+        yield StudyFolder(path, study.figures)
+
+
+def _begin(path: Path, study: Study, parts: Sequence[Part], *, overwrite: bool) -> None:
+    begun, asked = path / _BEGUN, asked_of(study, parts)
+    if begun.exists() and overwrite:
+        # First: points without it are nobody's, and are cleared away below.
+        begun.unlink()
+    if begun.exists():
+        _check_same(json.loads(begun.read_text(encoding="utf-8")), asked, path, study)
+        # What a kill left of a file that was being written.
+        for stray in (*(path / _MODELS).glob(".*"), *(path / _POINTS).glob(".*")):
+            shutil.rmtree(stray)
+        return
+    for folder in (_MODELS, _POINTS):
+        shutil.rmtree(path / folder, ignore_errors=True)
+        (path / folder).mkdir()
+    write_atomic(begun, json.dumps(asked, indent=2) + "\n")
+
+
+def _check_same(begun: dict[str, str], asked: dict[str, str], path: Path, study: Study) -> None:
+    for key in {**asked, **begun}:
+        if begun.get(key) != asked.get(key):
+            raise InputError(study.file, key, asked.get(key, "nothing"), f"{begun.get(key, 'nothing')!r}, with which "
+                             f"the study in {path} was begun; choose another folder, or overwrite it (--overwrite)")
+
+
+def asked_of(study: Study, parts: Sequence[Part]) -> dict[str, str]:
+    """All that decides the table of a study, as texts by the name of what they are of."""
+    operation, sampling = study.operation, study.sampling
+    found = {
+        "format": str(FORMAT), "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
+        "study.chip": f"{study.chip.name}, {_digest(repr(replace(study.chip, file='')))}",
+        "study.states": ", ".join(study.states), "study.figures": ", ".join(study.figures),
+        "study.drive": str(operation.drive),
+        "study.frequency": "f0" if operation.frequency is None else f"{operation.frequency:.15g} Hz",
+        "study.band": f"{study.band[0]:.15g} to {study.band[1]:.15g} Hz", "study.tolerance": repr(study.tolerance),
+        "study.accuracy": repr(study.accuracy), "study.limit": str(study.limit), "sample.method": sampling.method,
+        "sample.points": str(sampling.points), "sample.seed": str(sampling.seed),
+        **{f"thermal.{region or 'all'}": f"{value:.15g} K/W" for region, value in
+           operation.thermal_resistance.items()},
+        **{f"vary.{axis.name}": _described(axis) if isinstance(axis, NumberAxis) else ", ".join(axis.materials)
+           for axis in study.axes}}
+    for part in parts:
+        held = fill(part.chip, part.state, study.registry).materials
+        found[f"materials of {part.label}"] = ", ".join(
+            f"{region}: {m.name} {_digest(repr(m))}" for region, m in sorted(held.items()))
+    return found
+
+
+def _described(axis: NumberAxis) -> str:
+    if axis.values:
+        return f"{', '.join(f'{value:.15g}' for value in axis.values)} {axis.unit}"
+    points = f", {axis.points} points" if axis.points else ""
+    return f"{axis.low:.15g} to {axis.high:.15g} {axis.unit}{points}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _packed(rows: Rows) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **{column.name: getattr(rows, column.name) for column in fields(rows)})
+    return stream.getvalue()
+
+
+def _unpacked(path: Path) -> Rows:
+    with np.load(path, allow_pickle=False) as archive:
+        return Rows(*(archive[column.name] for column in fields(Rows)))

@@ -1,0 +1,220 @@
+"""What a study found: its table, as columns, as an xarray and as files; statistics; and how far full solves differ."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.axes import Axis, NumberAxis
+from workbench.design.figures import figure
+from workbench.design.plan import Study
+from workbench.design.sampling import GRID
+from workbench.design.study_folder import Rows
+from workbench.files.writing import replacing, write_atomic
+from workbench.notebook import Shown, Summary
+
+if TYPE_CHECKING:
+    import pyarrow
+    import xarray
+
+Real = NDArray[np.float64]
+
+#: Columns of the table that are neither a parameter nor a figure.
+STATE, FREQUENCY, ERROR, MISSING = "state", "frequency", "error", "missing"
+
+#: Quantiles that a statistic states besides the median.
+LOW, HIGH = 0.05, 0.95
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A figure over the points of one state (SI): ``count`` of points that have it, of ``points``; extremes with the
+    rows of the table they are at; mean, and quantiles of 5, 50 and 95 %. NaN where no point has it."""
+
+    state: str
+    figure: str
+    points: int
+    count: int
+    lowest: float
+    low: float
+    median: float
+    high: float
+    highest: float
+    mean: float
+    lowest_row: int
+    highest_row: int
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """One ``figure`` (SI) at a ``row`` of the table: by the ``reduced`` model, and by a ``full`` solve."""
+
+    row: int
+    figure: str
+    reduced: float
+    full: float
+
+    @property
+    def difference(self) -> float:
+        """Of the reduced model from the full solve, SI."""
+        return self.reduced - self.full
+
+
+@dataclass(frozen=True, eq=False)
+class StudyResult(Shown):
+    """The table of a ``study``: ``rows`` are all of its points, ``full`` those solved in full besides."""
+
+    study: Study
+    rows: Rows
+    full: Rows
+
+    @cached_property
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """The table (n,) by column: state, what varies (numbers in SI, materials by name), figures (SI), then the
+        frequency driven at (Hz), the estimated relative error of Z there, and why figures are missing."""
+        plan = self.study
+        states, count = np.array(plan.states, dtype=np.str_), len(plan.sample)
+        found: dict[str, NDArray[Any]] = {STATE: np.repeat(states, count)}
+        for axis, column in zip(plan.axes, plan.sample.T, strict=True):
+            found[axis.name] = np.tile(_told(axis, column), len(plan.states))
+        found |= dict(zip(plan.figures, self.rows.figures.T, strict=True))
+        return {**found, FREQUENCY: self.rows.frequency, ERROR: self.rows.error, MISSING: self.rows.missing}
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """SI units of the columns that are numbers."""
+        return {**{axis.name: axis.unit for axis in self.study.numbers},
+                **{name: figure(name).unit for name in self.study.figures}, FREQUENCY: "Hz", ERROR: "1"}
+
+    @cached_property
+    def statistics(self) -> tuple[Statistic, ...]:
+        """Of every figure in every state."""
+        states = self.columns[STATE]
+        return tuple(_statistic(state, name, np.flatnonzero(states == state), self.columns[name])
+                     for state in self.study.states for name in self.study.figures)
+
+    @cached_property
+    def confirmations(self) -> tuple[Confirmation, ...]:
+        """Every figure that the reduced model or the full solve has, at every point solved in full."""
+        found = []
+        for row, solved in zip(map(int, self.full.index), self.full.figures, strict=True):
+            for name, reduced, full in zip(self.study.figures, self.rows.figures[row], solved, strict=True):
+                if not (math.isnan(reduced) and math.isnan(full)):
+                    found.append(Confirmation(row, name, float(reduced), float(full)))
+        return tuple(found)
+
+    def summary(self) -> Summary:
+        """Lowest, median and highest of every figure, for a notebook."""
+        rows: list[tuple[str, ...]] = [("figure", "state", "lowest", "median", "highest")]
+        for each in self.statistics:
+            shown = figure(each.figure)
+            numbers = (f"{value / shown.factor:.4g} {shown.shown}" for value in
+                       (each.lowest, each.median, each.highest))
+            rows.append((each.figure, each.state, *numbers))
+        return Summary(f"Study {self.study.name}, {self.study.size} points", tuple(rows))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The figures over ``state`` and, of a grid, everything that varies, otherwise over ``point``.
+
+        Units are attributes; names of coefficients have "_" for "/", which NetCDF has another use for, and their own
+        name as ``long_name``.
+        """
+        import xarray
+
+        plan = self.study
+        grid = plan.sampling.method == GRID
+        names = {name: name.replace("/", "_") for name in self.columns}
+        inner = tuple(names[axis.name] for axis in plan.axes) if grid else ("point",)
+        shape = tuple(len(axis.levels()) for axis in plan.axes) if grid else (len(plan.sample),)
+        coordinates: dict[str, Any] = {STATE: (STATE, list(plan.states))}
+        for axis, column in zip(plan.axes, plan.sample.T, strict=True):
+            attributes = {"long_name": axis.name} | ({"units": axis.unit} if isinstance(axis, NumberAxis) else {})
+            told = _told(axis, axis.levels() if grid else column)
+            coordinates[names[axis.name]] = (names[axis.name] if grid else "point",
+                                             told if isinstance(axis, NumberAxis) else list(told), attributes)
+        data: dict[str, Any] = {}
+        for name in (*plan.figures, FREQUENCY, ERROR):
+            attributes = {"units": self.units[name], "long_name": _words(name)}
+            data[name] = ((STATE, *inner), self.columns[name].reshape(len(plan.states), *shape), attributes)
+        missing = self.columns[MISSING].astype(object).reshape(len(plan.states), *shape)
+        data[MISSING] = ((STATE, *inner), missing, {"long_name": "why figures are missing"})
+        return xarray.Dataset(data, coordinates, {"study": plan.name, "chip": plan.chip.name,
+                                                  "sample": plan.sampling.method})
+
+    def to_arrow(self) -> pyarrow.Table:
+        """The table, with units in the metadata of its columns."""
+        import pyarrow
+
+        columns = {name: pyarrow.array(values.tolist() if values.dtype.kind == "U" else values)
+                   for name, values in self.columns.items()}
+        schema = pyarrow.schema([
+            pyarrow.field(name, each.type, metadata={"unit": self.units[name]} if name in self.units else None)
+            for name, each in columns.items()], metadata={"study": self.study.name, "chip": self.study.chip.name})
+        return pyarrow.table(columns, schema=schema)
+
+    def write(self, folder: Path) -> None:
+        """Write ``study.parquet``, ``study.nc`` and ``study.json`` into a folder."""
+        import pyarrow.parquet
+
+        with replacing(folder / "study.parquet") as path:
+            pyarrow.parquet.write_table(self.to_arrow(), path)
+        with replacing(folder / "study.nc") as path:
+            self.to_xarray().to_netcdf(path, engine="h5netcdf")
+        write_atomic(folder / "study.json", json.dumps(self.record(), indent=2, allow_nan=False) + "\n")
+
+    def record(self) -> dict[str, Any]:
+        """What was asked, statistics and confirmations; numbers in SI, None where there is none."""
+        plan = self.study
+        return {
+            "name": plan.name, "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
+            "chip": plan.chip.name, "states": list(plan.states), "figures": list(plan.figures),
+            "drive": str(plan.operation.drive), "frequency": plan.operation.frequency or "f0",
+            "band": list(plan.band), "tolerance": plan.tolerance, "accuracy": plan.accuracy,
+            "sample": {"method": plan.sampling.method, "points": len(plan.sample), "seed": plan.sampling.seed},
+            "varies": {axis.name: {"unit": axis.unit, "from": axis.low, "to": axis.high}
+                       if isinstance(axis, NumberAxis) else {"materials": list(axis.materials)} for axis in plan.axes},
+            "units": dict(self.units),
+            "statistics": [_without_nan(vars(each)) for each in self.statistics],
+            "confirmed": [_without_nan({**vars(each), "difference": each.difference})
+                          for each in self.confirmations],
+        }
+
+
+def _told(axis: Axis, column: Real) -> NDArray[Any]:
+    """A column of the sample as it is told: numbers, or names of materials."""
+    return column if isinstance(axis, NumberAxis) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
+
+
+def _words(name: str) -> str:
+    match name:
+        case "frequency":
+            return "frequency driven at"
+        case "error":
+            return "estimated relative error of Z there"
+        case _:
+            return figure(name).words
+
+
+def _statistic(state: str, name: str, rows: NDArray[np.int64], values: Real) -> Statistic:
+    known = rows[np.isfinite(values[rows])]
+    there = values[known]
+    if not known.size:
+        none = math.nan
+        return Statistic(state, name, rows.size, 0, none, none, none, none, none, none, -1, -1)
+    low, median, high = map(float, np.quantile(there, (LOW, 0.5, HIGH)))
+    return Statistic(
+        state, name, rows.size, known.size, float(there.min()), low, median, high, float(there.max()),
+        float(there.mean()), int(known[np.argmin(there)]), int(known[np.argmax(there)]))
+
+
+def _without_nan(record: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}

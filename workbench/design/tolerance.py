@@ -1,0 +1,290 @@
+"""Will it still work as it comes from the printer: yield, what limits it, and what to make more exactly.
+
+    found = tolerance(read_chip("chip.toml"), "filled", ["f0 within 5 kHz", "e_ac >= 20 J/m^3 at 10 Vpp"])
+    found.yields.together.sampled, found.yields.tightenings[0]
+
+Nominal figures and sensitivities are those of full solves; samples are evaluated on a model of the chip's figures over
+all that is uncertain (`workbench.design.model`), a minute or two altogether.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from materials.registry import Registry
+from workbench.design.drives import Driven, Quantity, by_drive, label_of, quantities, together
+from workbench.design.evaluation import Evaluation, Operation
+from workbench.design.figures import check_figures
+from workbench.design.model import design_model, full_evaluation
+from workbench.design.outcomes import Outcomes, evaluate
+from workbench.design.requirement import Requirement, parse_requirements
+from workbench.design.sensitivity import (
+    Sensitivities,
+    SobolIndices,
+    check_sobol,
+    names_to_ask,
+    sensitivities,
+    sobol,
+)
+from workbench.design.stated import Statement, numbers_of, stated_uncertainty
+from workbench.design.uncertainty import Uncertainty
+from workbench.design.yields import Bound, LinearModel, Yields, bound, yields
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.drive import Drive, VoltageDrive
+from workbench.files.errors import InputError
+from workbench.notebook import Shown, Summary
+from workbench.problem import fill
+
+Real = NDArray[np.float64]
+
+#: Called with what is being done and the share of it that is done.
+Progress = Callable[[str, float], None]
+
+#: Samples unless told otherwise: the interval of a yield is then at most 2.2 % to either side.
+SAMPLES = 2000
+
+#: Figures that are shown whether or not they are required.
+ALWAYS = ("f0", "z_min", "q")
+
+
+@dataclass(frozen=True)
+class ModelFacts:
+    """What the samples were evaluated on: unknowns, largest relative error of Z that full solves found, seconds taken
+    to make it, and by how much each figure differs at the mean numbers from that of full solves, relative, by label."""
+
+    rank: int
+    error: float
+    seconds: float
+    off: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance(Shown):
+    """What tolerances and uncertainties leave of a chip in a ``state``.
+
+    ``asked`` are the figures with their drives; ``frequency`` (Hz) is what it is driven at, None where the drive
+    follows f0. ``sensitivities`` are those at the mean numbers. ``outcomes`` holds the samples and their figures,
+    ``redrawn`` how many draws were not admissible, ``yields`` what became of the requirements (None without any),
+    ``sobol`` the indices if they were asked for. ``seconds`` is what all took.
+    """
+
+    chip: Chip
+    state: str
+    uncertainty: Uncertainty
+    asked: tuple[Quantity, ...]
+    drive: Drive
+    frequency: float | None
+    sensitivities: Sensitivities
+    bounds: tuple[Bound, ...]
+    seed: int
+    outcomes: Outcomes | None = None
+    redrawn: int = 0
+    yields: Yields | None = None
+    sobol: SobolIndices | None = None
+    model: ModelFacts | None = None
+    seconds: float = 0.0
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What there is to know beside the numbers, in words."""
+        found = [*self.uncertainty.notes]
+        if self.outcomes is not None:
+            if self.redrawn:
+                count = len(self.outcomes.points)
+                found.append(f"{self.redrawn} of {count + self.redrawn} draws lay beyond three standard deviations or "
+                             "where the chip or its materials cannot be, and were drawn again")
+            for label, reasons in self.outcomes.missing.items():
+                count = sum(reasons.values())
+                found.append(f"{count} of {len(self.outcomes.points)} samples have no {label} and fail what is asked "
+                             f"of it: {'; '.join(sorted(reasons))}")
+        if self.yields is not None:
+            found.append(_first_to_tighten(self.yields))
+        return tuple(found)
+
+    def summary(self) -> Summary:
+        """Yields and the first tolerance to tighten, for a notebook."""
+        rows: list[tuple[str, ...]] = [(label, f"{self.sensitivities.figures[label]:.6g}")
+                                       for label in self.sensitivities.figures]
+        if self.yields is not None:
+            rows += [(each.name, str(each.sampled)) for each in (*self.yields.each, self.yields.together)]
+            rows.append(("tighten first", _first_to_tighten(self.yields)))
+        return Summary(f"Tolerance of {self.chip.name}, {self.state}", tuple(rows))
+
+
+def _first_to_tighten(found: Yields) -> str:
+    if found.together.sampled.passed == found.together.sampled.samples:
+        return "every sample passed: no tolerance needs to be tightened"
+    best = found.tightenings[0]
+    if not best.is_clear:
+        return "no single uncertainty, halved, adds to the yield more than twice the standard error of that"
+    return (f"half the uncertainty of {best.name} would add {100.0 * best.gain:.1f} % "
+            f"(standard error {100.0 * best.error:.1f} %) to the yield")
+
+
+def tolerance(
+    chip: Chip,
+    state: str | None = None,
+    requirements: Sequence[Requirement | str] = (),
+    *,
+    uncertainty: Uncertainty | Sequence[Statement | str] = (),
+    figures: Sequence[str] = (),
+    drive: Drive | None = None,
+    thermal_resistance: Mapping[str, float] | None = None,
+    tracking: bool = True,
+    samples: int = SAMPLES,
+    sobol_points: int = 0,
+    every: bool = False,
+    seed: int = 0,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+    model_tolerance: float = 1e-3,
+    progress: Progress | None = None,
+) -> Tolerance:
+    """Sensitivities, and with `requirements` the yield, of a chip whose numbers are uncertain.
+
+    Args:
+        requirements: sentences as of `workbench.design.requirement`.
+        uncertainty: all of it, or what to say beyond chip file and registry (`workbench.design.stated`).
+        figures: further figures to look at.
+        drive: of figures for which a requirement states none, 10 Vpp by default.
+        thermal_resistance: K/W by region, for heating; "" for all regions not named.
+        tracking: whether the drive follows f0 of each sample, as a bench does, or stays at f0 of the chip as stated.
+        samples: of the yield.
+        sobol_points: a power of two, for Sobol indices by so many evaluations times the inputs plus two; 0 for none.
+        every: ask for sensitivities to all numbers, also those whose uncertainty nobody states (by 1 % of them).
+        seed: of all samples.
+        model_tolerance: relative error of the impedance of the model that samples are evaluated on.
+
+    Raises:
+        InputError: a requirement or an uncertainty that cannot be used, nothing uncertain, or a chip that has not the
+            figure that is required of it.
+        NotCovered: no model could be made over what is uncertain.
+    """
+    started = time.perf_counter()
+    say = progress or (lambda text, done: None)
+    device = fill(chip, state, registry)
+    known = uncertainty if isinstance(uncertainty, Uncertainty) else stated_uncertainty(
+        chip, state, registry=registry, statements=uncertainty)
+    required = _required(requirements, chip)
+    extra = check_figures(figures, chip.regions, source=chip.file, field="figures")
+    drive = drive or VoltageDrive()
+    asked = quantities(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
+    check(known, required, samples, sobol_points, chip, source="tolerance")
+    say("full solves", 0.0)
+    full = _Full(chip, state, asked, Operation(thermal_resistance=thermal_resistance or {}), registry, band, accuracy)
+    if not tracking:
+        full = replace(full, operation=replace(full.operation, frequency=full.resonance(known.nominal())))
+    names = names_to_ask(known, list(numbers_of(device)), every=every)
+    nominal = full.evaluation({**{name: numbers_of(device)[name] for name in names}, **known.nominal()}, gradient=True)
+    bounds = tuple(_bound(each, asked, drive, nominal, chip) for each in required)
+    found = Tolerance(chip, device.state.name, known, asked, drive, full.operation.frequency,
+                      sensitivities(nominal, known), bounds, seed)
+    if known.inputs and (bounds or sobol_points):
+        found = _sampled(found, full, samples if bounds else 0, sobol_points, model_tolerance, say,
+                         known.ranges(numbers_of(device)))
+    return replace(found, seconds=time.perf_counter() - started)
+
+
+def _required(requirements: Sequence[Requirement | str], chip: Chip) -> tuple[Requirement, ...]:
+    texts = [each for each in requirements if isinstance(each, str)]
+    parsed = iter(parse_requirements(texts, chip.regions, source="requirements", field="requirement"))
+    return tuple(next(parsed) if isinstance(each, str) else each for each in requirements)
+
+
+def check(
+    known: Uncertainty, required: Sequence[Requirement], samples: int, sobol_points: int, chip: Chip, *,
+    source: str = "command line", names: tuple[str, str] = ("samples", "sobol_points"),
+) -> None:
+    """Refuse what :func:`tolerance` cannot do, before anything is solved; `names` are those of the two counts.
+
+    Raises:
+        InputError: nothing uncertain, no sample, or Sobol indices that are not defined.
+    """
+    if samples < 1:
+        raise InputError(source, names[0], samples, "one sample at least")
+    if required and not known.inputs:
+        raise InputError(chip.file, "uncertainty", "nothing", 'something uncertain: a tolerance in the chip file, an '
+                         'uncertainty in the registry, or a word such as "substrate.thickness = 20 um"')
+    if sobol_points:
+        check_sobol(known, sobol_points, source=source, field=names[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Full:
+    """Full solves of one chip at the drives of what is asked."""
+
+    chip: Chip
+    state: str | None
+    asked: tuple[Quantity, ...]
+    operation: Operation
+    registry: Registry | None
+    band: tuple[float, float] | None
+    accuracy: float | Discretisation
+
+    def evaluation(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
+        """The figures by label."""
+        return together([(mine, full_evaluation(
+            self.chip, self.state, values, figures=[each.figure.name for each in mine],
+            operation=replace(self.operation, drive=mine[0].drive), registry=self.registry, band=self.band,
+            gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.asked)])
+
+    def resonance(self, values: Mapping[str, float]) -> float:
+        """f0 (Hz).
+
+        Raises:
+            InputError: there is none.
+        """
+        found = full_evaluation(self.chip, self.state, values, figures=("f0",), registry=self.registry, band=self.band,
+                                accuracy=self.accuracy)
+        if not math.isfinite(found.figures["f0"]):
+            raise InputError(self.chip.file, "f0", found.missing.get("f0", "none"), "a chip that resonates in the "
+                             "band, at whose f0 it can be driven")
+        return found.figures["f0"]
+
+
+def _bound(each: Requirement, asked: Sequence[Quantity], drive: Drive, nominal: Evaluation, chip: Chip) -> Bound:
+    label = label_of(each, asked, drive)
+    if label in nominal.missing or not math.isfinite(nominal.figures[label]):
+        raise InputError(chip.file, f'requirement "{each.text}"', nominal.missing.get(label, "no such figure"),
+                         f"a chip that as stated has the figure {each.figure.name}")
+    return bound(each, label, nominal.figures[label])
+
+
+def _sampled(
+    found: Tolerance, full: _Full, samples: int, sobol_points: int, model_tolerance: float, say: Progress,
+    ranges: Mapping[str, tuple[float, float]],
+) -> Tolerance:
+    """`found` with samples and yields, and with Sobol indices if asked for."""
+    known = found.uncertainty
+    names = tuple(dict.fromkeys(each.figure.name for each in found.asked))
+    started = time.perf_counter()
+    made = design_model(full.chip, full.state, ranges, figures=names, operation=full.operation, registry=full.registry,
+                        band=full.band, tolerance=model_tolerance, accuracy=full.accuracy, seed=found.seed,
+                        progress=lambda done: say("range model", done))
+    spent = time.perf_counter() - started
+    model = Driven(made, found.asked, full.operation)
+    there = model(known.nominal()).figures
+    nominal = found.sensitivities.figures
+    off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}
+    found = replace(found, model=ModelFacts(made.bases.operating.size, made.error, spent, off))
+    if samples:
+        drawn = known.draw(samples, found.seed)
+        outcomes = evaluate(model, known, drawn.points, progress=lambda done: say("samples", done))
+        at = [found.sensitivities.names.index(name) for name in known.names]
+        linear = LinearModel(known.means, nominal,
+                             {label: slopes[at] for label, slopes in found.sensitivities.gradient.items()})
+        found = replace(found, outcomes=outcomes, redrawn=drawn.redrawn, yields=yields(
+            found.bounds, known, drawn.points, {label: outcomes.column(label) for label in outcomes.figures}, linear,
+            seed=found.seed))
+    if sobol_points:
+        found = replace(found, sobol=sobol(model, known, sobol_points, seed=found.seed,
+                                           progress=lambda done: say("Sobol indices", done)))
+    return found

@@ -1,0 +1,233 @@
+"""Tolerances of a chip as tables, records and files."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.design.figures import Figure
+from workbench.design.sensitivity import SHARE
+from workbench.design.tolerance import Tolerance
+from workbench.design.uncertainty import CUT, Input
+from workbench.design.yields import CONFIDENCE, RequirementYield, Share
+from workbench.files.writing import replacing
+from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
+from workbench.parameter_names import Kind, ParameterName
+from workbench.report.page import Table, number
+
+#: Units in which changes are told where those of the figure itself are too large, and what one is in SI.
+OF_CHANGES = {"MHz": ("kHz", 1e3)}
+
+
+def change_unit(figure: Figure) -> tuple[str, float]:
+    """The unit in which changes of a figure are told, and what one of it is in SI."""
+    return OF_CHANGES.get(figure.shown, (figure.shown, figure.factor))
+
+
+def shown(figure: Figure, value: float, digits: int = 4) -> str:
+    """A figure (SI) with its unit."""
+    return f"{number(value / figure.factor, digits)} {figure.shown}".strip()
+
+
+def _unit(name: str) -> str:
+    """SI unit of a number by its name."""
+    parsed = ParameterName.parse(name)
+    return "m" if parsed.kind is Kind.DIMENSION else UNITS.get(parsed.key.rpartition(".")[2], "")
+
+
+def amount(name: str, value: float) -> str:
+    """A change of a number (SI) with its unit: of lengths in micrometres."""
+    unit = _unit(name)
+    if unit == "m":
+        return f"{value * 1e6:.3g} um"
+    return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()
+
+
+def law_in_words(each: Input) -> str:
+    """How uncertain a number is: limits of a uniform law, or a standard uncertainty."""
+    if each.law == "uniform":
+        return f"within {amount(each.name, each.half_width)}"
+    return f"standard uncertainty {amount(each.name, each.deviation)}"
+
+
+def figures_table(found: Tolerance) -> Table:
+    """Every figure as stated, its standard uncertainty to first order, and where 95 % of the samples lie."""
+    sampled = found.outcomes
+    rows = []
+    for each in found.asked:
+        nominal = found.sensitivities.figures[each.label]
+        unit, factor = change_unit(each.figure)
+        spread = (found.sensitivities.deviation(each.label, found.uncertainty) / factor if found.uncertainty.inputs
+                  else math.nan)
+        middle = ""
+        if sampled is not None and np.isfinite(sampled.column(each.label)).any():
+            low, high = np.nanquantile(sampled.column(each.label), (0.025, 0.975)) / each.figure.factor
+            middle = f"{number(low, 5)} to {number(high, 5)} {each.figure.shown}".strip()
+        rows.append((each.label, shown(each.figure, nominal, 6), f"{number(spread, 3)} {unit}".strip()
+                     if math.isfinite(spread) else "", middle))
+    return Table(("figure", "as stated", "standard uncertainty", "95 % of samples"), tuple(rows))
+
+
+def _per_cent(value: float, *, signed: bool = False) -> str:
+    # Zero has no sign.
+    rounded = round(100.0 * value, 1) + 0.0
+    return f"{rounded:+.1f} %" if signed else f"{rounded:.1f} %"
+
+
+def yields_table(found: Tolerance) -> Table:
+    """The yield of every requirement and of all together, sampled and linear."""
+    assert found.yields is not None
+    rows = []
+    for each in (*found.yields.each, found.yields.together):
+        nominal = "" if each.bound is None else shown(each.bound.requirement.figure, each.bound.nominal)
+        rows.append((each.name, nominal, _per_cent(each.sampled.value),
+                     f"{100.0 * each.sampled.low:.1f} to {100.0 * each.sampled.high:.1f} %", _per_cent(each.linear),
+                     f"{_per_cent(each.difference, signed=True)} (standard error {_per_cent(each.difference_error)})",
+                     str(each.missing) if each.missing else ""))
+    return Table(("requirement", "as stated", "yield", f"{CONFIDENCE:.0%} interval", "linear estimate",
+                  "sampled less linear", "no figure"), tuple(rows))
+
+
+def tightening_table(found: Tolerance) -> Table:
+    """What half of each uncertainty would add to the yield of all requirements together."""
+    assert found.yields is not None
+    inputs = {each.name: each for each in found.uncertainty.inputs}
+    return Table(("halve the uncertainty of", "now", "adds to the yield", "standard error", "linear estimate"), tuple(
+        (each.name, law_in_words(inputs[each.name]), _per_cent(each.gain, signed=True),
+         _per_cent(each.error), _per_cent(each.linear, signed=True)) for each in found.yields.tightenings))
+
+
+def sensitivities_table(found: Tolerance) -> Table:
+    """How far each number moves each figure, by its standard uncertainty or by one per cent, largest first in the first
+    figure."""
+    known = found.sensitivities
+    heads = [f"{each.label} ({change_unit(each.figure)[0]})" if each.figure.shown else each.label
+             for each in found.asked]
+    changes = {each.label: known.changes(each.label) / change_unit(each.figure)[1] for each in found.asked}
+    rows = []
+    for k in known.ranked(found.asked[0].label):
+        name, step = known.names[k], known.steps[k]
+        told = amount(name, step) if known.stated[k] else f"{amount(name, step)} ({SHARE:.0%}, none stated)"
+        rows.append((name, told, *(f"{changes[each.label][k]:+.3g}" if math.isfinite(changes[each.label][k]) else "none"
+                                   for each in found.asked)))
+    return Table(("number", "grows by", *heads), tuple(rows))
+
+
+def inputs_table(found: Tolerance) -> Table:
+    """What is uncertain, by how much, and who says so."""
+    rows = []
+    for each in found.uncertainty.inputs:
+        unit = _unit(each.name)
+        rows.append((each.name, f"{each.mean * shown_factor(unit):.6g} {shown_unit(unit)}".strip(), law_in_words(each),
+                     each.law, each.origin))
+    return Table(("number", "mean", "uncertainty", "law", "stated by"), tuple(rows))
+
+
+def sobol_table(found: Tolerance) -> Table:
+    """First and total order indices of every figure, with the ends of their intervals."""
+    assert found.sobol is not None
+    indices, rows = found.sobol, []
+    for row, label in enumerate(indices.figures):
+        for column in np.argsort(-np.nan_to_num(indices.total[row], nan=-1.0), kind="stable"):
+            cells = [f"{values[row, column]:.3f} ({low[row, column]:.3f} to {high[row, column]:.3f})"
+                     if math.isfinite(values[row, column]) else "none"
+                     for values, low, high in ((indices.first, indices.first_low, indices.first_high),
+                                               (indices.total, indices.total_low, indices.total_high))]
+            rows.append((label, indices.names[column], *cells))
+    return Table(("figure", "number", "alone (first order)", "with all others (total)"), tuple(rows))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Files.
+
+
+def tolerance_record(found: Tolerance) -> dict[str, Any]:
+    """Everything but the samples, for a JSON file; SI."""
+    known = found.sensitivities
+    record: dict[str, Any] = {
+        "chip": found.chip.name, "state": found.state, "drive": str(found.drive),
+        "frequency_hz": found.frequency, "tracking": found.frequency is None, "seed": found.seed,
+        "uncertainty": {
+            "normal_laws_cut_at_standard_deviations": CUT,
+            "inputs": [{"name": each.name, "tied": list(each.tied), "mean": each.mean,
+                        "standard_uncertainty": each.deviation, "law": each.law, "low": each.low, "high": each.high,
+                        "origin": each.origin} for each in found.uncertainty.inputs],
+            "correlation": found.uncertainty.correlation.tolist(), "notes": list(found.uncertainty.notes)},
+        "figures": {each.label: {"nominal": _finite(known.figures[each.label]), "unit": each.figure.unit,
+                                 "standard_uncertainty": _finite(known.deviation(each.label, found.uncertainty))
+                                 if found.uncertainty.inputs else None,
+                                 "drive": str(each.drive)} for each in found.asked},
+        "sensitivities": {
+            "names": list(known.names), "steps": known.steps.tolist(), "stated": list(known.stated),
+            "gradient": {label: [_finite(x) for x in slopes] for label, slopes in known.gradient.items()}},
+        "findings": list(found.findings), "wall_seconds": found.seconds,
+    }
+    if found.model is not None:
+        record["model"] = {"unknowns": found.model.rank, "largest_relative_error": found.model.error,
+                           "wall_seconds": found.model.seconds,
+                           "relative_difference_from_full_solves": {k: _finite(v) for k, v in found.model.off.items()}}
+    if found.outcomes is not None and found.yields is not None:
+        record["samples"] = {"count": len(found.outcomes.points), "redrawn": found.redrawn,
+                             "largest_estimated_error": _finite(found.outcomes.error),
+                             "missing": {label: dict(why) for label, why in found.outcomes.missing.items()}}
+        record["yield"] = {
+            "confidence": CONFIDENCE, "interval": "Clopper-Pearson",
+            "requirements": [_yield_record(each) for each in found.yields.each],
+            "together": _yield_record(found.yields.together),
+            "half_the_uncertainty": [{"name": each.name, "gain": each.gain, "standard_error": each.error,
+                                      "linear": each.linear} for each in found.yields.tightenings]}
+    if found.sobol is not None:
+        record["sobol"] = {
+            "evaluations": found.sobol.evaluations, "figures": list(found.sobol.figures),
+            "names": list(found.sobol.names),
+            **{name: [[_finite(x) for x in row] for row in getattr(found.sobol, name)]
+               for name in ("first", "first_low", "first_high", "total", "total_low", "total_high")}}
+    return record
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _yield_record(each: RequirementYield) -> dict[str, Any]:
+    limits = {} if each.bound is None else {
+        "figure": each.bound.label, "low": _finite(each.bound.low), "high": _finite(each.bound.high),
+        "nominal": each.bound.nominal}
+    return {"requirement": each.name, **limits, **_share_record(each.sampled), "linear": each.linear,
+            "sampled_less_linear": each.difference, "standard_error_of_that": each.difference_error,
+            "without_figure": each.missing}
+
+
+def _share_record(found: Share) -> dict[str, Any]:
+    return {"yield": found.value, "low": found.low, "high": found.high, "passed": found.passed,
+            "samples": found.samples}
+
+
+def write_samples(found: Tolerance, path: Path) -> Path:
+    """Every sample as a row of a Parquet file: numbers and figures (SI), and whether it met each requirement.
+
+    Raises:
+        ValueError: there are no samples.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    if found.outcomes is None:
+        raise ValueError("a tolerance without requirements has no samples")
+    columns: dict[str, NDArray[Any]] = {each.name: found.outcomes.points[:, k]
+                                        for k, each in enumerate(found.uncertainty.inputs)}
+    columns |= {each.label: found.outcomes.column(each.label) for each in found.asked}
+    columns |= {f"met: {each.requirement.text}": each.met(found.outcomes.column(each.label)) for each in found.bounds}
+    units = {each.name: _unit(each.name) for each in found.uncertainty.inputs}
+    units |= {each.label: each.figure.unit for each in found.asked}
+    table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
+    table = table.cast(pyarrow.schema([
+        pyarrow.field(field.name, field.type, metadata={"unit": units[field.name]} if units.get(field.name) else None)
+        for field in table.schema]))
+    with replacing(path) as whole:
+        parquet.write_table(table, whole)
+    return path

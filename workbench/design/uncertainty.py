@@ -1,0 +1,247 @@
+"""What is uncertain of a chip, as one value: numbers with their laws and correlations, samples and ranges of them.
+
+A tolerance is a limit: a length is anywhere within it, each value as likely as the other (GUM, JCGM 100:2008, 4.3.7:
+its standard uncertainty is the limit over the root of three), or normal with the limits at three standard deviations.
+What a registry or a fit calls an uncertainty is a standard uncertainty of a normal law. Normal laws are cut at
+:data:`CUT` standard deviations, and where matter or the chip ends; what falls outside is drawn again, and counted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from materials.kinds import IsotropicSolid, Piezoelectric
+from materials.passivity import smallest_dissipation
+from workbench.files.errors import InputError
+from workbench.parameter_names import Kind, ParameterName, placed
+
+Real = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Law = Literal["uniform", "normal"]
+
+#: Standard deviations at which a normal law is cut, and from which the limits of a tolerance are read as one. Doubled,
+#: range models would have to cover twice the width, for one sample in four hundred of each input.
+CUT = 3.0
+
+#: A draw of which fewer than this share lies where the chip can be is refused: its law is not what was meant.
+LEAST_ACCEPTED = 0.01
+
+#: Lossless rounding: what the smallest eigenvalue of a dissipation matrix may lack, relative to the stiffness.
+ARITHMETIC = 1e-12
+
+
+@dataclass(frozen=True)
+class Input:
+    """One uncertain number (SI), called as in `workbench.parameter_names`.
+
+    ``deviation`` is its standard uncertainty, before the law is cut to ``low`` to ``high``; ``origin`` says where that
+    comes from; ``tied`` are other names of the same length.
+    """
+
+    name: str
+    mean: float
+    deviation: float
+    law: Law
+    low: float
+    high: float
+    origin: str
+    tied: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (self.deviation > 0.0 and self.low <= self.mean <= self.high and self.low < self.high):
+            raise ValueError(f"{self.name}: {self.mean:g} +- {self.deviation:g} within {self.low:g} to {self.high:g}")
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the law before it is cut: its limits, or :data:`CUT` standard deviations."""
+        return (math.sqrt(3.0) if self.law == "uniform" else CUT) * self.deviation
+
+    def halved_weights(self, values: Real) -> Real:
+        """Weights (n,) of samples `values` (n,), mean 1 over the law, that make them samples of half its uncertainty.
+
+        Of a uniform law the inner half of the limits is left. A normal one is weighed as if the number were measured
+        once more, so well that half of its uncertainty is left: what is correlated with it becomes narrower too.
+        """
+        off = (values - self.mean) / self.deviation
+        if self.law == "uniform":
+            return np.where(np.abs(off) <= 0.5 * math.sqrt(3.0), 2.0, 0.0)
+        return 2.0 * np.exp(-1.5 * off**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples (n, inputs) of uncertain numbers (SI), and how many were drawn again since they were not admissible."""
+
+    points: Real
+    redrawn: int
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Uncertain numbers together.
+
+    ``correlation`` (k, k) in the order of ``inputs``, between normal laws alone; ``materials`` those with uncertain
+    losses, by name, which no sample makes more active than they are; ``notes`` what was left out, in words.
+    """
+
+    inputs: tuple[Input, ...]
+    correlation: Real
+    materials: Mapping[str, Piezoelectric | IsotropicSolid] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        size = len(self.inputs)
+        if self.correlation.shape != (size, size):
+            raise ValueError(f"a correlation of {self.correlation.shape} for {size} inputs")
+        mixed = [each.name for each in self.correlated if each.law != "normal"]
+        if mixed:
+            raise ValueError(f"{', '.join(mixed)}: only normal laws can be correlated")
+
+    @classmethod
+    def independent(cls, inputs: Sequence[Input]) -> Uncertainty:
+        """Inputs that have nothing to do with each other."""
+        return cls(tuple(inputs), np.eye(len(inputs)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(each.name for each in self.inputs)
+
+    @property
+    def means(self) -> Real:
+        """(k,) SI."""
+        return np.array([each.mean for each in self.inputs])
+
+    @property
+    def deviations(self) -> Real:
+        """Standard uncertainties (k,), SI."""
+        return np.array([each.deviation for each in self.inputs])
+
+    @property
+    def covariance(self) -> Real:
+        """(k, k) SI, of the laws before they are cut."""
+        return self.deviations[:, None] * self.correlation * self.deviations
+
+    @property
+    def correlated(self) -> tuple[Input, ...]:
+        """The inputs that are correlated with another one."""
+        others = np.any(np.abs(self.correlation - np.eye(len(self.inputs))) > 0.0, axis=1)
+        return tuple(each for each, is_one in zip(self.inputs, others, strict=True) if is_one)
+
+    def nominal(self) -> dict[str, float]:
+        """The mean (SI) of every input."""
+        return {each.name: each.mean for each in self.inputs}
+
+    def values(self, point: Real) -> dict[str, float]:
+        """One sample (k,) as numbers by name."""
+        return dict(zip(self.names, map(float, point), strict=True))
+
+    def ranges(self, present: Mapping[str, float] | None = None) -> dict[str, tuple[float, float]]:
+        """Lowest and highest number (SI) of every input, wide enough for the chip's `present` numbers too."""
+        known = present or {}
+        return {each.name: (min(each.low, known.get(each.name, each.low)),
+                            max(each.high, known.get(each.name, each.high))) for each in self.inputs}
+
+    def without(self, names: Sequence[str]) -> Uncertainty:
+        """The same with the numbers called `names` at their means."""
+        kept = [k for k, each in enumerate(self.inputs) if each.name not in names]
+        return replace(self, inputs=tuple(self.inputs[k] for k in kept),
+                       correlation=self.correlation[np.ix_(kept, kept)])
+
+    def draw(self, count: int, seed: int = 0) -> Samples:
+        """`count` samples; those outside of what is admissible are drawn again as a whole, which keeps the law.
+
+        Raises:
+            InputError: hardly any draw is admissible (:data:`LEAST_ACCEPTED`).
+        """
+        generator = np.random.default_rng(seed)
+        root = _root(self.correlation)
+        found = np.empty((0, len(self.inputs)))
+        drawn = 0
+        while len(found) < count:
+            scores = generator.standard_normal((count, len(self.inputs))) @ root.T
+            points = self._placed(scores, generator)
+            good = points[self._admissible(points)]
+            # What is drawn beyond the last one that is needed was never looked at.
+            needed = count - len(found)
+            drawn += count if len(good) <= needed else 1 + int(np.flatnonzero(self._admissible(points))[needed - 1])
+            found = np.concatenate([found, good[:needed]])
+            if drawn > 2 * count and len(found) < LEAST_ACCEPTED * drawn:
+                raise InputError("uncertainty", "laws", f"{len(found)} of {drawn} draws are admissible",
+                                 "uncertainties that leave the chip a chip and its materials passive: smaller ones")
+        return Samples(found, drawn - count)
+
+    def _placed(self, scores: Real, generator: np.random.Generator) -> Real:
+        """Samples (n, k) of normal `scores` (n, k); uniform laws draw their own."""
+        points = self.means + self.deviations * scores
+        for k, each in enumerate(self.inputs):
+            if each.law == "uniform":
+                points[:, k] = each.mean + each.half_width * generator.uniform(-1.0, 1.0, len(points))
+        return points
+
+    def _admissible(self, points: Real) -> Bools:
+        low, high = (np.array([getattr(each, end) for each in self.inputs]) for end in ("low", "high"))
+        inside = np.all((points >= low) & (points <= high), axis=1)
+        for name, material in self.materials.items():
+            own = {each.name: k for k, each in enumerate(self.inputs) if ParameterName.parse(each.name).owner == name}
+            known = {f"{name}.{key}": value for key, value in material.parameters().items()}
+            floor = min(0.0, smallest_dissipation(material)) - ARITHMETIC * max(abs(v) for v in known.values())
+            for row in np.flatnonzero(inside):
+                numbers = placed(known, {key: float(points[row, k]) for key, k in own.items()})
+                changed: dict[str, Any] = {key.removeprefix(f"{name}."): number for key, number in numbers.items()}
+                changed["density"] = changed["density"].real
+                inside[row] = smallest_dissipation(replace(material, **changed)) >= floor
+        return inside
+
+
+def _root(correlation: Real) -> Real:
+    """A matrix whose product with its transpose is `correlation`, which may be singular."""
+    values, vectors = np.linalg.eigh(correlation)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def limits(name: str, mean: float) -> tuple[float, float]:
+    """Lowest and highest number (SI) that a coefficient may have in matter that exists: a modulus is above zero, a loss
+    takes energy up. Coefficients that couple two motions may have either sign."""
+    parsed = ParameterName.parse(name)
+    if parsed.kind is Kind.DIMENSION:
+        return 0.0, math.inf
+    coefficient = parsed.key.rpartition(".")[2]
+    if coefficient in ("c12", "c13", "e31", "e33", "e15"):
+        return -math.inf, math.inf
+    if not parsed.is_loss:
+        return 0.0, math.inf
+    return (min(0.0, mean), math.inf) if coefficient.startswith("eps") else (-math.inf, max(0.0, mean))
+
+
+def from_limits(
+    name: str, mean: float, half_width: float, law: Law, *, origin: str, ends: tuple[float, float] | None = None,
+    tied: tuple[str, ...] = (),
+) -> Input:
+    """A number within `half_width` of its `mean`, uniformly or as of :data:`CUT` standard deviations of a normal law.
+
+    Args:
+        ends: how far the number may be moved at all, beyond what :func:`limits` says.
+
+    Raises:
+        InputError: a number that may be zero, or of the other sign, and must not.
+    """
+    deviation = half_width / (math.sqrt(3.0) if law == "uniform" else CUT)
+    least, most = limits(name, mean)
+    low, high = mean - half_width, mean + half_width
+    if least == 0.0 < mean and low <= 0.0 and not ParameterName.parse(name).is_loss:
+        raise InputError(origin, name, f"{mean:g} within {half_width:g}", "limits of the number, or three standard "
+                         "deviations, that leave it above zero")
+    further = (least, most) if ends is None else (max(least, ends[0]), min(most, ends[1]))
+    return Input(name, mean, deviation, law, max(low, further[0]), min(high, further[1]), origin, tied)
+
+
+def from_standard(name: str, mean: float, deviation: float, *, origin: str, ends: tuple[float, float] | None = None,
+                  tied: tuple[str, ...] = ()) -> Input:
+    """A number of normal law with a standard uncertainty; see :func:`from_limits`."""
+    return from_limits(name, mean, CUT * deviation, "normal", origin=origin, ends=ends, tied=tied)

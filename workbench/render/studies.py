@@ -1,0 +1,227 @@
+"""Pictures of a study: parallel coordinates, a figure over each parameter, and over each pair of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.render.canvas import PLAIN_COLOURS, new_figure, save
+from workbench.render.fits import PANELS_ACROSS
+from workbench.render.plots import LINE_COLOURS, tidy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Real = NDArray[np.float64]
+
+#: Lines of a picture of parallel coordinates: more hide each other.
+MOST_LINES = 1500
+
+#: Columns with no more different values than this are drawn value by value, others in bins.
+FEW_VALUES = 12
+
+#: Bins along an axis: a bin of a pair holds some five points on average, within these limits.
+POINTS_IN_BIN, FEWEST_BINS, MOST_BINS = 5, 4, 24
+
+#: Parameters in a picture of pairs: more would be too small to read.
+MOST_IN_PAIRS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Something that varied, or a figure: its ``label`` with the unit, ``values`` (n,) in that; or, where there are
+    ``words``, their numbers in that list."""
+
+    label: str
+    values: Real
+    words: tuple[str, ...] = ()
+
+    @property
+    def few(self) -> Real:
+        """Its different values where they are few; empty otherwise."""
+        found = np.unique(self.values[np.isfinite(self.values)])
+        return found if len(found) <= FEW_VALUES else np.zeros(0)
+
+    def edges(self, points_in_bin: int, dimensions: int) -> Real:
+        """Ends of bins that hold about so many points on average where there are that many dimensions."""
+        few = self.few
+        if len(few) > 1:
+            middles = 0.5 * (few[1:] + few[:-1])
+            return np.concatenate([[2.0 * few[0] - middles[0]], middles, [2.0 * few[-1] - middles[-1]]])
+        count = round((len(self.values) / points_in_bin) ** (1.0 / dimensions))
+        low, high = float(np.nanmin(self.values)), float(np.nanmax(self.values))
+        if low == high:
+            # One value only: a bin about it.
+            low, high = low - 0.5, high + 0.5
+        return np.linspace(low, high, min(max(count, FEWEST_BINS), MOST_BINS) + 1)
+
+
+def draw_parallel(columns: Sequence[Column], colour: Column, path: Path, *, title: str = "") -> Path:
+    """Every point as a line across one axis for each column, coloured by `colour`. Writes `path`.
+
+    Of many points :data:`MOST_LINES`, evenly taken; points that have no colour are left out, and lines end where a
+    figure is missing.
+    """
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import Normalize
+
+    known = np.flatnonzero(np.isfinite(colour.values))
+    shown = known[np.unique(np.linspace(0, known.size - 1, min(known.size, MOST_LINES)).astype(int))]
+    figure = new_figure(max(6.0, 1.45 * len(columns) + 1.2), 5.0)
+    axes = figure.subplots()
+    norm = Normalize(*_ends(colour.values))
+    ends = [_ends(column.values) for column in columns]
+    heights = np.stack([(column.values[shown] - low) / (high - low)
+                        for column, (low, high) in zip(columns, ends, strict=True)], axis=1)
+    lines = LineCollection([np.column_stack([np.arange(len(columns)), each]) for each in heights],
+                           colors=colormaps[PLAIN_COLOURS](norm(colour.values[shown])), linewidths=0.7,
+                           alpha=min(1.0, max(0.15, 60.0 / max(shown.size, 1))))
+    axes.add_collection(lines)
+    for place, (column, (low, high)) in enumerate(zip(columns, ends, strict=True)):
+        axes.axvline(place, color="#404040", linewidth=0.9)
+        marks = [(float(k), _broken(word)) for k, word in enumerate(column.words)]
+        marks = marks or [(end, f"{end:.4g}") for end in (low, high)]
+        for value, text in marks:
+            height = (value - low) / (high - low)
+            axes.annotate(text, (place, height), (3, 4 if height > 0.5 else -10), textcoords="offset points",
+                          fontsize=7)
+    axes.set_xlim(-0.3, len(columns) - 0.3)
+    axes.set_ylim(-0.08, 1.08)
+    axes.set_xticks(range(len(columns)), [_broken(column.label) for column in columns], fontsize=8)
+    axes.set_yticks([])
+    axes.spines[:].set_visible(False)
+    axes.set_title(title)
+    figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), ax=axes, label=colour.label, pad=0.02)
+    figure.tight_layout()
+    return save(figure, path)
+
+
+def draw_slices(parameters: Sequence[Column], found: Column, path: Path, *, title: str = "") -> Path:
+    """A figure over each parameter, all points as dots, with the median and the range of 5 to 95 % of those that lie
+    near. Writes `path`."""
+    rows = math.ceil(len(parameters) / PANELS_ACROSS)
+    across = min(PANELS_ACROSS, len(parameters))
+    figure = new_figure(3.4 * across + 0.6, 2.8 * rows + 0.4)
+    panels = figure.subplots(rows, across, squeeze=False, sharey=True)
+    for axes, parameter in zip(panels.flat, parameters, strict=False):
+        axes.plot(parameter.values, found.values, linestyle="", marker="o", markersize=2.0, alpha=0.25,
+                  markeredgewidth=0.0, color=LINE_COLOURS[5], rasterized=True)
+        where, low, middle, high = _quantiles(parameter, found)
+        if where.size > 1 and not parameter.words:
+            axes.fill_between(where, low, high, color=LINE_COLOURS[0], alpha=0.18, linewidth=0.0)
+            axes.plot(where, middle, color=LINE_COLOURS[0], linewidth=1.6)
+        else:
+            axes.errorbar(where, middle, [middle - low, high - middle], color=LINE_COLOURS[0], linestyle="",
+                          marker="o", capsize=4.0)
+        _label(axes, parameter, "x")
+        tidy(axes)
+    for axes in panels.flat[len(parameters):]:
+        axes.set_visible(False)
+    for row in panels:
+        row[0].set_ylabel(found.label)
+    figure.suptitle(title)
+    figure.tight_layout()
+    return save(figure, path)
+
+
+def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title: str = "") -> Path:
+    """A figure over every pair of parameters, the mean over all points that lie near. Writes `path`.
+
+    Raises:
+        ValueError: fewer than two parameters, or more than :data:`MOST_IN_PAIRS`.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    if not 2 <= len(parameters) <= MOST_IN_PAIRS:
+        raise ValueError(f"{len(parameters)} parameters; pairs are drawn of 2 to {MOST_IN_PAIRS}")
+    size = len(parameters) - 1
+    figure = new_figure(2.3 * size + 2.4, 2.1 * size + 1.2)
+    figure.set_layout_engine("constrained")
+    panels = figure.subplots(size, size, squeeze=False, sharex="col", sharey="row")
+    means = {(i, j): _mean_over(parameters[j], parameters[i], found)
+             for i in range(1, len(parameters)) for j in range(i)}
+    every = np.concatenate([each[2].ravel() for each in means.values()])
+    norm = Normalize(*_ends(every))
+    for (i, j), (along_x, along_y, mean) in means.items():
+        axes = panels[i - 1, j]
+        axes.pcolormesh(along_x, along_y, mean.T, norm=norm, cmap=PLAIN_COLOURS)
+        if i == size:
+            _label(axes, parameters[j], "x")
+        if j == 0:
+            _label(axes, parameters[i], "y")
+    for row in range(size):
+        for axes in panels[row, row + 1:]:
+            axes.set_visible(False)
+    figure.suptitle(title)
+    figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), ax=panels, label=found.label, fraction=0.05, pad=0.02)
+    return save(figure, path)
+
+
+def most_telling(parameters: Sequence[Column], found: Column, count: int = MOST_IN_PAIRS) -> tuple[Column, ...]:
+    """The parameters, in their order, whose near points' medians of a figure differ most; all if they are few."""
+    def spread(parameter: Column) -> float:
+        _, _, middle, _ = _quantiles(parameter, found)
+        return float(np.ptp(middle)) if middle.size else 0.0
+
+    chosen = sorted(range(len(parameters)), key=lambda k: -spread(parameters[k]))[:count]
+    return tuple(parameters[k] for k in sorted(chosen))
+
+
+def _ends(values: Real) -> tuple[float, float]:
+    """The lowest and the highest of what is known; not the same, so that a scale can be made of them."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    # A flat scale has no middle; one per mille to both sides, or one where all is zero.
+    margin = 0.0 if low < high else (1e-3 * abs(low) or 1.0)
+    return low - margin, high + margin
+
+
+def _quantiles(parameter: Column, found: Column) -> tuple[Real, Real, Real, Real]:
+    """Places (k,) along a parameter, and the quantiles of 5, 50 and 95 % of a figure of the points near each."""
+    edges, few = parameter.edges(10 * POINTS_IN_BIN, 1), parameter.few
+    bins = np.clip(np.digitize(parameter.values, edges) - 1, 0, len(edges) - 2)
+    where, quantiles = [], []
+    for k in range(len(edges) - 1):
+        there = found.values[(bins == k) & np.isfinite(found.values)]
+        if there.size:
+            where.append(few[k] if len(few) > 1 else 0.5 * (edges[k] + edges[k + 1]))
+            quantiles.append(np.quantile(there, (0.05, 0.5, 0.95)))
+    low, middle, high = np.array(quantiles).reshape(-1, 3).T
+    return np.array(where), low, middle, high
+
+
+def _mean_over(first: Column, second: Column, found: Column) -> tuple[Real, Real, Real]:
+    """Edges along both parameters, and the mean (n, m) of a figure in every bin, NaN where no point lies."""
+    edges = [each.edges(POINTS_IN_BIN, 2) for each in (first, second)]
+    known = np.isfinite(found.values)
+    at = first.values[known], second.values[known]
+    count, _, _ = np.histogram2d(*at, bins=edges)
+    total, _, _ = np.histogram2d(*at, bins=edges, weights=found.values[known])
+    return edges[0], edges[1], np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+
+
+def _label(axes: Axes, column: Column, side: str) -> None:
+    """The label of one side, and the words in place of its numbers."""
+    (axes.set_xlabel if side == "x" else axes.set_ylabel)(_broken(column.label), fontsize=8)
+    axes.tick_params(labelsize=7)
+    if column.words:
+        places, texts = range(len(column.words)), [_broken(word) for word in column.words]
+        if side == "x":
+            axes.set_xticks(places, texts)
+        else:
+            axes.set_yticks(places, texts)
+
+
+def _broken(text: str) -> str:
+    """A name on two lines or more, broken behind slashes and before its last part and its unit."""
+    name, bracket, unit = text.partition(" (")
+    return name.replace("/", "/\n").replace(".", "\n.") + (f"\n({unit}" if bracket else "")
