@@ -21,6 +21,8 @@ from workbench.app.local import along, around, local_model
 from workbench.app.plot import HEIGHT, LEFT, RIGHT, Scale, curves, ticks
 from workbench.app.session import NotReady, Session
 from workbench.app.works import Works
+from workbench.cli import main
+from workbench.diagnosis.campaign import read_campaign
 from workbench.files.errors import InputError
 from workbench.problem import build, fill
 from workbench.ranges import OutOfRange, RangeModel
@@ -274,6 +276,37 @@ def test_a_fit_of_the_freed_numbers_finds_what_was_recorded(tmp_path: Path) -> N
     assert after.mape_percent < 0.2 * before.mape_percent
     session.undo()
     assert session.values[THICKNESS] == 0.8e-3
+
+
+def test_a_diagnosis_of_one_recording_is_of_the_present_chip(tmp_path: Path, session: Session) -> None:
+    works = Works(session, tmp_path, None)
+    with pytest.raises(InputError, match="--campaign"):
+        works.one_recording(tmp_path)
+    session.put({THICKNESS: 0.79e-3})
+    recording = simulate(session.present_chip(), accuracy=live_chip.COARSE, points=41).spectrum
+    recorded = live_chip.session(tmp_path, recording)
+    recorded.put({THICKNESS: 0.79e-3})
+    works = Works(recorded, tmp_path, None)
+    works.free |= {THICKNESS, MODULUS}
+    campaign = read_campaign(works.one_recording(tmp_path))
+    (state,) = campaign.states
+    assert state.chip.dimensions()[THICKNESS].value == 0.79e-3
+    assert np.array_equal(state.measured.impedance, recording.impedance)
+    # What the file states of the length, as limits of a uniform law.
+    assert campaign.known[THICKNESS] == pytest.approx(20e-6 / np.sqrt(3.0), rel=1e-12)
+    assert set(campaign.known) == {THICKNESS, MODULUS}
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    (["--port", "80"], "--port"), (["--campaign", "nowhere.toml"], "--campaign"), (["--vary", "thickness"], "--vary"),
+    (["--recording", "nowhere.csv"], "nowhere.csv"), (["--state", "emty"], "filled"), (["--drive", "10"], "--drive"),
+])
+def test_mistakes_on_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
+    live_chip.little_chip(tmp_path)
+    assert main(["app", str(tmp_path / "little.toml"), "--no-browser", *options]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_background_work_says_what_it_does_and_is_one_of_a_kind() -> None:

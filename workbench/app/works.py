@@ -110,7 +110,7 @@ class Works:
         """``workbench diagnose`` as a process: of the campaign, or of the one recording."""
         folder = self.report.parent
         folder.mkdir(parents=True, exist_ok=True)
-        campaign = self._one_recording(folder) if self.campaign is None else self.campaign
+        campaign = self.one_recording(folder) if self.campaign is None else self.campaign
         say(f"of {campaign}; takes minutes, and goes on beside")
         log = folder / "log.txt"
         status = run_command(["diagnose", str(campaign), "-o", str(folder)], stopped, log)
@@ -119,7 +119,7 @@ class Works:
         last = next(lines_of(log), "no words")
         return f"done, see {self.report}" if status == 0 else f"failed: {last}"
 
-    def _one_recording(self, folder: Path) -> Path:
+    def one_recording(self, folder: Path) -> Path:
         """A campaign of the one recording and the present chip; free are the numbers that are ticked, or else all.
 
         Raises:
