@@ -312,7 +312,8 @@ def _app(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--no-browser", action="store_true", help="only print the address (default: it is opened)")
     _with_model(sub)
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
-    sub.add_argument("-o", "--output", type=Path, default=Path(), metavar="DIR",
+    # Not among the results that a command ends by naming.
+    sub.add_argument("-o", "--output", dest="folder", type=Path, default=Path(), metavar="DIR",
                      help="where chip files and reports are saved (default: this folder)")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import warnings
 from collections.abc import Callable, Generator
 from multiprocessing.connection import Connection
 from typing import Any
@@ -55,7 +56,8 @@ def elsewhere(
 
 
 def stand_back() -> None:
-    """Let others go first, from now on."""
+    """Let others go first, from now on, and warn of nothing: it is all known to who asked."""
+    warnings.simplefilter("ignore")
     with contextlib.suppress(OSError):
         os.nice(_NICE)
 

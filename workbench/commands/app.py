@@ -46,7 +46,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
                       accuracy=asked.accuracy, drive=asked.drive, recording=recording,
                       recording_name="" if options.recording is None else options.recording.name,
                       growing=growing_elsewhere)
-    view = LiveView(session, Drawing(_section, _space), options.output, campaign=options.campaign)
+    view = LiveView(session, Drawing(_section, _space), options.folder, campaign=options.campaign)
 
     def ready(address: str) -> None:
         print_line(address)
