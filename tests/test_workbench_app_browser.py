@@ -184,7 +184,7 @@ def test_freed_numbers_are_fitted_to_the_recording(live: Live) -> None:
 
 def test_full_solves_are_laid_over(live: Live) -> None:
     live.page.click("#full")
-    live.until("() => document.querySelector('#works').innerText.includes('on a mesh of its own')")
+    live.until("() => document.querySelector('#works').innerText.includes('% at most, ')")
     assert live.page.locator("#spectrum circle").count() == 2 * 41
 
 
@@ -202,7 +202,7 @@ def test_a_tolerance_draws_a_band(live: Live) -> None:
 def test_outside_the_ranges_the_model_grows(live: Live) -> None:
     live.page.fill("#number_0", "0.83")
     live.page.locator("#number_0").press("Enter")
-    live.until("() => document.querySelector('#message').innerText.includes('wider')")
+    live.until("() => document.querySelector('#works').innerText.includes('wider')")
     before = live.curve()
     live.until("before => document.querySelector('#magnitude').getAttribute('d') !== before", before)
     live.page.click("#undo")

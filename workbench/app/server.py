@@ -159,7 +159,8 @@ class LiveView:
             if names:
                 self._grow()
             self._show_rows()
-        self._background.start("check", lambda say, stopped: self.works.check(self._shown()))
+        if not names:
+            self._background.start("check", lambda say, stopped: self.works.check(self._shown()))
 
     def _undo(self) -> None:
         self.session.undo()
