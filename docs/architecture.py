@@ -36,6 +36,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "diagnosis": ("workbench.diagnosis",),
     "ranges": ("workbench.ranges",),
     "design": ("workbench.design",),
+    "live view": ("workbench.app",),
     "commands": ("workbench.commands", "workbench.cli", "workbench.options", "workbench.__main__"),
 }
 

@@ -11,11 +11,13 @@ slowest region in it; smaller towards the corners in which fields are singular.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import io
 import json
 import math
 import os
+import signal
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -120,6 +122,17 @@ def user_cache() -> Path:
 _TURN = RLock()
 
 
+def _keep_broken_pipes_errors() -> None:
+    """Let writing to a closed pipe or socket be an error again, as Python has it: gmsh lets it end the program.
+
+    From any thread, which :func:`signal.signal` is not made for.
+    """
+    if hasattr(signal, "SIGPIPE") and signal.getsignal(signal.SIGPIPE) is signal.SIG_IGN:
+        set_handler = ctypes.pythonapi.PyOS_setsig
+        set_handler.argtypes, set_handler.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
+        set_handler(signal.SIGPIPE, int(signal.SIG_IGN))
+
+
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
     """gmsh, started with its own defaults and shut down on leaving, error or not.
@@ -138,6 +151,7 @@ def gmsh_session() -> Iterator[ModuleType]:
         if gmsh.isInitialized():
             raise MeshError("a gmsh session is open already; close it before meshing a section")
         gmsh.initialize(readConfigFiles=False, interruptible=False)
+        _keep_broken_pipes_errors()
         try:
             gmsh.option.setNumber("General.Terminal", 0)
             yield gmsh

@@ -1,6 +1,9 @@
 """Section and mesh: names, sizes, volumes, order of nodes, cache, and gmsh's one session."""
 
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -477,3 +480,29 @@ def test_the_cache_of_the_user_follows_the_environment(monkeypatch: pytest.Monke
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert user_cache().is_relative_to(tmp_path / "home" / ".cache")
     assert not user_cache().exists(), "asking for the folder does not make it"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a broken pipe is a signal on POSIX systems only")
+def test_a_program_that_has_meshed_outlives_a_broken_pipe() -> None:
+    # gmsh sets the handler of the system, here in a thread: a page whose browser is closed would end its server.
+    code = """
+import os, threading
+from geometry.mesh import gmsh_session
+
+def mesh():
+    with gmsh_session():
+        pass
+
+thread = threading.Thread(target=mesh)
+thread.start()
+thread.join()
+reading, writing = os.pipe()
+os.close(reading)
+try:
+    os.write(writing, b"x")
+except BrokenPipeError:
+    print("alive")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False,
+                          cwd=Path(__file__).resolve().parent.parent)
+    assert (done.stdout.strip(), done.returncode) == ("alive", 0)

@@ -487,7 +487,8 @@ superstrate.thickness = { values = ["1.0 mm", "0.5 mm"] }
 superstrate.material = { materials = ["soda_lime_glass", "borosilicate_glass"] }
 sidewall.radius = { from = "12 mm", to = "14 mm" }
 [thermal]
-resistance = { all = "12 K/W", cavity = "3 K/W" }
+all = "12 K/W"
+cavity = "3 K/W"
 [robust]
 quantile = "10 %"
 [search]
@@ -539,9 +540,9 @@ def test_a_goal_is_read(tmp_path: Path) -> None:
     ('"borosilicate_glass"', '"borosilikate_glass"', "superstrate.material.materials", "did you mean 'borosilicate"),
     ("sidewall.radius =", 'substrate.radius = { from = "12 mm", to = "14 mm" }\nsidewall.radius =',
      "variables.sidewall.radius", "they change together"),
-    ("[thermal]\nresistance", "[thermal]\nresistence", "thermal.resistence", "did you mean 'resistance'"),
-    ('all = "12 K/W"', 'everything = "12 K/W"', "thermal.resistance.everything", "one of all, "),
-    ('resistance = { all = "12 K/W", cavity = "3 K/W" }', "", "thermal.resistance", "that \"heating\" needs"),
+    ('cavity = "3 K/W"', 'cavitty = "3 K/W"', "thermal.cavitty", "did you mean 'cavity'"),
+    ('all = "12 K/W"', 'all = "-12 K/W"', "thermal.all", "zero or more"),
+    ('all = "12 K/W"\ncavity = "3 K/W"', "", "thermal", "that \"heating\" needs"),
     ('quantile = "10 %"', 'quantile = "1 %"', "robust.quantile", "one of 32 samples"),
     ("starts = 4", "starts = 0", "search.starts", "a whole number from 1 to 1000"),
     ("starts = 4", 'reach = "120 %"', "search.reach", "between 0 and 100 %"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +21,7 @@ from workbench.solve import NotConverged, System, factorise, solve_full
 Complex = NDArray[np.complex128]
 
 FREQUENCIES = (350e3, 400e3)
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def names() -> list[object]:
@@ -153,3 +156,26 @@ def test_a_folder_that_happens_to_have_the_name_is_not_the_package(
     (tmp_path / "rslab" / "__init__.py").touch()
     sys.path_importer_cache.clear()
     assert chosen() == "rslab"
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rslab") is None, reason="rslab is not installed")
+def test_threads_that_come_and_go_may_all_factorise() -> None:
+    # The library first loaded by a thread that ends; the next one crashed in its allocator.
+    code = """
+import threading
+import numpy as np
+from scipy import sparse
+from workbench.factorisation import Ldlt
+
+def work():
+    matrix = sparse.eye(500, format="csc", dtype=complex)
+    Ldlt(matrix)(matrix.data)(np.ones(500))
+
+for _ in range(3):
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+print("alive")
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.returncode) == ("alive", 0)

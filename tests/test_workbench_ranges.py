@@ -14,7 +14,7 @@ from workbench.discretisation import Discretisation
 from workbench.files.errors import InputError
 from workbench.operators import assemble
 from workbench.parameter_names import placed
-from workbench.ranges import NotCovered, OutOfRange, RangeModel, compacted, load, range_model
+from workbench.ranges import NotCovered, OutOfRange, RangeModel, compacted, growing_model, load, range_model
 from workbench.solve import solve_full
 
 CHIP = """
@@ -165,3 +165,13 @@ def test_progress_never_runs_backwards(chip: Chip) -> None:
     assert said
     assert said[-1] == 1.0
     assert all(0.0 <= each <= 1.0 for each in said)
+
+
+def test_the_models_on_the_way_end_with_the_same_one(chip: Chip, made: RangeModel) -> None:
+    *before, last = growing_model(chip, None, RANGES, registry=Registry(), points=31, tolerance=TOLERANCE,
+                                  accuracy=COARSE)
+    assert before[0].error == np.inf
+    assert [model.rank for model in before] == sorted({model.rank for model in before})
+    # The same solves at the same points: not a number differs.
+    assert last.error == made.error
+    assert np.array_equal(last.reduced.basis, made.reduced.basis)

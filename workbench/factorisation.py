@@ -9,10 +9,14 @@ takes a hundred times as long.
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
+import sys
+import threading
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from types import ModuleType
 from typing import Any, Protocol
 
 import numpy as np
@@ -77,8 +81,7 @@ class Ldlt:
     """The LDL^T of `rslab`: Bunch-Kaufman pivots within supernodes, multifrontal."""
 
     def __init__(self, pattern: sparse.csc_matrix) -> None:
-        import rslab
-
+        rslab = _lasting_rslab()
         column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
         self._lower = np.flatnonzero(pattern.indices >= column)
         ones = sparse.csc_matrix((np.ones(pattern.nnz), pattern.indices, pattern.indptr), shape=pattern.shape)
@@ -94,6 +97,27 @@ class Ldlt:
             return np.asarray(factor.solve_many(np.asfortranarray(right)))
 
         return solve
+
+
+def _lasting_rslab() -> ModuleType:
+    """`rslab`, loaded by a thread that lasts as long as the program.
+
+    Its allocator keeps what belongs to the thread that loads it and reads that in every thread that comes later: loaded
+    by a worker that has ended since, the next new thread to factorise crashes (rslab 1.7).
+    """
+    if "rslab" not in sys.modules and threading.current_thread() is not threading.main_thread():
+        loaded, forever = threading.Event(), threading.Event()
+
+        def load() -> None:
+            try:
+                importlib.import_module("rslab")
+            finally:
+                loaded.set()
+            forever.wait()
+
+        threading.Thread(target=load, name="rslab", daemon=True).start()
+        loaded.wait()
+    return importlib.import_module("rslab")
 
 
 #: By the name of what they need.

@@ -295,6 +295,28 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _app(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    sub.add_argument("--recording", type=Path, metavar="FILE",
+                     help="recorded impedance, laid over the spectrum; freed numbers are fitted to it (default: none)")
+    _with_recording(sub)
+    sub.add_argument("--campaign", type=Path, metavar="CAMPAIGN.toml",
+                     help="what a diagnosis is of (default: of the recording alone)")
+    sub.add_argument("--vary", nargs="+", action="extend", default=[], metavar="NAME",
+                     help="what can be moved: lengths such as substrate.thickness, constants such as "
+                          "pla/acevedo_2026.shear_modulus, each with a range if wanted, "
+                          '"substrate.thickness=0.8mm..0.9mm" (default: all thicknesses, the radius of the cavity, the '
+                          "sound speed in it, a shear modulus; by 5 % to either side)".replace("%", "%%"))
+    sub.add_argument("--port", type=int, default=0, metavar="N", help="of the page (default: any that is free)")
+    sub.add_argument("--no-browser", action="store_true", help="only print the address (default: it is opened)")
+    _with_model(sub)
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
+    # Not among the results that a command ends by naming.
+    sub.add_argument("-o", "--output", dest="folder", type=Path, default=Path(), metavar="DIR",
+                     help="where chip files and reports are saved (default: this folder)")
+
+
 def _bench(sub: argparse.ArgumentParser) -> None:
     actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
 
@@ -381,6 +403,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "fit": ("find material constants from recordings, with intervals, and save them", _fit),
     "diagnose": ("locate what differs between model and recordings, and name the physics left out", _diagnose),
     "design": ("the best chip for a goal: lengths, stock and materials, confirmed by full solves", _design),
+    "app": ("the live view: move dimensions and constants on a page, see spectrum and fields", _app),
     "measure": ("sweep on the bench into a run file that loses nothing, with spectrum and report", _measure),
     "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
     "bench": ("the instruments: what is plugged in, whether it works, and a simulated bench", _bench),

@@ -18,7 +18,8 @@ import json
 import os
 import time
 import zipfile
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -189,7 +190,7 @@ class RangeModel:
         Raises:
             NotCovered: `limit` further solves were not enough.
         """
-        return _grown(self, self.tolerance if tolerance is None else tolerance, limit, seed, progress)
+        return _last(_growth(self, self.tolerance if tolerance is None else tolerance, limit, seed, progress))
 
     def save(self, path: Path) -> None:
         """Keep the model in a file, to be read by :func:`load` with the chip it is of."""
@@ -232,6 +233,41 @@ def range_model(
         InputError: something in the chip or its materials, or a range that names nothing or holds no number.
         NotCovered: `limit` solves were not enough; the error carries the model.
     """
+    model = _first(chip, state, ranges, registry, band, points, tolerance, accuracy)
+    return _last(_growth(model, tolerance, limit, seed, progress))
+
+
+def growing_model(
+    chip: Chip,
+    state: str | None,
+    ranges: Ranges,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 241,
+    tolerance: float = 1e-3,
+    limit: int = LIMIT,
+    seed: int = 0,
+    accuracy: float | Discretisation = ACCURACY,
+) -> Iterator[RangeModel]:
+    """:func:`range_model` with every model on the way to the last one, for those who cannot wait.
+
+    The first is of the middle of the ranges alone; its ``error`` is infinite, since no full solve has checked it. Each
+    further one has that of the model before it.
+
+    Raises:
+        InputError, NotCovered: as of :func:`range_model`.
+    """
+    model = _first(chip, state, ranges, registry, band, points, tolerance, accuracy)
+    yield model
+    yield from _growth(model, tolerance, limit, seed, None)
+
+
+def _first(
+    chip: Chip, state: str | None, ranges: Ranges, registry: Registry | None, band: tuple[float, float] | None,
+    points: int, tolerance: float, accuracy: float | Discretisation,
+) -> RangeModel:
+    """The model that a range model grows from, of the middle of the ranges and of first derivatives there."""
     started = time.perf_counter()
     low, high = chip.band if band is None else band
     plain = build(fill(chip, state, registry), band=(low, high), accuracy=accuracy)
@@ -244,8 +280,7 @@ def range_model(
         moves[key] = max(moves.get(key, 0.0), 0.5 * (highest - lowest))
     operators = assemble(problem.mesh, problem.terms)
     first = covering(operators, frequency, centre, moves, tolerance=SLACK * tolerance, nodes=FIRST, depth=FIRST_DEPTH)
-    model = RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
-    return _grown(model, tolerance, limit, seed, progress)
+    return RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
 
 
 def within(ranges: Ranges, own: Mapping[str, complex], values: Mapping[str, float]) -> dict[str, float]:
@@ -301,7 +336,16 @@ def keys(ranges: Ranges) -> set[str]:
     return {ParameterName.parse(name).key for name in ranges}
 
 
-def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress | None) -> RangeModel:
+def _last(models: Iterator[RangeModel]) -> RangeModel:
+    """The last of some models, of which there is one at least."""
+    (found,) = deque(models, maxlen=1)
+    return found
+
+
+def _growth(
+    model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress | None
+) -> Iterator[RangeModel]:
+    """The models that `model` becomes round by round, the last within `tolerance`."""
     started = time.perf_counter()
     operators, reduced, ranges = model.reduced.full, model.reduced, model.ranges
     low, high = (np.array(ends) for ends in zip(*ranges.values(), strict=True))
@@ -333,11 +377,13 @@ def _grown(model: RangeModel, tolerance: float, limit: int, seed: int, progress:
             if error <= tolerance:
                 if progress is not None:
                     progress(1.0)
-                return done
+                yield done
+                return
             if spent >= limit:
                 raise NotCovered(done)
             reduced = reduced.grown(np.concatenate([states for states, _, _ in solved], axis=1), None,
                                     [(watched, value) for value, _ in jobs], smallest(SLACK * tolerance))
+            yield replace(done, reduced=reduced)
 
 
 def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]) -> tuple[float, int, complex]:

@@ -13,7 +13,7 @@ from workbench.design.bounds import Bound
 from workbench.design.descent import Multipliers
 from workbench.design.evaluation import Evaluation
 from workbench.design.figures import figure
-from workbench.design.goal import Goal
+from workbench.design.goal import SIGNED, Goal
 from workbench.design.programme import Point, Programme
 from workbench.design.search import Optimum
 from workbench.design.steps import settle
@@ -144,18 +144,25 @@ def _step(bound: Bound, multiplier: float) -> tuple[str, float]:
     return f"{0.01 * bound.scale / factor:.3g} {unit}".strip(), 0.01 * multiplier
 
 
+def _scale(goal: Goal, chip: Chip, name: str, otherwise: float) -> float:
+    """What a difference of a figure is compared with: of a place in the cavity the height of that, of other figures the
+    smallest scale of their bounds, or `otherwise`."""
+    if name in SIGNED:
+        return sum(hole.thickness.value for hole in chip.holes)
+    return min((each.scale for each in goal.bounds if not each.of_lengths and each.figure == name), default=otherwise)
+
+
 def confirmed(goal: Goal, candidate: Candidate, after: Evaluation) -> Confirmed:
     """What the figures `after` a full solve say of a candidate."""
     nominal = candidate.point.evaluation.figures
     differences = {}
     for name in goal.figures:
-        scales = [bound.scale for bound in goal.bounds if not bound.of_lengths and bound.figure == name]
-        scale = min(scales, default=abs(after.figures[name]))
+        scale = _scale(goal, candidate.chip, name, abs(after.figures[name]))
         off = abs(nominal[name] - after.figures[name]) / scale if scale > 0.0 else math.inf
         differences[name] = off if math.isfinite(off) else math.inf
     worst = max(differences, key=lambda name: differences[name])
-    missed = [bound.text for bound in goal.bounds
-              if not bound.of_lengths and not bound.margin(after.figures) >= -CONFIRMED]
+    missed = [bound.text for bound in goal.bounds if not bound.of_lengths and not
+              bound.margin(after.figures) * bound.scale >= -CONFIRMED * _scale(goal, candidate.chip, bound.figure, 0.0)]
     if differences[worst] > CONFIRMED:
         why = after.missing.get(worst, "")
         statement = (f"rejected: the full solve and the model differ by {100.0 * differences[worst]:.2g} % in {worst}"

@@ -15,7 +15,7 @@
     superstrate.material = { materials = ["soda_lime_glass", "borosilicate_glass"] }
 
     [thermal]
-    resistance = { all = "12 K/W" }           # or of single regions: kelvin per watt lost there
+    all = "12 K/W"                            # or of single regions: kelvin per watt lost there
 
     [search]
     starts = 10
@@ -34,6 +34,7 @@ from materials.registry import Registry
 from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
+from workbench.design.thermal import read_thermal
 from workbench.design.uncertainty import Law
 from workbench.design.variables import MATERIAL, Length, MaterialChoice, Stock, Variable, first_name, together
 from workbench.drive import parse_drive
@@ -169,7 +170,7 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
     bounds = tuple(_by_first_names(bound, chip) for index, text in enumerate(head.texts("constraints", ()))
                    for bound in parse_bounds(text, chip.dimensions(), chip.regions, drive, source=str(path),
                                              field=f"goal.constraints[{index}]"))
-    operation = Operation(drive, thermal_resistance=_resistance(root.table("thermal"), chip))
+    operation = Operation(drive, thermal_resistance=read_thermal(root, chip.regions, ()))
     goal = Goal(str(path), chip, state, operation, _objectives(head, chip), variables, bounds, _band(head),
                 _robust(root.table("robust")) if "robust" in root else None, search)
     _check(goal)
@@ -277,17 +278,6 @@ def _material(table: Table, name: str, chip: Chip, registry: Registry | None) ->
     return MaterialChoice(chip.layer(name.removesuffix(MATERIAL)).region, names)
 
 
-def _resistance(table: Table, chip: Chip) -> dict[str, float]:
-    """Thermal resistances (K/W) by region, "" for all that are not named."""
-    inner = table.only(("resistance",)).table("resistance", expected='{ all = "12 K/W" }')
-    inner.only(("all", *chip.regions))
-    found = {"" if name == "all" else name: inner.quantity(name, "thermal resistance") for name in inner}
-    for name in inner:
-        if not found["" if name == "all" else name] > 0.0:
-            raise inner.error(name, "a thermal resistance above zero")
-    return found
-
-
 def _robust(table: Table) -> Robust:
     table.only(("quantile", "mean", "samples", "law", "materials", "posteriors"))
     samples = table.whole("samples", Robust.samples, low=8, high=4096)
@@ -325,8 +315,7 @@ def _check(goal: Goal) -> None:
     """
     asked = set(goal.figures)
     if "heating" in asked and not goal.operation.thermal_resistance:
-        raise InputError(goal.source, "thermal.resistance", None, 'the resistances that "heating" needs, such as '
-                         '{ all = "12 K/W" }')
+        raise InputError(goal.source, "thermal", None, 'the resistances that "heating" needs, such as all = "12 K/W"')
     state = goal.chip.state(goal.state)
     trapped = sorted(name for name in asked if name.startswith(("trap_", "axial_", "radial_", "focus_")))
     if trapped and state.particle is None:

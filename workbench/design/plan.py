@@ -27,7 +27,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -40,6 +40,7 @@ from workbench.design.axes import Axis, MaterialAxis, NumberAxis, read_axes
 from workbench.design.evaluation import Operation
 from workbench.design.figures import check_figures
 from workbench.design.sampling import Sampling, read_sampling, sample
+from workbench.design.thermal import read_thermal
 from workbench.discretisation import ACCURACY, discretisation
 from workbench.drive import parse_drive
 from workbench.files.errors import InputError, choose
@@ -129,9 +130,8 @@ def read_study(path: Path | str, *, materials: Sequence[Path] = ()) -> Study:
     if not figures:
         raise head.error("figures", "one figure at least")
     band = _band(head, chip)
-    operation = replace(_thermal(table, chip, figures), drive=parse_drive(
-        head.text("drive", "10 Vpp"), source=head.source, field=head.at("drive")),
-        frequency=_frequency(head, band))
+    drive = parse_drive(head.text("drive", "10 Vpp"), source=head.source, field=head.at("drive"))
+    operation = Operation(drive, _frequency(head, band), read_thermal(table, chip.regions, figures))
     sampling = read_sampling(table.table("sample", expected="a table [sample]"))
     table.required("vary", "a table [vary] of what varies")
     axes = read_axes(table.table("vary", expected="a table [vary]"), chip, states, registry, method=sampling.method)
@@ -171,20 +171,6 @@ def _frequency(head: Table, band: tuple[float, float]) -> float | None:
     if not band[0] <= frequency <= band[1]:
         raise head.error("frequency", f'"f0", or a frequency within the band, {band[0]:g} to {band[1]:g} Hz')
     return frequency
-
-
-def _thermal(table: Table, chip: Chip, figures: tuple[str, ...]) -> Operation:
-    """An operation with the thermal resistances (K/W) by region, that of all others by ""."""
-    thermal = table.table("thermal", expected="a table [thermal] of thermal resistances by region")
-    thermal.only((*chip.regions, "all"))
-    found = {"" if key == "all" else key: thermal.quantity(key, "thermal resistance") for key in thermal}
-    for key, value in zip(thermal, found.values(), strict=True):
-        if not value >= 0.0:
-            raise thermal.error(key, "a thermal resistance of zero or more")
-    if "heating" in figures and not found:
-        raise InputError(table.source, "thermal", "nothing", 'thermal resistances for the figure "heating", such as '
-                         'all = "10 K/W"')
-    return Operation(thermal_resistance=found)
 
 
 def _share(head: Table, key: str, default: float) -> float:

@@ -242,7 +242,12 @@ def _outline(axes: Axes, mesh: NodalMesh) -> None:
     """Hair lines around every region."""
     from matplotlib.collections import LineCollection
 
-    axes.add_collection(LineCollection(_segments(mesh, mesh.region), colors=_OUTLINE, linewidths=0.25))
+    axes.add_collection(LineCollection(region_edges(mesh), colors=_OUTLINE, linewidths=0.25))
+
+
+def region_edges(mesh: NodalMesh) -> list[FloatArray]:
+    """The edges of cells (2, 2), r and z in mm, that bound regions, and their mirror images; each once."""
+    return _segments(mesh, mesh.region)
 
 
 def _segments(mesh: NodalMesh, label: NDArray[np.int64]) -> list[FloatArray]:

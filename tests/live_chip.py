@@ -1,0 +1,58 @@
+"""A small chip with a cavity, meshed coarsely, for tests of the live view: a session of it answers within seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from geometry.chip import Chip, read_chip
+from materials.registry import Registry
+from workbench.app.session import Session
+from workbench.discretisation import Discretisation
+from workbench.spectrum import Spectrum
+
+TEXT = """
+[chip]
+name = "little chip"
+band = ["0.9 MHz", "1.1 MHz"]
+[[layers]]
+role = "transducer"
+material = "pic255/plutho"
+thickness = "2 mm"
+radius = "3 mm"
+electrodes = { live = "top" }
+[[layers]]
+role = "substrate"
+material = "pla/acevedo_2026"
+thickness = { value = "0.8 mm", tolerance = "20 um" }
+radius = "3 mm"
+[[layers]]
+role = "sidewall"
+material = "pla/acevedo_2026"
+thickness = "0.7 mm"
+radius = "3 mm"
+cavity_radius = "1.5 mm"
+[[layers]]
+role = "superstrate"
+material = "soda_lime_glass/independent_reference"
+thickness = "0.5 mm"
+radius = "3 mm"
+[states.filled]
+cavity = "water"
+temperature = "20 degC"
+"""
+PLA = "pla/acevedo_2026"
+#: What can be moved, and how far: little, so that models are small.
+WANTED = ("substrate.thickness=0.78mm..0.82mm", "cavity.radius=1.48mm..1.52mm", f"{PLA}.shear_modulus=0.92GPa..0.94GPa")
+COARSE = Discretisation(3, 1.0, corner_refinement=0.5)
+POINTS = 61
+
+
+def little_chip(folder: Path) -> Chip:
+    path = folder / "little.toml"
+    path.write_text(TEXT)
+    return read_chip(path)
+
+
+def session(folder: Path, recording: Spectrum | None = None) -> Session:
+    return Session(little_chip(folder), None, WANTED, registry=Registry(), points=POINTS, accuracy=COARSE,
+                   recording=recording)

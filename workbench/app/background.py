@@ -1,0 +1,104 @@
+"""What takes long: work beside the page, one of a kind at a time, that says how far it is and can be stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from workbench.files.errors import InputError
+from workbench.physics.term import ModelError
+from workbench.ranges import OutOfRange
+
+#: Says what is being done.
+Say = Callable[[str], None]
+#: Whether to stop.
+Stopped = Callable[[], bool]
+#: Work: told how to say what it does and how to learn that it is to stop, it returns its last words.
+Work = Callable[[Say, Stopped], str]
+
+#: What a computation may end with through no defect of the program, as on the command line.
+FAILURES = (InputError, OutOfRange, RuntimeError, ModelError, OSError)
+
+#: Seconds between two looks at a process, and those it has to end once it was asked to.
+_LOOK, _GRACE = 0.2, 5.0
+
+
+class Background:
+    """Works by their kind ("model", "fit"), each in a thread of its own.
+
+    ``changed`` is called, from any thread, with a kind, what it says, and whether it is still at work.
+    """
+
+    def __init__(self, changed: Callable[[str, str, bool], None]) -> None:
+        self._changed = changed
+        self._lock = threading.Lock()
+        self._running: dict[str, threading.Event] = {}
+        self._pool = ThreadPoolExecutor(thread_name_prefix="live view")
+
+    def start(self, kind: str, work: Work) -> Future[None] | None:
+        """Begin; None where one of that kind is still at work."""
+        with self._lock:
+            if kind in self._running:
+                return None
+            stop = self._running[kind] = threading.Event()
+        return self._pool.submit(self._run, kind, work, stop)
+
+    def running(self) -> tuple[str, ...]:
+        """Kinds that are at work."""
+        with self._lock:
+            return tuple(self._running)
+
+    def stop(self, kind: str) -> None:
+        """Ask one to stop, if it is at work."""
+        with self._lock:
+            if kind in self._running:
+                self._running[kind].set()
+
+    def close(self) -> None:
+        """Ask all to stop, and wait for them."""
+        for kind in self.running():
+            self.stop(kind)
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _run(self, kind: str, work: Work, stop: threading.Event) -> None:
+        last = ""
+        try:
+            last = work(lambda text: self._changed(kind, text, True), stop.is_set)
+        except FAILURES as error:
+            last = f"{type(error).__name__}: {error}"
+        except BaseException as error:
+            # A defect: to be seen on the page, and in the terminal by who waits for the future.
+            last = f"defect: {error!r}"
+            raise
+        finally:
+            with self._lock:
+                del self._running[kind]
+            self._changed(kind, last, False)
+
+
+def run_command(arguments: Sequence[str], stopped: Stopped, log: Path) -> int | None:
+    """Run ``workbench`` with `arguments` as a process of its own, its words in `log`; its exit status, None where it
+    was stopped."""
+    command = [sys.executable, "-P", "-m", "workbench.cli", *arguments]
+    with log.open("w", encoding="utf-8") as words, subprocess.Popen(command, stdout=words, stderr=words) as process:
+        while True:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return process.wait(_LOOK)
+            if stopped():
+                process.terminate()
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_GRACE)
+                process.kill()
+                return None
+
+
+def lines_of(log: Path) -> Iterator[str]:
+    """The lines of a log that say something, last first."""
+    for line in reversed(log.read_text(encoding="utf-8", errors="replace").splitlines()):
+        if line.strip():
+            yield line.strip()

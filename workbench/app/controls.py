@@ -1,0 +1,177 @@
+"""What can be moved in the live view: numbers of a chip with their ranges, their tolerances and the units they are told
+in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from geometry.chip import Chip
+from geometry.names import CAVITY
+from geometry.stretch import movable, tied
+from materials.kinds import Fluid, IsotropicSolid
+from workbench.dimensions import flexible
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
+from workbench.parameter_names import LENGTHS, LOSS, Kind, ParameterName, part
+from workbench.problem import Problem
+
+#: How far a number can be moved to either side unless told otherwise, relative. Twice as far, a range model of six
+#: lengths has about twice as many unknowns.
+REACH = 0.05
+#: Nothing is moved beyond its range to more than this times what the chip's file says, or to less than one over this:
+#: the mesh is stretched, and its elements were made for that length.
+FARTHEST = 2.0
+#: The range in units of a stated tolerance, where that is more.
+TOLERANCES = 2.0
+
+#: What a range is written between, as in "substrate.thickness=0.8mm..0.9mm".
+ENDS = ".."
+
+#: Which units the ends of a range may be written in, by the SI unit of what they are of.
+_DIMENSIONS = {"m": "length", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless", "kg/m^3": "density",
+               "m/s": "speed", "m^2/s": "diffusivity"}
+#: Thinner layers than this (m) are told in micrometres.
+_THIN = 2e-4
+
+
+@dataclass(frozen=True)
+class Control:
+    """A number that can be moved.
+
+    ``value`` is that of the chip's file, ``low`` and ``high`` the range, ``tolerance`` what the chip's file states of a
+    length (limits), or the entry of a material of a constant (standard uncertainty), None where nobody stated one; all
+    SI. It is told in ``unit``, ``factor`` of which are one in SI.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    tolerance: float | None
+    unit: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        """What it is, in words: "substrate thickness", "pla shear modulus"."""
+        parsed = ParameterName.parse(self.name)
+        owner = parsed.owner.split("/")[0].replace("_", " ")
+        words = f"{owner} {parsed.coefficient.replace('_', ' ')}"
+        return f"{words}, loss" if parsed.is_loss else words
+
+    @property
+    def is_length(self) -> bool:
+        return ParameterName.parse(self.name).kind is Kind.DIMENSION
+
+    @property
+    def is_radius(self) -> bool:
+        return ParameterName.parse(self.name).is_radius
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation (SI) that the tolerance stands for, 0 where there is none; limits as in a fit."""
+        if self.tolerance is None:
+            return 0.0
+        return self.tolerance / math.sqrt(3.0) if self.is_length else self.tolerance
+
+    @property
+    def farthest(self) -> tuple[float, float]:
+        """The ends (SI) that it can be moved to, beyond its range."""
+        ends = sorted((self.value / FARTHEST, self.value * FARTHEST))
+        return min(self.low, ends[0]), max(self.high, ends[1])
+
+    def told(self, number: float) -> str:
+        """A number (SI) with its unit."""
+        return f"{number * self.factor:.6g} {self.unit}".rstrip()
+
+    def reaching(self, number: float) -> Control:
+        """The same with a range that holds `number` (SI) well within."""
+        width = max(self.high - self.low, 0.0)
+        return replace(self, low=min(self.low, number - 0.25 * width), high=max(self.high, number + 0.25 * width))
+
+
+def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[Control, ...]:
+    """What can be moved of `chip`: what is `wanted`, ``NAME`` or ``NAME=LOW..HIGH``; by default all thicknesses, the
+    radius of the cavity, the sound speed of what fills it, and the shear modulus of the first other solid.
+
+    Args:
+        problem: of the chip in its state, without lengths among its values.
+
+    Raises:
+        InputError: a name that is no number the spectrum depends on, one given twice, a range that cannot be read,
+            does not hold the present number, or passes another radius.
+    """
+    first, lengths = tied(chip), chip.dimensions()
+    felt = {name: complex(each.value) for name, each in lengths.items()
+            if name.endswith(".thickness") or name in first} | dict(problem.values)
+    found: dict[str, Control] = {}
+    for text in wanted or _usual(chip, problem):
+        name, _, ends = text.partition("=")
+        name = first.get(name.strip(), name.strip())
+        choose(name.removesuffix(LOSS), felt, source="command line", field="--vary")
+        if name in found:
+            raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
+        found[name] = _control(chip, problem, name, part(felt, name), ends.strip())
+    # Refuses a radius that would pass another one.
+    flexible(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_radius})
+    return tuple(found.values())
+
+
+def _usual(chip: Chip, problem: Problem) -> list[str]:
+    names = [name for name in chip.dimensions() if name.endswith(".thickness")]
+    names += [name for name in (f"{CAVITY}.radius",) if name in chip.dimensions()]
+    fluid = problem.materials.get(CAVITY)
+    if isinstance(fluid, Fluid):
+        names.append(f"{fluid.name}.sound_speed")
+    solid = next((each for each in problem.materials.values() if isinstance(each, IsotropicSolid)), None)
+    return names if solid is None else [*names, f"{solid.name}.shear_modulus"]
+
+
+def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -> Control:
+    parsed = ParameterName.parse(name)
+    if parsed.coefficient in LENGTHS and parsed.kind is Kind.DIMENSION:
+        unit, tolerance = "m", chip.dimensions()[name].tolerance
+    else:
+        unit = UNITS.get(parsed.coefficient, "1")
+        tolerance = _uncertainty(problem, parsed)
+    shown, factor = shown_unit(unit), shown_factor(unit)
+    if unit == "m" and value < _THIN:
+        shown, factor = "µm", 1e6
+    if ends:
+        low, high = _ends(name, ends, _DIMENSIONS[unit])
+    else:
+        reach = max(REACH * abs(value), TOLERANCES * (tolerance or 0.0))
+        low, high = value - reach, value + reach
+        if unit == "m":
+            low, high = movable(chip, name, low, high)
+    if unit == "m" and movable(chip, name, low, high) != (low, high):
+        ends = f"{low:g}..{high:g} m"
+        low, high = movable(chip, name, low, high)
+        raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "
+                         "vanishes and no radius passes another")
+    if not low < high or not low <= value <= high:
+        raise InputError("command line", f"--vary {name}", ends or f"{low:g}..{high:g}",
+                         f"a lower number, then a higher one, with the present {value * factor:.6g} {shown} between "
+                         "them")
+    return Control(name, value, low, high, tolerance, shown, factor)
+
+
+def _uncertainty(problem: Problem, parsed: ParameterName) -> float | None:
+    """The standard uncertainty that a material's entry states of a number, None where it does not."""
+    for material in problem.materials.values():
+        stated = material.values.get(parsed.coefficient) if material.name == parsed.owner else None
+        if stated is not None:
+            return stated.loss_uncertainty if parsed.is_loss else stated.uncertainty
+    return None
+
+
+def _ends(name: str, text: str, dimension: str) -> tuple[float, float]:
+    low, between, high = text.partition(ENDS)
+    field = f"--vary {name}"
+    if not between:
+        raise InputError("command line", field, text, f"two numbers with {ENDS!r} between them")
+    one, other = (parse_quantity(end.strip(), dimension, source="command line", field=field) for end in (low, high))
+    return one, other

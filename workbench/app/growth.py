@@ -1,0 +1,79 @@
+"""Range models that answer while they grow, made here or in a process of their own."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from geometry.chip import Chip
+from materials.registry import Registry
+from workbench.app.elsewhere import Send, elsewhere
+from workbench.discretisation import Discretisation
+from workbench.operators import assemble
+from workbench.problem import build, fill
+from workbench.ranges import NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a model is made of: see `workbench.ranges.range_model`."""
+
+    chip: Chip
+    state: str
+    ranges: Ranges
+    registry: Registry
+    band: tuple[float, float]
+    points: int
+    tolerance: float
+    accuracy: float | Discretisation
+
+
+#: What makes growing models of what is wanted; closing it ends the work.
+Growing = Callable[[Wanted], Generator[RangeModel, None, None]]
+
+
+def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
+    """Growing models, made by whoever asks for the next one.
+
+    Raises:
+        InputError, NotCovered: as of `workbench.ranges.growing_model`.
+    """
+    yield from growing_model(
+        wanted.chip, wanted.state, wanted.ranges, registry=wanted.registry, band=wanted.band, points=wanted.points,
+        tolerance=wanted.tolerance, accuracy=wanted.accuracy)
+
+
+def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
+    """The same, made by another process, which is ended with this iterator. The models cannot grow here.
+
+    What comes over is all that answering needs: the model with what no number moves summed up, a tenth of the whole.
+
+    Raises:
+        InputError, NotCovered: as of `workbench.ranges.growing_model`.
+        RuntimeError: the process ended without a word.
+    """
+    plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)
+    problem, _ = with_ranges(plain, wanted.chip, wanted.ranges)
+    operators, known = assemble(problem.mesh, problem.terms), fingerprint(problem)
+    with contextlib.closing(elsewhere(_grow, wanted)) as models:
+        for model, of in models:
+            if of != known:
+                raise RuntimeError("the process that makes the model has another mesh of the chip")
+            yield replace(model, problem=problem, reduced=replace(model.reduced, full=operators))
+
+
+def _grow(send: Send, wanted: Wanted) -> None:
+    """Send every model with the fingerprint of its problem."""
+    try:
+        for model in growing_here(wanted):
+            send((_sendable(model), fingerprint(model.problem)))
+    except NotCovered as reached:
+        raise NotCovered(_sendable(reached.model)) from None
+
+
+def _sendable(model: RangeModel) -> RangeModel:
+    """`model` as it answers, without the full operators and the problem, which the receiver has."""
+    nothing: Any = None
+    return replace(model, problem=nothing, reduced=replace(model.compact, full=nothing))

@@ -1,0 +1,93 @@
+"""Who may ask the live view anything: the browser that was given its address, and no page of anybody else.
+
+The page listens on this computer's loopback interface, which every user and every web page opened on this computer can
+reach. So each request, and the opening of each websocket, must
+
+* name this address as its host: a foreign name that somebody lets resolve to 127.0.0.1 is refused (DNS rebinding);
+* come from a page of this address, where the browser says from where: a foreign page is refused;
+* carry the token, which is in the address that is printed: in the address, or then in the cookie that this sets.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from aiohttp.web import Application, Request, StreamResponse
+
+    Handler = Callable[[Request], Awaitable[StreamResponse]]
+
+#: The only interface the page is served on.
+HOST = "127.0.0.1"
+
+#: Names under which that may be asked.
+_NAMES = (HOST, "localhost")
+
+#: What the page may load and connect to: its own server, and pictures that are in the page. Vue makes functions of its
+#: templates, hence the two kinds of script; nothing comes from outside.
+_POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+           "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; "
+           "form-action 'none'; base-uri 'self'")
+
+
+def new_token() -> str:
+    """A token that nobody guesses, fit for an address."""
+    return secrets.token_urlsafe(24)
+
+
+def address(port: int, token: str) -> str:
+    """The address that opens the page."""
+    return f"http://{HOST}:{port}/index.html?token={token}"
+
+
+def cookie_name(port: int) -> str:
+    """Cookies are shared by all ports of a host, so each has a name of its own."""
+    return f"workbench_{port}"
+
+
+def protect(application: Application, token: str) -> None:
+    """Let `application` refuse, with status 403, whoever may not ask; to be called before it starts."""
+    from aiohttp import web
+
+    @web.middleware
+    async def check(request: Request, handler: Handler) -> StreamResponse:
+        wrong = refusal(request, token)
+        if wrong:
+            raise web.HTTPForbidden(text=f"refused: {wrong}\n")
+        response = await handler(request)
+        if "token" in request.query and not response.prepared:
+            response.set_cookie(cookie_name(_port(request)), token, httponly=True, samesite="Strict", path="/")
+        return response
+
+    async def add_headers(_request: Request, response: StreamResponse) -> None:
+        response.headers["Content-Security-Policy"] = _POLICY
+        response.headers["Referrer-Policy"] = "no-referrer"
+        response.headers["X-Content-Type-Options"] = "nosniff"
+
+    # The first to be asked, whatever is added later.
+    application.middlewares.insert(0, check)
+    application.on_response_prepare.append(add_headers)
+
+
+def refusal(request: Any, token: str) -> str:
+    """Why a request is refused; empty where it is not."""
+    port = _port(request)
+    hosts = {f"{name}:{port}" for name in _NAMES}
+    if len(request.headers.getall("Host", [])) != 1 or request.headers["Host"].lower() not in hosts:
+        return "a foreign host"
+    origins = request.headers.getall("Origin", [])
+    if any(origin.lower() not in {f"http://{host}" for host in hosts} for origin in origins):
+        return "a foreign origin"
+    # A wrong token in the address is not mended by a cookie.
+    given = request.query.getall("token", []) or [request.cookies.get(cookie_name(port), "")]
+    if len(given) != 1 or not hmac.compare_digest(given[0].encode(), token.encode()):
+        return "no token, or a wrong one; open the address that was printed"
+    return ""
+
+
+def _port(request: Any) -> int:
+    """The port that a request came in at."""
+    return int(request.transport.get_extra_info("sockname")[1])

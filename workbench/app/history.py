@@ -1,0 +1,35 @@
+"""What was set before, and after what was undone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+Numbers = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class History:
+    """The ``present`` numbers by name, with those of the ``past``, oldest first, and of the ``future``, next first."""
+
+    present: Numbers
+    past: tuple[Numbers, ...] = ()
+    future: tuple[Numbers, ...] = ()
+
+    def then(self, numbers: Numbers) -> History:
+        """The history after `numbers` were set, which leave no future; itself where they are the present ones."""
+        if dict(numbers) == dict(self.present):
+            return self
+        return History(dict(numbers), (*self.past, self.present))
+
+    def undone(self) -> History:
+        """One step back; itself at the beginning."""
+        if not self.past:
+            return self
+        return History(self.past[-1], self.past[:-1], (self.present, *self.future))
+
+    def redone(self) -> History:
+        """One step on; itself at the end."""
+        if not self.future:
+            return self
+        return History(self.future[0], (*self.past, self.present), self.future[1:])

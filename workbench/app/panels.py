@@ -1,0 +1,120 @@
+"""What the session answers, as the page shows it: texts, lines and places."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any, Protocol
+
+import numpy as np
+
+from workbench.app import plot
+from workbench.app.section_fields import SectionFields
+from workbench.app.spectrum_view import SpectrumView
+
+
+class Drawn(Protocol):
+    """A picture of a field, see `workbench.render.live.LivePicture`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def title(self) -> str: ...
+    @property
+    def png(self) -> bytes: ...
+    @property
+    def window(self) -> tuple[float, float, float, float]: ...
+    @property
+    def low(self) -> float: ...
+    @property
+    def high(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def colours(self) -> str: ...
+    @property
+    def outline(self) -> tuple[tuple[float, float, float, float], ...]: ...
+    @property
+    def marks(self) -> tuple[tuple[float, float, str], ...]: ...
+    @property
+    def tall(self) -> float: ...
+
+
+def curve(view: SpectrumView, scale: plot.Scale) -> dict[str, Any]:
+    """The spectrum as lines, with its grid, its tolerance band, and its numbers for who points at it."""
+    spectrum = view.spectrum
+    tolerance = "" if view.spread is None else plot.tolerance_band(scale, spectrum, view.spread)
+    return {**plot.curves(scale, spectrum), "tolerance": tolerance, "ticks": plot.ticks(scale),
+            "read": plot.readout(spectrum)}
+
+
+def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
+    """The figures of merit, and how sure they are."""
+    measured = {row.metric: row for row in view.comparison.rows} if view.comparison is not None else {}
+
+    def card(name: str, metric: str, words: str, unit: str, digits: str, factor: float = 1.0) -> dict[str, str]:
+        deviation = view.deviations.get(name)
+        notes = [] if deviation is None else [f"± {deviation * factor:.2g} by the tolerances"]
+        row = measured.get(metric)
+        if row is not None:
+            notes.append(f"recorded {row.measured * factor:.5g}")
+        return {"id": name, "name": words, "value": f"{view.figures[name] * factor:{digits}} {unit}",
+                "note": ", ".join(notes)}
+
+    found: list[dict[str, str]] = []
+    if view.no_resonance:
+        found.append({"id": "f0", "name": "resonance", "value": "none", "note": view.no_resonance})
+    else:
+        found += [card("f0", "f0", "resonance f0", "MHz", ".5f", 1e-6),
+                  card("z_min", "Z_min", "smallest |Z|", "Ω", ".4g"), card("q", "Q", "quality factor Q", "", ".4g")]
+    if view.comparison is not None:
+        found.append({"id": "mape", "name": "off the recording", "value": f"{view.comparison.mape_percent:.3g} %",
+                      "note": "mean of |Z|"})
+    checked = "not checked yet" if not np.isfinite(view.error) else f"{100.0 * view.error:.2g} % where checked last"
+    found.append({"id": "model_error", "name": "model's error, estimated bound",
+                  "value": f"≤ {100.0 * view.estimate:.2g} %", "note": checked})
+    return found
+
+
+def described(section: SectionFields, *, stated: bool) -> str:
+    """Where the fields are, how the chip is driven, and what that gives; `stated` is whether the chip names the
+    particle."""
+    fields = section.fields
+    words = f"{fields.frequency / 1e6:.4f} MHz, {fields.drive}, {1e3 * fields.power:.3g} mW"
+    if section.traps is None:
+        return words
+    there = section.traps.excitation
+    words += f" · p0 {there.pressure_amplitude / 1e3:.4g} kPa · E_ac {there.energy_density:.3g} J/m³"
+    if section.traps.traps:
+        trap = section.traps.traps[0]
+        words += f" · deepest trap r {1e3 * trap.radius:.2f}, z {1e3 * trap.height:.3f} mm"
+    return words if stated else f"{words} · the chip names no particle, this is of the usual one"
+
+
+def embedded(png: bytes) -> str:
+    """A picture as an address that holds it."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+def picture(drawn: Drawn) -> dict[str, Any]:
+    """A picture as the page shows it, in a box as wide as the picture has dots."""
+    left, right, bottom, top = drawn.window
+    width = plot.WIDTH if drawn.tall == 1.0 else 0.5 * plot.WIDTH
+    dots = width / (right - left)
+    height = dots * drawn.tall * (top - bottom)
+
+    def x(r: float) -> float:
+        return round((r - left) * dots, 1)
+
+    def y(z: float) -> float:
+        return round((top - z) * dots * drawn.tall, 1)
+
+    step = next(each for each in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if right / each <= 5.0)
+    count = int(right / step)
+    ticks = [{"at": x(k * step), "text": f"{abs(k * step):g}" + (" mm" if k == 0 else ""), "anchor": "middle"}
+             for k in range(-count, count + 1)]
+    return {"name": drawn.name, "title": drawn.title, "png": embedded(drawn.png), "wide": drawn.tall == 1.0,
+            "width": width, "height": round(height, 1), "low": f"{drawn.low:.3g}", "high": f"{drawn.high:.3g}",
+            "unit": drawn.unit, "colours": drawn.colours, "ticks": ticks,
+            "note": "" if drawn.tall == 1.0 else f"heights × {drawn.tall:g}",
+            "outline": "".join(f"M{x(a)} {y(b)}L{x(c)} {y(d)}" for a, b, c, d in drawn.outline),
+            "marks": [{"x": x(r), "y": y(z), "text": text} for r, z, text in drawn.marks]}

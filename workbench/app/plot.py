@@ -1,0 +1,117 @@
+"""The spectrum as the lines of a picture: |Z| above, its phase below, both over frequency.
+
+Everything is in the units of a box of :data:`WIDTH` by :data:`HEIGHT` with its origin at the top left, which the page
+shows in whatever size it has room for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.spectrum import Spectrum
+
+Real = NDArray[np.float64]
+
+WIDTH, HEIGHT = 920.0, 246.0
+#: Sides of the two panels: left and right, top and bottom of |Z|, top and bottom of the phase.
+LEFT, RIGHT = 60.0, 908.0
+MAGNITUDE, PHASE = (6.0, 158.0), (170.0, 222.0)
+
+#: Ends of |Z| are moved outwards to steps of this share of a decade, so that the picture does not breathe while a
+#: number is moved.
+_STEP = 0.25
+#: Over fewer decades than this, twos and fives are labelled between the powers of ten.
+_FEW = 2.6
+#: Between so many and twice as many frequencies are labelled.
+_LABELS = 5
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Where frequencies (Hz), impedances (ohm) and phases (degrees) are in the picture."""
+
+    band: tuple[float, float]
+    magnitude: tuple[float, float]
+
+    @classmethod
+    def of(cls, band: tuple[float, float], magnitudes: Sequence[Real]) -> Scale:
+        """The scale on which all `magnitudes` (ohm) have room."""
+        every = np.concatenate(list(magnitudes))
+        low, high = math.log10(float(every.min())), math.log10(float(every.max()))
+        return cls(band, (_STEP * math.floor(low / _STEP - 0.2), _STEP * math.ceil(high / _STEP + 0.2)))
+
+    def x(self, frequency: Real | float) -> Real:
+        low, high = self.band
+        return np.asarray(LEFT + (RIGHT - LEFT) * (np.asarray(frequency) - low) / (high - low))
+
+    def y(self, magnitude: Real | float) -> Real:
+        low, high = self.magnitude
+        share = (np.log10(magnitude) - low) / (high - low)
+        return np.asarray(MAGNITUDE[1] - (MAGNITUDE[1] - MAGNITUDE[0]) * share)
+
+    def phase(self, degrees: Real | float) -> Real:
+        return np.asarray(PHASE[1] - (PHASE[1] - PHASE[0]) * (np.asarray(degrees) + 90.0) / 180.0)
+
+    def frequency_at(self, share: float) -> float:
+        """The frequency (Hz) at a `share` of the picture's width, at the nearer end where that is beside the panel."""
+        low, high = self.band
+        inside = (share * WIDTH - LEFT) / (RIGHT - LEFT)
+        return low + (high - low) * min(max(inside, 0.0), 1.0)
+
+
+def path(x: Real, y: Real) -> str:
+    """The line through points (n,), as the ``d`` of an SVG path."""
+    return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
+
+
+def curves(scale: Scale, spectrum: Spectrum) -> dict[str, str]:
+    """The lines of one spectrum: ``magnitude`` and ``phase``."""
+    x = scale.x(spectrum.frequency)
+    return {"magnitude": path(x, scale.y(spectrum.magnitude)), "phase": path(x, scale.phase(spectrum.phase_deg))}
+
+
+def tolerance_band(scale: Scale, spectrum: Spectrum, spread: Real) -> str:
+    """The area within one `spread` (n,), the relative standard deviation, of |Z|."""
+    x, factor = scale.x(spectrum.frequency), np.exp(spread)
+    high, low = scale.y(spectrum.magnitude * factor), scale.y(spectrum.magnitude / factor)
+    return path(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]])) + "Z"
+
+
+def dots(scale: Scale, frequency: Real, impedance: NDArray[np.complex128]) -> list[dict[str, float]]:
+    """Where single impedances (n,) are, in both panels."""
+    rows = zip(scale.x(frequency), scale.y(np.abs(impedance)), scale.phase(np.angle(impedance, deg=True)), strict=True)
+    return [{"x": round(float(x), 1), "y": round(float(y), 1), "p": round(float(p), 1)} for x, y, p in rows]
+
+
+def ticks(scale: Scale) -> dict[str, list[dict[str, Any]]]:
+    """Labels and places of the lines of the grid: ``x``, ``y`` and ``phase``."""
+    low, high = scale.band
+    step = 10.0 ** math.floor(math.log10((high - low) / _LABELS))
+    step *= max(factor for factor in (1.0, 2.0, 5.0) if (high - low) / (step * factor) >= _LABELS)
+    marks = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    places = max(0, 6 - math.floor(math.log10(step) + 1e-9))
+    across = [{"at": round(float(scale.x(f)), 1), "text": f"{f / 1e6:.{places}f}"} for f in marks]
+    bottom, top = scale.magnitude
+    wanted = (1.0, 2.0, 5.0) if top - bottom < _FEW else (1.0,)
+    sizes = [factor * 10.0**power for power in range(math.floor(bottom), math.ceil(top) + 1) for factor in wanted]
+    up = [{"at": round(float(scale.y(z)), 1), "text": _ohm(z)} for z in sizes
+          if bottom - 1e-9 <= math.log10(z) <= top + 1e-9]
+    return {"x": across, "y": up,
+            "phase": [{"at": round(float(scale.phase(p)), 1), "text": f"{p:+d}°" if p else "0°"} for p in (-90, 0, 90)]}
+
+
+def _ohm(magnitude: float) -> str:
+    return f"{magnitude / 1e3:g}k" if magnitude >= 1e3 else f"{magnitude:g}"
+
+
+def readout(spectrum: Spectrum) -> Mapping[str, list[float]]:
+    """The numbers of a spectrum for who points at it: MHz, ohm, degrees."""
+    return {"frequency": [round(float(f) / 1e6, 6) for f in spectrum.frequency],
+            "magnitude": [float(f"{z:.5g}") for z in spectrum.magnitude],
+            "phase": [round(float(p), 2) for p in spectrum.phase_deg]}

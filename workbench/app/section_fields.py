@@ -1,0 +1,91 @@
+"""The fields of a moved chip at one frequency, from a reduced model: no full solve.
+
+A state of the reduced model is one of the mesh that the model was made on. Lengths that have moved since move the
+nodes: between two breaks of the section the map is linear, along r and along z (`geometry.stretch`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from geometry.names import CAVITY
+from geometry.section import cut_section
+from geometry.stretch import tied
+from materials.kinds import Fluid, Material
+from workbench.drive import Drive
+from workbench.field_forces import particle_forces
+from workbench.fields import Fields, fields
+from workbench.parameter_names import ParameterName, placed
+from workbench.particles import Particle
+from workbench.ranges import RangeModel
+from workbench.traps import TrapReport, find_traps
+
+
+@dataclass(frozen=True, eq=False)
+class SectionFields:
+    """The fields of a chip with these ``values`` (SI, by name); ``traps`` is None without a fluid in the cavity, or
+    without a particle."""
+
+    values: Mapping[str, float]
+    fields: Fields
+    traps: TrapReport | None
+
+
+def section_fields(
+    chip: Chip, model: RangeModel, values: Mapping[str, float], frequency: float, drive: Drive,
+    particle: Particle | None,
+) -> SectionFields:
+    """The fields at one `frequency` (Hz) under `drive`, of the `chip` that `model` was made of, with other `values`."""
+    numbers = placed(model.problem.values, values)
+    compact = model.compact
+    solution = compact.solve(np.array([frequency]), numbers)
+    full = model.reduced.full
+    mesh = moved_mesh(full.mesh, chip, moved_chip(chip, values))
+    problem = replace(model.problem, values=numbers)
+    found = fields(problem, replace(full, mesh=mesh), replace(solution, states=compact.expand(solution)), drive)
+    fluid = model.problem.materials.get(CAVITY)
+    if not isinstance(fluid, Fluid) or particle is None:
+        return SectionFields(values, found, None)
+    present = with_numbers(fluid, values)
+    assert isinstance(present, Fluid)
+    return SectionFields(values, found, find_traps(particle_forces(found, particle, fluid=present, region=CAVITY)))
+
+
+def moved_chip(chip: Chip, values: Mapping[str, float]) -> Chip:
+    """`chip` with the lengths among `values` (SI); radii of one length move together, under the first of their names.
+
+    A length that is what it was keeps its tolerance and its note.
+    """
+    first = tied(chip)
+    return chip.with_dimensions({
+        name: values[first.get(name, name)] for name in chip.dimensions() if first.get(name, name) in values})
+
+
+def moved_mesh(mesh: SectionMesh, chip: Chip, moved: Chip) -> SectionMesh:
+    """The `mesh` of `chip` with its nodes where `moved` has them.
+
+    Raises:
+        MeshError: the breaks of the two do not correspond.
+    """
+    old, new = cut_section(chip), cut_section(moved)
+    r, z = mesh.mesh.p
+    places = np.stack([np.interp(r, old.r_breaks, new.r_breaks), np.interp(z, old.z_breaks, new.z_breaks)])
+    return replace(mesh, mesh=replace(mesh.mesh, doflocs=places), section=new)
+
+
+def with_numbers(material: Material, values: Mapping[str, float]) -> Material:
+    """`material` with those of its numbers that are among `values` (SI, by parameter name)."""
+    parameters = material.parameters()
+    own = {name: number for name, number in values.items() if ParameterName.parse(name).owner == material.name}
+    named = placed({f"{material.name}.{key}": number for key, number in parameters.items()}, own)
+    changed: dict[str, complex] = {}
+    for key, before in parameters.items():
+        after = named[f"{material.name}.{key}"]
+        if after != before:
+            changed[key] = after if isinstance(getattr(material, key), complex) else after.real
+    return replace(material, **changed)  # type: ignore[arg-type]

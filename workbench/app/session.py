@@ -1,0 +1,419 @@
+"""The present numbers of a chip that is moved by hand, and what they give: spectrum, figures, fields, and how sure.
+
+    session = Session(read_chip("chip.toml"), "filled", controls(chip, problem))
+    for said in session.grow():
+        print(said)
+    session.move("substrate.thickness", 0.83e-3)
+    session.spectrum().figures
+
+Answers come from reduced models. The first is there after a few full solves and right in the middle of the ranges only;
+it is replaced by larger ones as they are made (:meth:`Session.grow`, to be run beside). Any number of threads may ask.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import RLock
+
+import numpy as np
+
+from geometry.chip import Chip
+from geometry.chip_file import write_chip
+from geometry.names import TRANSDUCER
+from geometry.stretch import movable
+from materials.kinds import IsotropicSolid
+from materials.registry import Registry
+from workbench.app.controls import Control, controls
+from workbench.app.growth import Growing, Wanted, growing_here
+from workbench.app.history import History
+from workbench.app.local import LocalModel, along, around, local_model
+from workbench.app.section_fields import SectionFields, moved_chip, section_fields
+from workbench.app.spectrum_view import SpectrumView, spectrum_view
+from workbench.design.model import particle_of
+from workbench.discretisation import ACCURACY, Discretisation
+from workbench.drive import Drive, VoltageDrive
+from workbench.files.errors import InputError
+from workbench.operators import assemble
+from workbench.parameter_names import placed
+from workbench.particles import Particle, particle_from
+from workbench.problem import build, fill
+from workbench.ranges import NotCovered, OutOfRange, RangeModel
+from workbench.solve import sweep
+from workbench.spectrum import Spectrum
+
+#: Frequencies of the band at which the spectrum is answered; twice as many take twice as long.
+POINTS = 121
+#: Relative error of the impedance that the models are made for: less than the width of the line it is drawn with.
+TOLERANCE = 1e-2
+
+#: The particle whose potential is drawn where the chip's state names none: a material, and its radius (m).
+BEAD = ("polystyrene", 5e-6)
+
+
+class NotReady(RuntimeError):
+    """Nothing can be answered before the first model is there."""
+
+
+@dataclass(frozen=True)
+class Present:
+    """A chip with its lengths, and the ``constants`` (SI) of its materials that are others than these say."""
+
+    chip: Chip
+    state: str
+    constants: Mapping[str, float]
+    registry: Registry
+    band: tuple[float, float]
+    accuracy: float | Discretisation
+
+    def solve(self, send: Callable[[tuple[float, complex]], None], frequencies: Sequence[float]) -> None:
+        """Send frequencies (Hz) and impedances (ohm, e^{+j w t}) by full solves on a mesh of the chip's own, each as
+        soon as it is solved."""
+        problem = build(fill(self.chip, self.state, self.registry), band=self.band, accuracy=self.accuracy)
+        operators = assemble(problem.mesh, problem.terms)
+        for solution in sweep(operators, np.array(frequencies), placed(problem.values, self.constants)):
+            send((float(solution.frequency[0]), complex(np.conj(solution.impedance[0]))))
+
+
+class Session:
+    """A chip in one of its states whose numbers are moved.
+
+    ``controls`` are what can be moved, and how far; ``problem`` is that of the chip as its file has it; ``particle``
+    the one whose potential is drawn, ``particle_stated`` whether the file names it.
+    """
+
+    def __init__(
+        self,
+        chip: Chip,
+        state: str | None,
+        wanted: Sequence[str] = (),
+        *,
+        registry: Registry | None = None,
+        band: tuple[float, float] | None = None,
+        points: int = POINTS,
+        tolerance: float = TOLERANCE,
+        accuracy: float | Discretisation = ACCURACY,
+        drive: Drive | None = None,
+        recording: Spectrum | None = None,
+        recording_name: str = "recording",
+        growing: Growing = growing_here,
+    ) -> None:
+        """A session of `chip` in `state`, its last one if None, in which the numbers `wanted` can be moved
+        (`workbench.app.controls.controls`); `growing` makes its models.
+
+        Raises:
+            InputError: something in the chip, its materials, or what is wanted.
+        """
+        self.chip, self.state = chip, chip.state(state).name
+        self.registry = Registry() if registry is None else registry
+        self.band = chip.band if band is None else band
+        self.drive: Drive = VoltageDrive() if drive is None else drive
+        self.recording, self.recording_name = recording, recording_name
+        self._growing = growing
+        self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
+        device = fill(chip, self.state, self.registry)
+        self.problem = build(device, band=self.band, accuracy=accuracy)
+        stated = particle_of(device, self.registry)
+        self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
+        self._lock = RLock()
+        self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}
+        self._values = {name: each.value for name, each in self._controls.items()}
+        self._history = History(dict(self._values))
+        self._last_moved = ""
+        self._models: tuple[RangeModel, ...] = ()
+        self._local: tuple[LocalModel, ...] = ()
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # The numbers.
+
+    @property
+    def transducer(self) -> str:
+        """Name of the transducer's material."""
+        return self.problem.materials[TRANSDUCER].name
+
+    @property
+    def controls(self) -> tuple[Control, ...]:
+        with self._lock:
+            return tuple(self._controls.values())
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The present numbers (SI) by name."""
+        with self._lock:
+            return dict(self._values)
+
+    @property
+    def can_undo(self) -> bool:
+        with self._lock:
+            return bool(self._history.past) or self._values != self._history.present
+
+    @property
+    def can_redo(self) -> bool:
+        with self._lock:
+            return bool(self._history.future)
+
+    def move(self, name: str, number: float) -> None:
+        """Set one number (SI), on the way to where it will rest (:meth:`settle`).
+
+        Raises:
+            InputError: no such number, or one that no chip can have.
+        """
+        with self._lock:
+            self._check({name: number})
+            self._values[name] = float(number)
+            self._last_moved = name
+
+    def settle(self) -> None:
+        """Remember the present numbers as one step that can be undone."""
+        with self._lock:
+            self._history = self._history.then(self._values)
+
+    def put(self, values: Mapping[str, float]) -> None:
+        """Set several numbers (SI) as one step.
+
+        Raises:
+            InputError: as of :meth:`move`.
+        """
+        with self._lock:
+            self._check(values)
+            self._values |= {name: float(number) for name, number in values.items()}
+            self.settle()
+
+    def undo(self) -> None:
+        """Back to the numbers of the step before."""
+        with self._lock:
+            self.settle()
+            self._history = self._history.undone()
+            self._values = dict(self._history.present)
+
+    def redo(self) -> None:
+        """On to the numbers of the step that was undone last."""
+        with self._lock:
+            self._history = self._history.redone()
+            self._values = dict(self._history.present)
+
+    def reset(self, name: str | None = None) -> None:
+        """One number, or all of them, as the chip's file has them."""
+        with self._lock:
+            self.put({each.name: each.value for each in self.controls if name in (None, each.name)})
+
+    def tolerate(self, name: str, tolerance: float | None) -> None:
+        """Set the tolerance (SI) of one number; None for none.
+
+        Raises:
+            InputError: no such number, or a tolerance below zero.
+        """
+        with self._lock:
+            if name not in self._controls:
+                raise InputError("live view", "tolerance", name, f"one of {', '.join(self._controls)}")
+            if tolerance is not None and not 0.0 <= tolerance < np.inf:
+                raise InputError("live view", f"tolerance of {name}", tolerance, "a number that is not below zero")
+            self._controls[name] = replace(self._controls[name], tolerance=tolerance)
+
+    def present_chip(self) -> Chip:
+        """The chip with its present lengths."""
+        return moved_chip(self.chip, self.values)
+
+    def moved_constants(self) -> dict[str, float]:
+        """The constants of materials (SI) that are not what the materials say; a chip's file does not hold them."""
+        with self._lock:
+            return {name: self._values[name] for name, each in self._controls.items()
+                    if not each.is_length and self._values[name] != each.value}
+
+    def save(self, path: Path) -> None:
+        """Write the chip with its present lengths as a chip file; constants that were moved are told in its
+        description, since they belong to the materials.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        chip, constants = self.present_chip(), self.moved_constants()
+        if constants:
+            told = ", ".join(f"{name} = {self._controls[name].told(number)}" for name, number in constants.items())
+            words = f"{chip.description.rstrip()}\nConstants moved in the live view, not part of this file: {told}.\n"
+            chip = replace(chip, description=words.lstrip())
+        write_chip(chip, path)
+
+    def _check(self, values: Mapping[str, float]) -> None:
+        for name, number in values.items():
+            if name not in self._controls:
+                raise InputError("live view", "number", name, f"one of {', '.join(self._controls)}")
+            if not np.isfinite(number):
+                raise InputError("live view", name, number, "a finite number")
+            control = self._controls[name]
+            low, high = control.farthest
+            if control.is_length:
+                low, high = movable(self.chip, name, low, high)
+            if not low <= number <= high:
+                raise InputError("live view", name, control.told(number), f"{control.told(low)} to "
+                                 f"{control.told(high)}, to which the mesh can be stretched")
+        # Refuses lengths that do not make a chip.
+        moved_chip(self.chip, {**self._values, **values})
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # The models.
+
+    def outside(self) -> tuple[str, ...]:
+        """Names of the numbers that are outside the ranges."""
+        with self._lock:
+            return tuple(name for name, each in self._controls.items()
+                         if not each.low <= self._values[name] <= each.high)
+
+    def widen(self) -> tuple[str, ...]:
+        """Widen the ranges of the numbers that are outside; their names. :meth:`grow` then makes a model of them."""
+        with self._lock:
+            names = self.outside()
+            for name in names:
+                wider = self._controls[name].reaching(self._values[name])
+                if wider.is_length:
+                    low, high = movable(self.chip, name, wider.low, wider.high)
+                    wider = replace(wider, low=low, high=high)
+                self._controls[name] = wider
+            return names
+
+    def grow(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[str]:
+        """Make models of the present ranges, each larger than the last, until one is within the tolerance.
+
+        Yields what is known of each as soon as it answers, in words; ends before the next one once `stopped`.
+
+        Raises:
+            InputError: a range that no chip can have.
+        """
+        ranges = {each.name: (each.low, each.high) for each in self.controls}
+        wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
+                        self.accuracy)
+        models = self._growing(wanted)
+        try:
+            for model in models:
+                self._take(model)
+                yield _told(model)
+                if stopped():
+                    return
+        except NotCovered as reached:
+            # The last model that was yielded answers.
+            yield f"{reached}"
+        finally:
+            models.close()
+
+    def _take(self, model: RangeModel) -> None:
+        """Answer from `model` wherever it is the best; forget those that it replaces."""
+        # Worked out here rather than by who asks first.
+        _ = model.compact
+        with self._lock:
+            # One of narrower ranges answers there until this one has been found to be as good.
+            kept = [each for each in self._models if each.ranges != model.ranges
+                    and not (_covers(model, each) and model.error <= each.error)]
+            self._models = (*kept, model)
+
+    def _best(self, values: Mapping[str, float]) -> RangeModel:
+        """The model with these `values` in its ranges that was off least when it was checked.
+
+        Raises:
+            NotReady: there is none yet.
+            OutOfRange: no model has such ranges.
+        """
+        if not self._models:
+            raise NotReady("the first model is being made")
+        fit = [each for each in self._models if _holds(each, values)]
+        if not fit:
+            wide = self._models[-1]
+            beyond = [name for name, (low, high) in wide.ranges.items() if not low <= values[name] <= high]
+            raise OutOfRange(f"{', '.join(beyond)}: outside the ranges; a model of wider ones is needed")
+        return min(reversed(fit), key=lambda each: each.error)
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # What they give.
+
+    def spectrum(self) -> SpectrumView:
+        """The spectrum of the present numbers, and its figures of merit.
+
+        Raises:
+            NotReady, OutOfRange: no model answers for them yet.
+        """
+        with self._lock:
+            values, deviations = self.values, {each.name: each.deviation for each in self.controls}
+            model = self._best(values)
+            local = next((each for each in self._local if each.holds(model, values)), None)
+        response = model(values) if local is None else local(values)
+        return spectrum_view(response, deviations, model.error, self.recording)
+
+    def section(self, frequency: float) -> SectionFields:
+        """The fields of the present numbers at a `frequency` (Hz) within the band.
+
+        Raises:
+            NotReady, OutOfRange: no model answers for them yet.
+        """
+        with self._lock:
+            values = self.values
+            model = self._best(values)
+        return section_fields(self.chip, model, values, frequency, self.drive, self.particle)
+
+    def prepare(self, stopped: Callable[[], bool] = lambda: False) -> bool:
+        """Make one of the small models that the next answer may come from, unless both are there; whether one was made.
+
+        They are for any one number near the present ones, and for the number that was moved last, anywhere in its
+        range. Given up once `stopped`, since somebody waits for a spectrum.
+        """
+        with self._lock:
+            values, name = self.values, self._last_moved
+            if not self._models or self.outside():
+                return False
+            model = self._best(values)
+            known = [each for each in self._local if each.holds(model, values)]
+        wanted = [around(model, values), *([along(model, name)] if name in model.ranges else [])]
+        for reach in wanted:
+            if any(each.reach.keys() == reach.keys() and (len(reach) == 1 or each.centre == values) for each in known):
+                continue
+            found = local_model(model, values, reach, stopped)
+            if found is not None:
+                with self._lock:
+                    self._local = (found, *(each for each in known if each.reach.keys() != reach.keys()))
+                return True
+        return False
+
+    def impedance(self, frequency: float) -> complex:
+        """The impedance (ohm, e^{+j w t}) of the present numbers at a `frequency` (Hz) within the band.
+
+        Raises:
+            NotReady, OutOfRange: no model answers for the present numbers yet.
+        """
+        with self._lock:
+            values = self.values
+            model = self._best(values)
+        found = model.compact.solve(np.array([frequency]), placed(model.problem.values, values))
+        return complex(np.conj(found.impedance[0]))
+
+    def present(self, values: Mapping[str, float] | None = None) -> Present:
+        """The chip with its present numbers, or with `values` (SI) only, for who works on it elsewhere."""
+        with self._lock:
+            held = self.values if values is None else values
+            constants = {name: number for name, number in held.items() if not self._controls[name].is_length}
+            return Present(moved_chip(self.chip, held), self.state, constants, self.registry, self.band, self.accuracy)
+
+
+def _bead(registry: Registry) -> Particle:
+    """The particle of a chip that names none."""
+    material = registry.load(BEAD[0])
+    assert isinstance(material, IsotropicSolid)
+    return particle_from(material, BEAD[1])
+
+
+def _holds(model: RangeModel, values: Mapping[str, float]) -> bool:
+    return all(low - 1e-9 * abs(low) <= values[name] <= high + 1e-9 * abs(high)
+               for name, (low, high) in model.ranges.items())
+
+
+def _covers(one: RangeModel, other: RangeModel) -> bool:
+    """Whether the ranges of `one` hold those of `other`."""
+    return all(one.ranges[name][0] <= low and high <= one.ranges[name][1]
+               for name, (low, high) in other.ranges.items())
+
+
+def _told(model: RangeModel) -> str:
+    rank, solves = f"{model.rank} unknowns", f"{model.reduced.solves} full solves"
+    if model.error <= model.tolerance:
+        return f"model ready: {rank}, off by {100.0 * model.error:.2g} % at worst where {solves} checked it"
+    if not np.isfinite(model.error):
+        return f"first model: {rank}, right about the middle of the ranges; it grows"
+    return f"model grows: {rank} after {solves}, was off by {100.0 * model.error:.2g} %"

@@ -1,0 +1,153 @@
+"""What the live view does in the background: larger models, full solves, fits, a diagnosis."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from geometry.chip_file import write_chip
+from workbench.app.background import Say, Stopped, lines_of, run_command
+from workbench.app.elsewhere import Send, elsewhere, stand_back
+from workbench.app.refit import Refit, refit
+from workbench.app.session import Present, Session
+from workbench.diagnosis.campaign import DIMENSIONS
+from workbench.files.errors import InputError
+from workbench.files.quantities import UNITS
+from workbench.files.writing import write_atomic
+from workbench.fitting.parameter import parameters
+from workbench.spectrum import write_csv
+
+#: What each kind of work is called on the page.
+KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full solve", "fit": "Fit",
+                            "diagnose": "Diagnosis"}
+
+#: Where the page finds the report of a diagnosis.
+REPORT = "diagnosis/report.html"
+
+#: Frequencies of the band that are solved in full.
+SOLVED = 41
+
+
+class Works:
+    """The works on a session. ``free`` are the names of numbers that a fit may move; a diagnosis goes to a folder
+    within `folder`, and is of the `campaign` or, without one, of the session's recording."""
+
+    def __init__(self, session: Session, folder: Path, campaign: Path | None) -> None:
+        self._session, self._folder, self.campaign = session, folder, campaign
+        self.free: set[str] = set()
+        self._checks = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=stand_back)
+
+    @property
+    def report(self) -> Path:
+        """The report of a diagnosis, once there is one."""
+        return self._folder / REPORT
+
+    def model(self, say: Say, stopped: Stopped) -> str:
+        """Models of the present ranges, until one is good enough."""
+        last = "the first model is being made"
+        say(last)
+        for last in self._session.grow(stopped):
+            say(last)
+        return last
+
+    def check(self, frequency: float) -> str:
+        """One full solve where the fields are shown."""
+        session = self._session
+        reduced = session.impedance(frequency)
+        full = self._checks.submit(_impedance, session.present(), frequency).result()
+        return (f"a full solve at {frequency / 1e6:.4f} MHz on a mesh of its own: the model is off by "
+                f"{100.0 * abs(reduced / full - 1.0):.2g} % there")
+
+    def close(self) -> None:
+        """End what is still at work."""
+        self._checks.shutdown(wait=False, cancel_futures=True)
+
+    def full(self, say: Say, stopped: Stopped, solved: Callable[[float, complex], None]) -> str:
+        """Full solves all over the band on a mesh of the present chip's own; `solved` is called with every one."""
+        say(f"0 of {SOLVED} frequencies")
+        found: list[tuple[float, complex]] = []
+        model = self._session.spectrum().spectrum.interpolant()
+        wanted = np.linspace(*self._session.band, SOLVED).tolist()
+        for frequency, impedance in elsewhere(_solve, self._session.present(), wanted, stopped=stopped):
+            found.append((frequency, impedance))
+            solved(frequency, impedance)
+            say(f"{len(found)} of {SOLVED} frequencies")
+        if len(found) < SOLVED:
+            return f"stopped after {len(found)} of {SOLVED} frequencies"
+        frequencies, impedances = (np.array([each[k] for each in found]) for k in (0, 1))
+        off = np.abs(model(frequencies.real) / impedances - 1.0)
+        return (f"{SOLVED} frequencies on a mesh of its own: the model is off by {100.0 * off.max():.2g} % at most, "
+                f"{100.0 * np.sqrt(np.mean(off**2)):.2g} % rms")
+
+    def fit(self, say: Say, stopped: Stopped) -> str:
+        """The freed numbers, from where they are, so that the spectrum is the recording's."""
+        session = self._session
+        recording, free = session.recording, [each.name for each in session.controls if each.name in self.free]
+        if recording is None or not free:
+            raise InputError("live view", "fit", "nothing free", "a recording, and the numbers ticked that may move")
+        told = ", ".join(free)
+        say(told)
+        values, found = session.values, None
+        held = {name: number for name, number in values.items() if name not in free}
+        for found in elsewhere(refit, session.present(held), {name: values[name] for name in free}, recording,
+                               session.recording_name, stopped=stopped):
+            if isinstance(found, str):
+                say(f"{told}: {found}")
+        if not isinstance(found, Refit):
+            return "stopped"
+        session.put(found.values)
+        by_name = {each.name: each for each in session.controls}
+        told = ", ".join(f"{by_name[name].label} {by_name[name].told(number)} ± "
+                         f"{by_name[name].told(found.errors[name])}" for name, number in found.values.items())
+        off = f"off by {found.before:.3g} % before, {found.after:.3g} % now"
+        return f"{off}: {told}. {' '.join(found.findings)}".strip()
+
+    def diagnose(self, say: Say, stopped: Stopped) -> str:
+        """``workbench diagnose`` as a process: of the campaign, or of the one recording."""
+        folder = self.report.parent
+        folder.mkdir(parents=True, exist_ok=True)
+        campaign = self.one_recording(folder) if self.campaign is None else self.campaign
+        say(f"of {campaign}; takes minutes, and goes on beside")
+        log = folder / "log.txt"
+        status = run_command(["diagnose", str(campaign), "-o", str(folder)], stopped, log)
+        if status is None:
+            return "stopped"
+        last = next(lines_of(log), "no words")
+        return f"done, see {self.report}" if status == 0 else f"failed: {last}"
+
+    def one_recording(self, folder: Path) -> Path:
+        """A campaign of the one recording and the present chip; free are the numbers that are ticked, or else all.
+
+        Raises:
+            InputError: there is no recording.
+        """
+        session = self._session
+        if session.recording is None:
+            raise InputError("live view", "diagnose", None, "a recording, or a campaign (--campaign)")
+        chip = write_chip(session.present_chip(), folder / "chip.toml")
+        write_csv(session.recording, folder / "recording.csv")
+        names = [each.name for each in session.controls if not self.free or each.name in self.free]
+        lines = ["[states.recorded]", f'chip = "{chip.name}"', f'state = "{session.state}"',
+                 'recording = "recording.csv"', "", "[known]"]
+        for parameter in parameters(session.problem, session.chip, session.transducer, names):
+            if parameter.prior is not None:
+                unit = next(name for name, factor in UNITS[DIMENSIONS[parameter.unit]].items() if factor == 1.0)
+                lines.append(f'"{parameter.name}" = "{parameter.prior!r} {unit}"')
+        path = folder / "campaign.toml"
+        write_atomic(path, "\n".join(lines) + "\n")
+        return path
+
+
+def _solve(send: Send, present: Present, frequencies: Sequence[float]) -> None:
+    present.solve(send, frequencies)
+
+
+def _impedance(present: Present, frequency: float) -> complex:
+    """The impedance (ohm, e^{+j w t}) by a full solve."""
+    found: list[tuple[float, complex]] = []
+    present.solve(found.append, [frequency])
+    return found[0][1]

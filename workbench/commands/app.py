@@ -1,0 +1,73 @@
+"""``workbench app``."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import importlib.util
+import tempfile
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geometry.chip import read_chip
+from workbench.app.growth import growing_elsewhere
+from workbench.app.section_fields import SectionFields
+from workbench.app.server import Drawing, LiveView
+from workbench.app.session import Session
+from workbench.commands.asked import asked_model, asked_reading
+from workbench.commands.terminal import print_line
+from workbench.files.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from workbench.render.live import LivePicture
+
+#: Ports that a program of a user may listen on; 0 is any that is free.
+_PORTS = range(1024, 65536)
+
+
+def run(options: argparse.Namespace, console: Console) -> int:
+    """``workbench app``: serve the live view until interrupted."""
+    if options.port and options.port not in _PORTS:
+        raise InputError("command line", "--port", options.port, f"0, or {_PORTS[0]} to {_PORTS[-1]}")
+    if importlib.util.find_spec("trame_vuetify") is None:
+        raise RuntimeError("the live view needs trame and trame-vuetify (./setup installs them)")
+    chip = read_chip(options.chip)
+    asked = asked_model(options, chip)
+    recording = None if options.recording is None else asked_reading(options, options.recording, console).spectrum
+    if options.campaign is not None and not options.campaign.is_file():
+        raise InputError("command line", "--campaign", str(options.campaign), "a file")
+    session = Session(chip, options.state, options.vary, registry=asked.registry, band=asked.band,
+                      accuracy=asked.accuracy, drive=asked.drive, recording=recording,
+                      recording_name="" if options.recording is None else options.recording.name,
+                      growing=growing_elsewhere)
+    view = LiveView(session, Drawing(_section, _space), options.folder, campaign=options.campaign)
+
+    def ready(address: str) -> None:
+        print_line(address)
+        console.print("The live view is at this address, for this computer alone. Ctrl-C ends it.", markup=False)
+        if not options.no_browser:
+            webbrowser.open(address)
+
+    # Its usual end.
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(view.serve(options.port, ready))
+    return 0
+
+
+def _section(found: SectionFields) -> Sequence[LivePicture]:
+    from workbench.render.live import live_pictures
+
+    return live_pictures(found.fields, found.traps)
+
+
+def _space(found: SectionFields) -> bytes:
+    from workbench.render.solids import draw_revolved
+
+    with tempfile.TemporaryDirectory() as folder:
+        return draw_revolved(found.fields, Path(folder) / "space.png").read_bytes()

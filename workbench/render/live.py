@@ -1,0 +1,108 @@
+"""Pictures of a section for a page that draws axes, marks and legends itself: colours alone, made in some hundredths of
+a second."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.names import CAVITY
+from workbench.nodal import FloatArray, NodalMesh, raster
+from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, prefixed
+from workbench.render.sections import at_largest, region_edges
+from workbench.traps import TrapReport
+
+if TYPE_CHECKING:
+    from workbench.fields import Fields
+
+#: Width of a picture in dots, that of the page's; and points of the raster along each side of a dot, whose mean it is.
+_DOTS, _POINTS = 880, 2
+#: Steps of the strip of colours that stands for a map.
+_STRIP = 9
+
+
+@dataclass(frozen=True)
+class LivePicture:
+    """A field in the section, mirrored about the axis: ``png`` fills ``window`` (left, right, bottom, top; mm).
+
+    ``low`` and ``high`` in ``unit`` are what the ends of ``colours`` (CSS) stand for; ``outline`` are lines of regions
+    (x, z, x, z; mm), ``marks`` are points (r, z; mm) with what they are; ``tall`` how many times heights are enlarged.
+    """
+
+    name: str
+    title: str
+    png: bytes
+    window: tuple[float, float, float, float]
+    low: float
+    high: float
+    unit: str
+    colours: str
+    outline: tuple[tuple[float, float, float, float], ...]
+    marks: tuple[tuple[float, float, str], ...] = ()
+    tall: float = 1.0
+
+
+def live_pictures(fields: Fields, traps: TrapReport | None) -> list[LivePicture]:
+    """u_z in the solids and, where there is a fluid in the cavity, its pressure and the potential with its traps."""
+    mesh = fields.mesh
+    found = [_signed("displacement", "axial displacement u_z", mesh, fields.displacement[:, 1], "m", tall=1.0)]
+    if CAVITY in fields.fluid_regions:
+        pressure = np.full_like(fields.pressure, np.nan)
+        nodes = mesh.nodes_of([CAVITY])
+        pressure[nodes] = fields.pressure[nodes]
+        found.append(_signed("pressure", "pressure", mesh, pressure, "Pa", tall=2.0))
+    if traps is not None:
+        forces = traps.forces
+        factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
+        values = forces.potential * factor
+        marks = tuple((sign * trap.radius * 1e3, trap.height * 1e3, str(trap)) for trap in traps.traps
+                      for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,)))
+        title = f"Gor'kov potential, {2e6 * forces.particle.radius:.3g} µm {forces.particle.name.split('/')[0]}"
+        found.append(_picture("potential", title, forces.mesh, values, unit, PLAIN_COLOURS,
+                              (float(values.min()), float(values.max())), marks, tall=2.0))
+    return found
+
+
+def _signed(
+    name: str, title: str, mesh: NodalMesh, amplitude: NDArray[np.complex128], unit: str, *, tall: float
+) -> LivePicture:
+    """A field with a sign, at the phase at which it is largest."""
+    values, _ = at_largest(amplitude)
+    largest = float(np.nanmax(np.abs(values)))
+    factor, shown = prefixed(largest, unit)
+    end = largest * factor or 1.0
+    return _picture(name, title, mesh, values * factor, shown, SIGNED_COLOURS, (-end, end), (), tall=tall)
+
+
+def _picture(
+    name: str, title: str, mesh: NodalMesh, values: FloatArray, unit: str, colours: str, limits: tuple[float, float],
+    marks: tuple[tuple[float, float, str], ...], *, tall: float,
+) -> LivePicture:
+    from matplotlib import colormaps
+    from matplotlib.colors import Normalize, to_hex
+    from PIL import Image
+
+    regions = [each for each in mesh.regions if np.isfinite(values[mesh.nodes_of([each])]).all()]
+    there = mesh.points[mesh.nodes_of(regions)]
+    # The solids are seen among what they hold; a field of the cavity alone close up.
+    shown = mesh.points if len(regions) > 1 else there
+    radius, bottom, top = (float(each) for each in (shown[:, 0].max(), shown[:, 1].min(), shown[:, 1].max()))
+    across, up = _DOTS // 2, max(1, round(tall * _DOTS * (top - bottom) / (2.0 * radius)))
+    r = (np.arange(_POINTS * across) + 0.5) * radius / (_POINTS * across)
+    z = bottom + (np.arange(_POINTS * up) + 0.5) * (top - bottom) / (_POINTS * up)
+    seen = np.ma.masked_invalid(raster(mesh, values, r, z, regions).T[::-1])
+    shades = colormaps[colours]
+    coloured = shades.with_extremes(bad="white")(Normalize(*limits)(seen), bytes=True)[:, :, :3]
+    right = coloured.reshape(up, _POINTS, across, _POINTS, 3).mean(axis=(1, 3)).round().astype(np.uint8)
+    held = io.BytesIO()
+    Image.fromarray(np.concatenate([right[:, ::-1], right], axis=1)).save(held, "png", compress_level=1)
+    strip = ", ".join(to_hex(shades(share)) for share in np.linspace(0.0, 1.0, _STRIP))
+    outline = tuple((float(a[0]), float(a[1]), float(b[0]), float(b[1])) for a, b in region_edges(mesh)
+                    if max(a[1], b[1]) <= 1e3 * top + 1e-6 and min(a[1], b[1]) >= 1e3 * bottom - 1e-6
+                    and max(abs(a[0]), abs(b[0])) <= 1e3 * radius + 1e-6)
+    return LivePicture(name, title, held.getvalue(), (-1e3 * radius, 1e3 * radius, 1e3 * bottom, 1e3 * top), *limits,
+                       unit, f"linear-gradient(to right, {strip})", outline, marks, tall)
