@@ -6,13 +6,15 @@ From recordings to a design that is best over what the bench left uncertain, and
     python examples/20_robust_by_measurement.py [-o out/robust_by_measurement]
 
 The bench is the simulated one of ``11_whole_way.py``: leads, gains that are off, 8 bit and noise. A disc is measured
-and fitted, then the disc with a printed sample on it, and the moduli of the print are fitted; its recording leaves the
-gel below the sample and the moduli of the print open to some extent, together (``fit_sample/fit.json``). Then two chips
-are designed for the strongest field with the trap within 30 um of mid-height: one as if the fit were the truth, and one
-for the field and the trap that 95 % of the chips reach which the recording allows. Both are judged by the same samples
-of that posterior, which neither search has seen.
+and fitted, then the disc with a printed sample on it, and the moduli of the print are fitted; both are kept with their
+uncertainties and correlations. What no recording says is how thick the gel below the next chip will be: its file gives
+20 um within 10 um. Two chips are designed for the strongest field with the trap within 30 um of mid-height: one as if
+what is stated were the truth, and one for the field and the trap that 95 % of the chips reach that the bench allows.
+Both are judged by the same samples, which neither search has seen.
 
-Every command is printed. About ten minutes on two cores.
+Every command is printed. Some six minutes on two cores.
+
+Reference number: with the trap in place are 77 % of the chips of the nominal design.
 """
 
 from __future__ import annotations
@@ -23,11 +25,14 @@ import json
 import shutil
 from pathlib import Path
 
+import pandas
+
+import workbench as wb
+
 FILES = Path(__file__).resolve().parent / "robust_by_measurement"
-#: Of the judgement: not those of the searches.
+REQUIRED = "trap_offset within 30 um of 0 um"
+#: Of the samples that judge; the searches have others.
 SEED = 7
-REQUIRED = ("trap_offset within 30 um of 0 um",)
-POSTERIOR = "fit_sample/fit.json"
 
 
 def robust_by_measurement(folder: Path) -> None:
@@ -38,24 +43,26 @@ def robust_by_measurement(folder: Path) -> None:
     for path in FILES.glob("*.toml"):
         shutil.copy(path, folder)
     for name in ("nominal", "robust"):
-        bench.run("design", f"{name}.toml", "--no-cad", "-o", name)
-        bench.run("tolerance", f"{name}/best.toml", "--state", "filled", "--posterior", POSTERIOR,
-                  "--figure", "mean_e_ac", *(word for text in REQUIRED for word in ("--require", text)),
+        bench.run("design", f"{name}.toml", "-o", name)
+        bench.run("tolerance", f"{name}/best.toml", "--state", "filled", "--figure", "mean_e_ac", "--require", REQUIRED,
                   "--seed", str(SEED), "--samples", "1000", "-o", f"{name}_judged")
-    print("\nOver what the recording leaves open:")
+    print("\nOver what the bench leaves open:")
     outcome(folder)
 
 
 def outcome(folder: Path) -> None:
-    """Print, of both designs, the field that 95 % of the chips reach and the share whose trap is where it should be."""
-    import pandas
-
-    print(f"{'design':10}{'as fitted':>16}{'reached by 95 %':>20}{'trap in place':>18}")
+    """Print, of both designs, the field as stated and as 95 % of the chips reach it, and the share with the trap in
+    place."""
+    print(f"{'':10}{'sidewall':>12}{'mean_e_ac':>16}{'reached by 95 %':>20}{'trap in place':>28}")
     for name in ("nominal", "robust"):
         judged = json.loads((folder / f"{name}_judged" / "tolerance.json").read_text(encoding="utf-8"))
-        samples = pandas.read_parquet(folder / f"{name}_judged" / "samples.parquet")
-        field = samples["mean_e_ac"].dropna()
-        print(name, judged["yield"], field.quantile(0.05), len(samples))
+        share = judged["yield"]["requirements"][0]
+        samples = pandas.read_parquet(folder / f"{name}_judged" / "tolerance.parquet")
+        chip = wb.read_chip(folder / name / "best.toml")
+        wall = chip.dimensions()["sidewall.thickness"].value
+        print(f"{name:10}{1e3 * wall:9.4f} mm{judged['figures']['mean_e_ac']['nominal']:10.3f} J/m^3"
+              f"{samples['mean_e_ac'].quantile(0.05):14.3f} J/m^3"
+              f"{100.0 * share['yield']:10.1f} % ({100.0 * share['low']:.1f} to {100.0 * share['high']:.1f} %)")
 
 
 def main() -> None:
