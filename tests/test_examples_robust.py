@@ -60,5 +60,5 @@ def test_what_is_said_of_both_designs(tmp_path: Path, capsys: Any) -> None:
             tmp_path / f"{name}_judged" / "tolerance.parquet")
     example.outcome(tmp_path)
     said = capsys.readouterr().out.splitlines()
-    assert said[1].split() == "nominal 0.7200 mm 2.000 J/m^3 1.050 J/m^3 50.0 % (49.0 to 51.0 %)".split()
+    assert " ".join(said[1].split()) == "nominal 0.7200 mm 2.000 J/m^3 1.050 J/m^3 50.0 % (49.0 to 51.0 %)"
     assert said[2].split()[:1] == ["robust"]
