@@ -18,13 +18,7 @@ from materials.registry import user_registry
 from workbench.commands.asked import asked_accuracy, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.design.candidate import Candidate, Confirmed
-from workbench.design.executors import processes
-from workbench.design.goal import Objective, read_goal
-from workbench.design.modelling import ChipSolver
-from workbench.design.optimisation import Design, optimise
-from workbench.design.programme import KEPT
-from workbench.files.errors import InputError
-from workbench.report.designs import (
+from workbench.design.design_report import (
     active_table,
     before_after_table,
     choices_table,
@@ -38,6 +32,12 @@ from workbench.report.designs import (
     summary_lines,
     value_of,
 )
+from workbench.design.executors import processes
+from workbench.design.goal import Objective, read_goal
+from workbench.design.modelling import ChipSolver
+from workbench.design.optimisation import Design, optimise
+from workbench.design.programme import KEPT
+from workbench.files.errors import InputError
 from workbench.report.page import Block, Note, Picture, write_json, write_report
 
 if TYPE_CHECKING:
