@@ -102,6 +102,8 @@ class LiveView:
         try:
             await asyncio.shield(serving)
         finally:
+            if self._rest is not None:
+                self._rest.cancel()
             answering.cancel()
             await asyncio.gather(answering, return_exceptions=True)
             await self._server.stop()
