@@ -154,7 +154,8 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=10_000)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--kills", type=int, default=0)
-    parser.add_argument("--within", default="40 s", help="a kill comes at most so long after the begin")
+    parser.add_argument("--within", default="13 s", help="a kill comes at most so long after the begin "
+                        "(default 13 s, for a study of a minute)")
     parser.add_argument("--dask", action="store_true")
     with_json(parser)
     arguments = parser.parse_args()
