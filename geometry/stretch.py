@@ -72,6 +72,12 @@ def tied(*chips: Chip) -> dict[str, str]:
     return first
 
 
+def moving_together(chip: Chip, name: str) -> tuple[str, ...]:
+    """The lengths of `chip` that change with the one called `name`: of a radius all that coincide with it."""
+    first = tied(chip)
+    return tuple(other for other in first if first[other] == first[name]) if name in first else (name,)
+
+
 def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[SectionMesh, dict[str, list[Piece]]]:
     """The same mesh that also names the parts of every region and boundary that follow a length of the chip.
 

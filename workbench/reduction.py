@@ -100,10 +100,7 @@ class ReducedModel:
 
         Rounding, some 1e-12, is not in it.
         """
-        constants = np.array([constants for _, constants in solution.groups])
-        sketches = combined(self.operators.by_form(constants), self.sketch)
-        residual = sum(h * (sketch @ solution.states) for (h, _), sketch in zip(solution.groups, sketches, strict=True))
-        return estimated_error(np.asarray(residual), solution.charge)
+        return sketched_error(self.operators, self.sketch, solution)
 
     def worst(self, frequencies: Real, values: Values) -> tuple[Solution, float, int]:
         """The reduced solution, its largest estimated error, and the index of the frequency of that."""
@@ -200,6 +197,14 @@ class ReducedModel:
     def expand(self, solution: Solution) -> Complex:
         """The states (size, n) of the full model that a reduced solution stands for."""
         return self.basis @ solution.states
+
+
+def sketched_error(operators: ReducedOperators, sketch: Real, solution: Solution) -> Real:
+    """Estimated relative error (n,) of the impedance of a `solution` of `operators`, see :class:`ReducedModel`."""
+    constants = np.array([constants for _, constants in solution.groups])
+    sketches = combined(operators.by_form(constants), sketch)
+    residual = sum(h * (each @ solution.states) for (h, _), each in zip(solution.groups, sketches, strict=True))
+    return estimated_error(np.asarray(residual), solution.charge)
 
 
 def reduce(

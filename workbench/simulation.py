@@ -31,7 +31,7 @@ from workbench.mesh_error import MeshError
 from workbench.mesh_error import estimate as mesh_error
 from workbench.notebook import Shown, Summary
 from workbench.operators import FullOperators, assemble
-from workbench.particles import particle_from
+from workbench.particles import Particle, particle_from
 from workbench.problem import FilledChip, Problem, build, fill
 from workbench.reduction import reduced
 from workbench.solve import Solution, solve_full, sweep
@@ -320,15 +320,29 @@ def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], f
 
 
 def _traps(device: FilledChip, found: Fields, registry: Registry) -> TrapReport | None:
-    chosen, fluid = device.state, device.materials.get(CAVITY)
-    if not isinstance(fluid, Fluid) or chosen.particle is None or chosen.particle_radius is None:
+    fluid = device.materials.get(CAVITY)
+    if not isinstance(fluid, Fluid):
         return None
-    material = registry.load(chosen.particle)
-    if not isinstance(material, IsotropicSolid):
-        raise InputError(device.chip.file, f"states.{chosen.name}.particle", chosen.particle, "an isotropic solid")
-    bead = particle_from(material, chosen.particle_radius)
+    bead = particle_of(device, registry)
+    if bead is None:
+        return None
     forces = particle_forces(found, bead, fluid=fluid, region=CAVITY)
     return find_traps(forces)
+
+
+def particle_of(device: FilledChip, registry: Registry | None) -> Particle | None:
+    """The particle that the state of a chip names, if any.
+
+    Raises:
+        InputError: its material is no isotropic solid.
+    """
+    chosen = device.state
+    if chosen.particle is None or chosen.particle_radius is None:
+        return None
+    material = (Registry() if registry is None else registry).load(chosen.particle)
+    if not isinstance(material, IsotropicSolid):
+        raise InputError(device.chip.file, f"states.{chosen.name}.particle", chosen.particle, "an isotropic solid")
+    return particle_from(material, chosen.particle_radius)
 
 
 def _origin(device: FilledChip, error: float, of_mesh: MeshError | None) -> Origin:

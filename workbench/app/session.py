@@ -31,7 +31,6 @@ from workbench.app.history import History
 from workbench.app.local import LocalModel, along, around, local_model
 from workbench.app.section_fields import SectionFields, moved_chip, section_fields
 from workbench.app.spectrum_view import SpectrumView, spectrum_view
-from workbench.design.model import particle_of
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.files.errors import InputError
@@ -40,6 +39,7 @@ from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import build, fill
 from workbench.ranges import NotCovered, OutOfRange, RangeModel
+from workbench.simulation import particle_of
 from workbench.solve import sweep
 from workbench.spectrum import Spectrum
 

@@ -20,14 +20,12 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from workbench.design.cavity import Cavity
-from workbench.energy_norm import estimated_error
-from workbench.forms import combined
 from workbench.linearised import FullSystem, Linearised, ReducedSystem
 from workbench.parameter_names import ParameterName, placed
 from workbench.physics.term import Values
 from workbench.ranges import Progress, RangeModel, compacted, keys
 from workbench.reduced_operators import ReducedOperators
-from workbench.reduction import ReducedModel, smallest
+from workbench.reduction import ReducedModel, sketched_error, smallest
 from workbench.solve import Solution, one_thread
 
 Real = NDArray[np.float64]
@@ -89,10 +87,8 @@ class Bases:
         return np.asarray(self.rows @ states.real + 1j * (self.rows @ states.imag))
 
     def estimate(self, solution: Solution) -> float:
-        """Estimated relative error of Z of a state at one frequency (`workbench.reduction.ReducedModel.error`)."""
-        sketches = combined(self.operating.by_form(np.array([c for _, c in solution.groups])), self.sketch)
-        residual = sum(h * (sketch @ solution.states) for (h, _), sketch in zip(solution.groups, sketches, strict=True))
-        return float(estimated_error(np.asarray(residual), solution.charge)[0])
+        """Estimated relative error of Z of a state at one frequency."""
+        return float(sketched_error(self.operating, self.sketch, solution)[0])
 
 
 @dataclass(frozen=True, eq=False)

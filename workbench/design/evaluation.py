@@ -36,6 +36,8 @@ ELECTRICAL = ("voltage", "power", "heating")
 #: Figures of the particle's trap.
 OF_TRAP = ("trap_height", "trap_offset", "trap_radius", "trap_depth", "axial_stiffness", "radial_stiffness",
            "focus_time")
+#: Figures of the cavity's field, those of the trap among them.
+OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)
 
 
 @dataclass(frozen=True)
@@ -160,9 +162,6 @@ def answer(
     kept = {name: found[name] for name in question.figures if name in found}
     return Answer(question, kept, {name: why for name, why in missing.items() if name in question.figures},
                   math.nan if driven is None else driven, state)
-
-
-OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)
 
 
 @dataclass(frozen=True, eq=False)

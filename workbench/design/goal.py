@@ -30,13 +30,14 @@ from pathlib import Path
 from typing import Any
 
 from geometry.chip import Chip, read_chip
+from geometry.stretch import moving_together
 from materials.registry import Registry
 from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
 from workbench.design.thermal import read_thermal
 from workbench.design.uncertainty import Law
-from workbench.design.variables import MATERIAL, Length, MaterialChoice, Stock, Variable, first_name, together
+from workbench.design.variables import MATERIAL, Length, MaterialChoice, Stock, Variable, first_name
 from workbench.drive import parse_drive
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
@@ -223,7 +224,7 @@ def _variables(table: Table, chip: Chip, registry: Registry | None) -> Iterator[
     seen: dict[str, str] = {}
     for name, inner in _flat(table):
         choose(name, known, source=table.source, field=table.at(name))
-        for alike in together(chip, name) if name in lengths else (name,):
+        for alike in moving_together(chip, name) if name in lengths else (name,):
             if alike in seen:
                 raise InputError(table.source, table.at(name), name,
                                  f"one of the two: it coincides with {seen[alike]}, and they change together")

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.stretch import tied
-from materials.kinds import Fluid, IsotropicSolid
+from geometry.stretch import moving_together, tied
+from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.design.bases import Bases, bases_of
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
@@ -32,10 +32,10 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.linearised import FullSystem, ReducedSystem
 from workbench.operators import FullOperators, assemble
 from workbench.parameter_names import Kind, ParameterName, placed
-from workbench.particles import Particle, particle_from
 from workbench.problem import FilledChip, Problem, build, fill
 from workbench.ranges import LIMIT, Progress, RangeModel, Ranges, range_model, within
 from workbench.reduction import reduced
+from workbench.simulation import particle_of
 from workbench.solve import one_thread
 from workbench.spectrum import Spectrum
 
@@ -231,11 +231,7 @@ def full_evaluation(
 
 def all_of_one_length(chip: Chip, lengths: Mapping[str, float]) -> dict[str, float]:
     """`lengths` (m) with the radii that coincide with one of them, which are one parameter, by all of their names."""
-    first = tied(chip)
-    found = dict(lengths)
-    for name, value in lengths.items():
-        found |= {other: value for other in first if name in first and first[other] == first[name]}
-    return found
+    return {other: value for name, value in lengths.items() for other in moving_together(chip, name)}
 
 
 def _cavity(
@@ -258,21 +254,6 @@ def _cavity(
     except NoCavity as error:
         return None, str(error)
     return found, ""
-
-
-def particle_of(device: FilledChip, registry: Registry | None) -> Particle | None:
-    """The particle that the state of a chip names, if any.
-
-    Raises:
-        InputError: its material is no isotropic solid.
-    """
-    chosen = device.state
-    if chosen.particle is None or chosen.particle_radius is None:
-        return None
-    material = (Registry() if registry is None else registry).load(chosen.particle)
-    if not isinstance(material, IsotropicSolid):
-        raise InputError(device.chip.file, f"states.{chosen.name}.particle", chosen.particle, "an isotropic solid")
-    return particle_from(material, chosen.particle_radius)
 
 
 def _evaluated(

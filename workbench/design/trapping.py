@@ -41,12 +41,11 @@ class NoTrap(ValueError):
 @dataclass(frozen=True, eq=False)
 class FoundTrap:
     """The deepest trap at unit voltage: ``place`` (xi, eta) as shares of radius and height, its derivatives ``slopes``
-    (2, k), and which of the two may move; ``depth`` (J), the two ``curvatures`` (N/m), radial and axial."""
+    (2, k); ``depth`` (J), the ``radial`` and the ``axial`` stiffness (N/m)."""
 
     field: CavityField
     place: Real
     slopes: Real
-    free: NDArray[np.bool_]
     depth: Dual
     radial: Dual
     axial: Dual
@@ -99,7 +98,7 @@ def find_trap(field: CavityField) -> FoundTrap:
 
     lowest, highest = moved(0, 0), _at(field, POTENTIAL, along_xi[k], along_eta[m])
     around = field.around
-    return FoundTrap(field, place, slopes, free, highest - lowest, moved(2, 0) / around.radius**2.0,
+    return FoundTrap(field, place, slopes, highest - lowest, moved(2, 0) / around.radius**2.0,
                      moved(0, 2) / around.height**2.0)
 
 

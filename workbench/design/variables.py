@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from geometry.chip import Chip
-from geometry.stretch import tied
+from geometry.stretch import moving_together, tied
 
 #: How the name of the material of a region ends.
 MATERIAL = ".material"
@@ -99,12 +99,6 @@ def first_name(chip: Chip, name: str) -> str:
     return tied(chip).get(name, name)
 
 
-def together(chip: Chip, name: str) -> tuple[str, ...]:
-    """The lengths of a chip that change with `name`: of radii all that coincide with it (`geometry.stretch.tied`)."""
-    first = tied(chip)
-    return tuple(other for other in first if first[other] == first[name]) if name in first else (name,)
-
-
 def changed(
     chip: Chip, lengths: Mapping[str, float], materials: Mapping[str, str] | None = None, *, note: str = ""
 ) -> Chip:
@@ -117,7 +111,7 @@ def changed(
         InputError: the new lengths do not make a chip.
     """
     old = chip.dimensions()
-    values = {other: value for name, value in lengths.items() for other in together(chip, name)
+    values = {other: value for name, value in lengths.items() for other in moving_together(chip, name)
               if abs(old[name].value - value) > 0.1 * GRAIN}
     chosen = materials or {}
     found = chip.with_dimensions(values)
