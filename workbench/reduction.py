@@ -124,7 +124,7 @@ class ReducedModel:
             sizes, vectors = np.linalg.eigh(parts[:-1].T @ (self.energy @ parts[:-1]))
             kept = sizes > unneeded**2
             basis = joined(basis, new_directions(basis, (parts @ vectors[:, kept]).astype(complex), self.weights))
-        matrices, sketch = _extended(self.full, basis, self.test, self)
+        matrices, sketch = projected_on(self.full, basis, self.test, self)
         return replace(self, operators=replace(self.operators, matrices=matrices), basis=basis, sketch=sketch)
 
     def grown(
@@ -178,7 +178,7 @@ class ReducedModel:
 
     def on(self, basis: Real) -> ReducedModel:
         """The model on another basis (size, r) of the full one, its lift last."""
-        matrices, sketch = _extended(self.full, basis, self.test, None)
+        matrices, sketch = projected_on(self.full, basis, self.test, None)
         return replace(self, operators=replace(self.operators, matrices=matrices), basis=basis, sketch=sketch)
 
     def within(self, part: Real) -> ReducedModel:
@@ -257,7 +257,7 @@ def reduced(
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    watched = _watched(frequencies)
+    looked_at = watched(frequencies)
     wanted = np.zeros(0) if worst is None else np.array([worst])
     if start is None:
         wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]]
@@ -277,12 +277,12 @@ def reduced(
                     solved.add(system, float(frequency), depth, tangents)
                     spent += 1
                     report()
-                model = solved.grown([(watched, values)], unneeded, tolerance)
+                model = solved.grown([(looked_at, values)], unneeded, tolerance)
                 # Where the new directions were not enough, too much may have been left out before them.
                 unneeded *= TIGHTER
             assert model is not None
-            solution, estimate, index = model.worst(watched, values)
-            if estimate <= tolerance and watched.size < frequencies.size:
+            solution, estimate, index = model.worst(looked_at, values)
+            if estimate <= tolerance and looked_at.size < frequencies.size:
                 # All of them, once the fewer are within.
                 solution, estimate, index = model.worst(frequencies, values)
             worst = float(solution.frequency[index])
@@ -317,16 +317,16 @@ def begun(system: System, frequencies: Real, state: Complex) -> ReducedModel:
     middle = float(np.median(frequencies))
     weights, energy = np.sqrt(np.abs(system.matrix(middle).diagonal())), energy_matrix(system, middle)
     test, basis = random_probes(energy, middle), state.real[:, None].copy()
-    matrices, sketch = _extended(system.operators, basis, test, None)
+    matrices, sketch = projected_on(system.operators, basis, test)
     full = system.operators
     inner = ReducedOperators(full.integrals, full.coefficients, matrices, full.forms)
     return ReducedModel(full, inner, basis, weights, test, sketch, energy, 0, 0.0)
 
 
-def _extended(
-    operators: FullOperators, basis: Real, test: Real, known: ReducedModel | None
+def projected_on(
+    operators: FullOperators, basis: Real, test: Real, known: ReducedModel | None = None
 ) -> tuple[Real, Real]:
-    """Matrices (forms, r, r) and sketch (forms, PROJECTIONS, r) on `basis`.
+    """Matrices (forms, r, r) of the operators on `basis` (size, r), and sketch (forms, PROJECTIONS, r) on `test`.
 
     Of the basis of `known`, with which `basis` begins but for the lift at the end, they are taken over.
     """
@@ -406,7 +406,7 @@ def covering(
     that is enough, :meth:`ReducedModel.error` says.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    at, watched = frequencies[chebyshev(frequencies.size, nodes)], _watched(frequencies)
+    at, looked_at = frequencies[chebyshev(frequencies.size, nodes)], watched(frequencies)
     solved = _Solves(start, frequencies)
     with one_thread():
         system = System(operators, values)
@@ -416,10 +416,11 @@ def covering(
             there = System(operators, values_there)
             for frequency in at:
                 solved.add(there, float(frequency), CORNER_DEPTH)
-        return solved.grown([(watched, each) for each in (values, *corners)], smallest(tolerance), tolerance)
+        return solved.grown([(looked_at, each) for each in (values, *corners)], smallest(tolerance), tolerance)
 
 
-def _watched(frequencies: Real) -> Real:
+def watched(frequencies: Real) -> Real:
+    """Frequencies (Hz) that a basis is looked at while it grows: all of a few, or so many spread evenly."""
     if frequencies.size <= FEW:
         return frequencies
     return frequencies[np.unique(np.linspace(0, frequencies.size - 1, WATCHED).astype(int))]

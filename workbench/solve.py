@@ -265,6 +265,12 @@ class System:
         Returns:
             (size, count + len(tangents)) the state first, and the scaled residual of the state itself.
         """
+        return self.neighbours(frequency, count, step=step, tangents=tangents)[1:]
+
+    def neighbours(
+        self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = ()
+    ) -> tuple[Factor, Complex, float]:
+        """The factorisation at `frequency`, and the vectors and the residual of :meth:`krylov`."""
         whole, factor = self.factored(frequency)
         free = whole.shape[0] - 1
         electrode = (whole @ np.append(np.zeros(free), 1.0))[:free]
@@ -286,7 +292,7 @@ class System:
         if tangents:
             changes = self._changes(frequency, states[:, 0], tangents)[:free]
             states[:free, count:] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * changes)
-        return states, residual
+        return factor, states, residual
 
     def _changes(self, frequency: float, state: Complex, names: tuple[str, ...]) -> Complex:
         """(dA / dtheta) x (size, len(names)) for complex parameters."""

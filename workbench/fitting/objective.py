@@ -13,7 +13,7 @@ the one broad resonance that every parameter set has. The width is then let down
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,7 @@ from geometry.stretch import tied
 from workbench.dimensions import flexible
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.predict import Prediction, Predictor
+from workbench.neighbourhood import Neighbourhood, neighbourhood
 from workbench.parameter_names import BENCH, LOSS, ParameterName, part, placed
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
@@ -138,6 +139,48 @@ class Objective:
                     moves[key] = max(moves.get(key, 0.0), reach[p.name] * size)
             others = [self.settings(corner, index)[0] for corner in corners]
             predictor.cover(values, moves, tolerance, [other for other in others if other != values])
+
+    def near(self, x: Real, reach: Mapping[str, float], tolerance: float) -> Objective:
+        """The same on models for the neighbourhood of x (p,), where parameters move by so much, by name.
+
+        See `neighbourhood.neighbourhood`. Models do not grow, and nothing is taken over from those there are.
+        """
+        def place(predictor: Predictor, index: int) -> Neighbourhood:
+            problem, moves = self.recordings[index].problem, dict[str, float]()
+            for _, p, key in self._moved[index]:
+                if p.name in reach:
+                    size = abs(problem.values[key]) if p.relative else 1.0
+                    moves[key] = max(moves.get(key, 0.0), reach[p.name] * size)
+            return neighbourhood(predictor.operators, predictor.frequencies, self._values(x, index), moves,
+                                 tolerance=tolerance)
+
+        return self._placed(place)
+
+    def widened(self, x: Real, corners: Sequence[Real], tolerance: float) -> Objective:
+        """The same, of :meth:`near`, on models that also hold the states on the way from x to `corners` (p,)."""
+        def place(predictor: Predictor, index: int) -> Neighbourhood:
+            assert predictor.place is not None  # one of `near`
+            here, own = self._values(x, index), predictor.place.values
+            there = [self._values(corner, index) for corner in corners]
+            # What leads from x to a corner, from where the solves were made.
+            moved = [{name: own[name] + values[name] - here[name] for name in own} for values in there
+                     if values != here]
+            return predictor.place.widened(moved, tolerance)
+
+        return self._placed(place)
+
+    def _values(self, x: Real, index: int) -> dict[str, complex]:
+        """All values of the problem of the recording of that index at x (p,)."""
+        return {**self.recordings[index].problem.values, **self.settings(x, index)[0]}
+
+    def _placed(self, place: Callable[[Predictor, int], Neighbourhood]) -> Objective:
+        """The same in other neighbourhoods, by predictor and the index of its first recording."""
+        other, made = copy.copy(self), dict[int, Predictor]()
+        for index, predictor in enumerate(self.predictors):
+            if id(predictor) not in made:
+                made[id(predictor)] = predictor.placed(place(predictor, index))
+        other.predictors = tuple(made[id(predictor)] for predictor in self.predictors)
+        return other
 
     def of(self, names: Collection[str]) -> Objective:
         """The same of some recordings only, sharing what the predictors have learnt."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.coefficients import Groups
+from workbench.neighbourhood import Neighbourhood
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
 from workbench.reduction import ReducedModel, covering, narrowed, reduced
@@ -96,6 +97,8 @@ class Predictor:
         self.operators = assemble(problem.mesh, problem.terms)
         self.solves = 0
         self.model: ReducedModel | None = None
+        #: Where the model is for, if it was made for one neighbourhood.
+        self.place: Neighbourhood | None = None
         self._latest: Prediction | None = None
 
     def __call__(self, values: Mapping[str, complex]) -> Prediction:
@@ -125,6 +128,13 @@ class Predictor:
         other = copy.copy(self)
         other.frequencies, other._latest, other.solves = np.asarray(frequencies, dtype=float), None, 0
         other.tolerance = self.tolerance if tolerance is None else tolerance
+        return other
+
+    def placed(self, place: Neighbourhood) -> Predictor:
+        """The same on the model of a neighbourhood, which stays as it is."""
+        other = copy.copy(self)
+        other.place, other.model, other.solves = place, place.model, place.model.solves
+        other.tolerance, other._latest = math.inf, None
         return other
 
     def elsewhere(self, frequencies: Real, tolerance: float, values: Mapping[str, complex]) -> Prediction:

@@ -14,6 +14,7 @@ from geometry.mesh import MeshError
 from workbench.files.errors import InputError
 from workbench.fitting.admissible import inequalities
 from workbench.fitting.constrained import Inequality, Minimum, interior, minimise
+from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import Objective, Residual
 from workbench.reduction import NotEnriched
 from workbench.solve import NotConverged
@@ -90,11 +91,19 @@ class Search:
         found = (inequalities(problems, moving) if poisson is None
                  else inequalities(problems, moving, poisson=poisson))
         self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
+        #: What deviates beside the noise of the points, if anything.
+        self.covariance: Covariance | None = None
 
     def on(self, objective: Objective) -> Search:
         """The same problem with its objective predicted in another way."""
         other = copy.copy(self)
         other.objective = objective
+        return other
+
+    def under(self, covariance: Covariance | None) -> Search:
+        """The same problem with deviations that go together."""
+        other = copy.copy(self)
+        other.covariance = covariance
         return other
 
     def thinned(self) -> Search:
@@ -112,8 +121,11 @@ class Search:
     ) -> Weighted:
         """Data and prior, about the parameters' own starts, at x (p,); `free` as in `Objective.predict`."""
         data = self.objective(x, deviation=deviation, smoothing=smoothing, free=free)
-        vector = np.concatenate([data.vector, (x - self.centre) * self.precision])
-        return Weighted(vector, np.vstack([data.jacobian, np.diag(self.precision)]), data)
+        vector, jacobian = data.vector, data.jacobian
+        if self.covariance is not None:
+            vector, jacobian = self.covariance.whitened(vector), self.covariance.whitened(jacobian)
+        vector = np.concatenate([vector, (x - self.centre) * self.precision])
+        return Weighted(vector, np.vstack([jacobian, np.diag(self.precision)]), data)
 
     def minimise(
         self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,

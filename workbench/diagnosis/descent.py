@@ -1,0 +1,130 @@
+"""The one search: from places that the prior allows, with the weight of the data raised in a few steps.
+
+Spectra have many optima, one for every way to lay the overtones of the model on those of the recording. Where points
+weigh little (:data:`LEVELS`), what is known of the parameters holds them near the right one, unless one of them shifts
+overtones by more than they are apart within what is known of it: along those (:func:`multimodal`) the cost is looked at
+everywhere, and every optimum on the way begins a descent (:func:`basins`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
+from workbench.fitting.search import NO_END, Optimum, Search
+
+Real = NDArray[np.float64]
+
+#: Further deviations of the points, from little weight of the data to more.
+LEVELS = (0.05, 0.01)
+
+#: Where along a multimodal parameter the cost is looked at, in its standard uncertainties.
+SCANNED = np.linspace(-2.4, 2.4, 9)
+
+#: Steps of a look at one place of the scan, and of the descent from an optimum of it.
+LOOK, DESCENT = 3, 8
+
+#: A parameter is multimodal where one uncertainty of it to either side changes the data at little weight by this many
+#: deviations more than its tangent says; at most so many are scanned.
+CURVED, SCANS = 10.0, 2
+
+#: Two optima are one where their parameters differ by less than so many uncertainties.
+ALIKE = 0.3
+
+
+def multimodal(likelihood: Likelihood, search: Search, x: Real) -> list[int]:
+    """Indices of the known parameters whose effect bends most within what is known of them, at x (p,)."""
+    level = LEVELS[0]
+    here = likelihood.objective(x, deviation=likelihood.spreads(level), free=range(likelihood.model.known))
+    found: list[tuple[float, int]] = []
+    for i, parameter in enumerate(likelihood.model.parameters[:likelihood.model.known]):
+        if parameter.prior is None or parameter.is_bench:
+            continue
+        move = here.jacobian[:, i] * parameter.prior
+        if np.linalg.norm(move) < CURVED:
+            continue
+        bent = 0.0
+        for side in (-1.0, 1.0):
+            y = x.copy()
+            y[i] = np.clip(x[i] + side * parameter.prior, parameter.low, parameter.high)
+            there = likelihood.objective(y, deviation=likelihood.spreads(level), free=())
+            bent += float(np.linalg.norm(there.vector - here.vector - move * (y[i] - x[i]) / parameter.prior))
+        found.append((0.5 * bent, i))
+    return [i for bent, i in sorted(found, reverse=True) if bent > CURVED][:SCANS]
+
+
+def basins(likelihood: Likelihood, search: Search, end: Optimum, along: Sequence[int]) -> list[Optimum]:
+    """The optima at little weight that the parameters of the indices `along` lead to from `end`, best first."""
+    found, level = [end], LEVELS[0]
+    for i in along:
+        parameter = likelihood.model.parameters[i]
+        assert parameter.prior is not None
+        centre = (search.centre[i] + SCANNED * parameter.prior).clip(search.low[i] + 1e-9, search.high[i] - 1e-9)
+        costs, places = np.full(SCANNED.size, np.inf), [end.x] * SCANNED.size
+        nearest = int(np.argmin(np.abs(centre - end.x[i])))
+        # From where the end is to either side, each place from the optimum of its neighbour.
+        for order in (range(nearest, SCANNED.size), range(nearest - 1, -1, -1)):
+            y = end.x
+            for k in order:
+                y = y.copy()
+                y[i] = centre[k]
+                try:
+                    held = likelihood.tempered(search, y, level, limit=LOOK, fixed=(i,))
+                except NO_END:
+                    break
+                costs[k], places[k], y = held.cost, held.x, held.x
+        lowest = [k for k in range(SCANNED.size) if np.isfinite(costs[k])
+                  and costs[k] <= min(costs[max(k - 1, 0):k + 2])]
+        for k in lowest:
+            try:
+                found.append(likelihood.tempered(search, places[k], level, limit=DESCENT))
+            except NO_END:
+                continue
+    return distinct(likelihood, found)
+
+
+def distinct(likelihood: Likelihood, ends: Sequence[Optimum]) -> list[Optimum]:
+    """Ends that differ, best first."""
+    known = slice(likelihood.model.known)
+    scale = np.array([p.prior or np.inf for p in likelihood.model.parameters[known]])
+    kept: list[Optimum] = []
+    for end in sorted(ends, key=lambda each: each.cost):
+        if all(np.abs((end.x[known] - other.x[known]) / scale).max() > ALIKE for other in kept):
+            kept.append(end)
+    return kept
+
+
+def explained(
+    likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], *, window: float = 8.0, kept: int = 2
+) -> Explanation | None:
+    """The best optimum that leads from any of the `starts` (p,) under a hypothesis; None if nothing can be predicted.
+
+    Of every level, so many ends are followed whose cost is within `window` of the best.
+    """
+    search = likelihood.search(hypothesis)
+    places = list(starts)
+    for i in (likelihood.model.index(name) for effect in hypothesis.effects for name in effect.names):
+        # What is admissible may be a million times what is there.
+        moved = max(abs(float(place[i]) - search.centre[i]) for place in places)
+        search.scale[i] = moved or search.scale[i]
+    for level in LEVELS:
+        ends = []
+        for place in places:
+            try:
+                ends.append(likelihood.tempered(search, place, level, limit=DESCENT))
+            except NO_END:
+                continue
+        if not ends:
+            return None
+        best = min(end.cost for end in ends)
+        places = [end.x for end in distinct(likelihood, ends) if end.cost < best + window][:kept]
+    found = []
+    for place in places:
+        try:
+            found.append(likelihood.settled(hypothesis, place))
+        except NO_END:
+            continue
+    return max(found, key=lambda each: each.log_evidence, default=None)

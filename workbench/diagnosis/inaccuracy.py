@@ -1,0 +1,183 @@
+"""What no model gets right: small, smooth, unknown relative changes of stiffness, mass and loss within the parts.
+
+A part of a real device is not as homogeneous as its material's constants, and a mesh not as fine as its fields. Each
+region's stiffness, mass and loss is therefore allowed to differ by a random field of zero mean, unit variance (which
+the accuracy of the model scales) and the correlation
+
+    <a(x) a(x')> = exp(-|x - x'|^2 / (2 l^2)),   l a quarter of the shortest wavelength in the region,
+
+the same in all states. A field is a sum of cosines over the region's rectangle with independent amplitudes, whose
+variances are the spectrum of that correlation (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning,
+section 4.2). What each cosine does to ln Z is a quadratic form of the states (:func:`changes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.names import whole
+from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from workbench.fitting.objective import Objective
+from workbench.fitting.predict import Prediction
+from workbench.operators import FullOperators
+from workbench.physics.term import OPERATORS, Integral
+from workbench.solve import Solution
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: What is allowed to differ. A region's own loss differs relative to what it has.
+STIFFNESS, MASS, LOSS = "stiffness", "mass", "loss"
+
+#: Cosines whose amplitude has less than this share of the variance of the first are left out.
+LEFT_OUT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Patterns:
+    """What smooth changes within parts do to the data.
+
+    ``columns`` (m, k) change of the real and then the imaginary parts of ln Z, recording after recording, by one
+    standard deviation of each pattern at a relative size of one; ``regions`` and ``kinds`` (k,) of each.
+    """
+
+    columns: Real
+    regions: tuple[str, ...]
+    kinds: tuple[str, ...]
+
+    def within(self, region: str) -> Real:
+        """The columns of one region."""
+        return self.columns[:, [k for k, each in enumerate(self.regions) if each == region]]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A recording as predicted: its impedance (n,) ohm, e^{+j w t}, and ``slopes`` (3, cells, n) of :func:`changes`."""
+
+    impedance: Complex
+    operators: FullOperators
+    slopes: Complex
+
+
+def seen(objective: Objective, x: Real) -> list[Seen]:
+    """Every recording of an objective as predicted at x (p,); recordings of one solution share their slopes."""
+    found: list[Seen] = []
+    known: list[tuple[Solution, FullOperators, Complex]] = []
+    for k in range(len(objective.predictors)):
+        impedance, _, prediction = objective.predict(x, k, ())
+        same = next((each for each in known if each[0] is prediction.solution), None)
+        if same is None:
+            operators, states = prediction.full
+            same = prediction.solution, operators, changes(operators, states, prediction)
+            known.append(same)
+        found.append(Seen(impedance, *same[1:]))
+    return found
+
+
+def patterns(objective: Objective, x: Real, *, absolute_loss: bool = False) -> Patterns:
+    """The :class:`Patterns` at x (p,).
+
+    Where `absolute_loss`, a loss differs relative to the stiffness: for what may be anything.
+    """
+    every = seen(objective, x)
+    total = sum(2 * each.impedance.size for each in every)
+    columns: dict[tuple[str, str, int, int], Real] = {}
+    start = 0
+    for each, recording in zip(every, objective.recordings, strict=True):
+        count = each.impedance.size
+        middle = float(np.mean(recording.measured.frequency[[0, -1]]))
+        for region, kind, mode, slope in _of_recording(each, recording.problem.materials, middle, absolute_loss):
+            column = columns.setdefault((region, kind, *mode), np.zeros(total))
+            column[start:start + count] += slope.real
+            column[start + count:start + 2 * count] += slope.imag
+        start += 2 * count
+    return Patterns(np.stack(list(columns.values()), axis=1), tuple(key[0] for key in columns),
+                    tuple(key[1] for key in columns))
+
+
+def _of_recording(
+    found: Seen, materials: Mapping[str, Material], frequency: float, absolute_loss: bool
+) -> Iterator[tuple[str, str, tuple[int, int], Complex]]:
+    """Region, kind, number of the cosine and d ln Z (n,) of every pattern of a recording."""
+    mesh = found.operators.mesh.mesh
+    for region, cells in mesh.subdomains.items():
+        # A layer's part of a region, or one that holds nothing in this state.
+        if whole(region) != region or region not in materials:
+            continue
+        corners = mesh.p[:, mesh.t[:, cells]]
+        low, high = corners.min(axis=(1, 2)), corners.max(axis=(1, 2))
+        low[0] = 0.0
+        share = (corners.mean(axis=1) - low[:, None]) / (high - low)[:, None]
+        length = 0.25 * _slowest(materials[region]) / frequency
+        for mode, weight in cosines(high - low, length):
+            shape = weight * np.cos(np.pi * mode[0] * share[0]) * np.cos(np.pi * mode[1] * share[1])
+            for number, kind in enumerate((STIFFNESS, MASS, LOSS)):
+                slopes = found.slopes[number, cells]
+                if kind == LOSS and absolute_loss:
+                    slopes = -1j * found.slopes[0, cells]
+                if slopes.any():
+                    yield region, kind, mode, np.conj(shape @ slopes)
+
+
+def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:
+    """Numbers of half waves along r and z of a rectangle of that `size` (2,) m, and the deviation of each amplitude.
+
+    Of a field of unit variance with a Gaussian correlation of that `length` (m).
+    """
+    counts = [int(side / (np.pi * length) * np.sqrt(-np.log(LEFT_OUT))) + 1 for side in size]
+    variance = np.ones((counts[0], counts[1]))
+    for axis, (count, side) in enumerate(zip(counts, size, strict=True)):
+        number = np.arange(count)
+        along = np.exp(-0.5 * (np.pi * number * length / side) ** 2)
+        variance = variance * (along[:, None] if axis == 0 else along)
+    # The mean of the square of a cosine is a half, of a constant one.
+    mean = np.outer(np.where(np.arange(counts[0]) > 0, 0.5, 1.0), np.where(np.arange(counts[1]) > 0, 0.5, 1.0))
+    amplitude = np.sqrt(variance / np.sum(variance * mean))
+    kept = variance > LEFT_OUT
+    return [((i, j), float(amplitude[i, j])) for i, j in zip(*np.nonzero(kept), strict=True)]
+
+
+def _slowest(material: Material) -> float:
+    """The speed (m/s) of the slowest wave of a material."""
+    match material:
+        case Piezoelectric():
+            return float(np.sqrt(abs(complex(material.c44)) / material.density))
+        case IsotropicSolid():
+            return float(np.sqrt(abs(complex(material.shear_modulus)) / material.density))
+        case Fluid():
+            return material.sound_speed
+        case _:
+            raise TypeError(f"{material!r} carries no waves that are known")
+
+
+def changes(operators: FullOperators, states: Complex, prediction: Prediction) -> Complex:
+    """d ln Z (3, cells, n), e^{-i w t}, by a relative change of stiffness, of mass and of loss of every cell."""
+    kinds = [_kind(integral) for integral in operators.integrals]
+    g = prediction.solution.coefficients
+    used = [q for q, kind in enumerate(kinds) if kind is not None and g[:, q].any()]
+    result = np.zeros((3, operators.mesh.mesh.t.shape[1], g.shape[0]), dtype=complex)
+    for q, forms in zip(used, operators.of(np.array(used)).element_quadratic(states, states), strict=True):
+        cells = operators.places[operators.integrals[q].domain].elements
+        stiff = kinds[q] == STIFFNESS
+        result[0 if stiff else 1][cells] += g[:, q] * forms
+        if stiff and g[:, q].imag.any():
+            result[2][cells] += 1j * g[:, q].imag * forms
+    return result / prediction.solution.charge
+
+
+def _kind(integral: Integral) -> str | None:
+    """Whether an integral over cells stores what stiffness or what mass stores; None for all others."""
+    if integral.on_boundary:
+        return None
+    taken = {(component[0], kind == "value") for product in integral.products
+             for name in (product.row, product.column) for component, kind, _ in OPERATORS[name]}
+    components = {component for component, _ in taken}
+    if components == {"u"}:
+        return MASS if all(value for _, value in taken) else STIFFNESS
+    if components == {"p"}:
+        return STIFFNESS if all(value for _, value in taken) else MASS
+    return None

@@ -1,0 +1,91 @@
+"""The score test: what every hypothesis of the catalogue promises, from one prediction, without refitting anything.
+
+What the known parameters can imitate of a hypothesis' tangents is projected out, with their priors; what remains is
+compared with the residual (Rao 1948, Proc. Camb. Phil. Soc. 44, 50). It ranks hypotheses, and decides nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from workbench.diagnosis.evidence import occam_factor
+from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.likelihood import Likelihood
+from workbench.fitting.covariance import Covariance
+
+Real = NDArray[np.float64]
+
+#: A tangent of which the known parameters leave less than this share is seen by nothing.
+UNSEEN = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What one hypothesis promises at a place.
+
+    ``evidence`` the logarithm of the odds that it would gain, ``gain`` the fall of chi-square, both within its bounds;
+    ``amplitude`` (k,) by which its parameters would move, SI, and ``error`` (k,) their standard deviations.
+    """
+
+    effect: Effect
+    evidence: float
+    gain: float
+    amplitude: Real
+    error: Real
+
+
+def ranked(
+    likelihood: Likelihood, x: Real, *, accuracy: float = 0.0, level: float = 0.0,
+    effects: Sequence[Effect] | None = None, beside: Sequence[Effect] = (),
+) -> list[Score]:
+    """The scores at x (p,) of all hypotheses, or of `effects`, best first.
+
+    Args:
+        accuracy: of the model, as in :class:`Likelihood`.
+        level: a further deviation of every point, which lets the data weigh less.
+        beside: effects that are there already; their parameters are nuisances.
+    """
+    model = likelihood.model
+    search = likelihood.search_of_all()
+    data = likelihood.objective(x, deviation=likelihood.spreads(level))
+    noise = np.sqrt(likelihood.noise**2 + level**2)
+    whiten = Covariance.of(likelihood.columns * accuracy / noise[:, None]).whitened
+    tangents, residual = whiten(data.jacobian), whiten(data.vector)
+    nuisances = sorted({*range(model.known), *(model.index(n) for effect in beside for n in effect.names)})
+    found = []
+    for effect in model.effects if effects is None else effects:
+        own = np.array([model.index(name) for name in effect.names])
+        others = np.array([i for i in nuisances if i not in own])
+        precision = np.zeros((others.size, others.size))
+        np.fill_diagonal(precision, search.precision[others])
+        basis, _ = np.linalg.qr(np.vstack([tangents[:, others], precision]))
+        rows = np.zeros((others.size, own.size))
+        raw = np.vstack([tangents[:, own], rows])
+        left = np.concatenate([residual, (x - search.centre)[others] * search.precision[others]])
+        left = left - basis @ (basis.T @ left)
+        found.append(_score(effect, raw, raw - basis @ (basis.T @ raw), left,
+                            np.array([(model.parameters[i].low - x[i], model.parameters[i].high - x[i]) for i in own])))
+    return sorted(found, key=lambda score: -score.evidence)
+
+
+def _score(effect: Effect, whole: Real, apart: Real, left: Real, bounds: Real) -> Score:
+    """From the tangents (m, k) of a hypothesis, what known parameters leave of them, and of the residual (m,)."""
+    size = np.linalg.norm(apart, axis=0)
+    seen = size > UNSEEN * np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
+    amplitude, error = np.zeros(size.size), np.full(size.size, np.inf)
+    if not seen.any():
+        return Score(effect, 0.0, 0.0, amplitude, error)
+    unit = apart[:, seen] / size[seen]
+    low, high = bounds[seen].T * size[seen]
+    best = lsq_linear(unit, -left, (np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12))
+    amplitude[seen] = best.x / size[seen]
+    gain = float(left @ left - np.sum((left + unit @ best.x) ** 2))
+    covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[seen], size[seen])
+    error[seen] = np.sqrt(np.diag(covariance))
+    cost = occam_factor(covariance, (bounds[:, 1] - bounds[:, 0])[seen])
+    return Score(effect, 0.5 * (gain - cost), gain, amplitude, error)

@@ -1,0 +1,163 @@
+"""A reduced model for a neighbourhood of parameters, from few full solves and one projection.
+
+The states at a few frequencies and what moves of the parameters change them by span a wide space. Only the sums of the
+operators at the centre, a handful of matrices, are projected on that; what the states all over the band need of it, and
+what the changes add, to an error of Z that is asked for, is a much smaller one. All operators are projected on that
+one alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy import sparse
+
+from workbench.dense import chebyshev, solve_dense
+from workbench.energy_norm import energy_matrix, random_probes
+from workbench.operators import FullOperators
+from workbench.physics.term import Values
+from workbench.reduced_basis import new_directions
+from workbench.reduced_operators import ReducedOperators
+from workbench.reduction import ReducedModel, projected_on, smallest, watched
+from workbench.solve import Factor, System, one_thread
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Frequencies that are solved at: resonances of a band overlap, and each solve serves its neighbours.
+NODES = 5
+
+#: Vectors from each factorisation: of the states at neighbouring frequencies, and of the Neumann series of a state at
+#: other parameter values.
+DEPTH, TERMS = 6, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A full solve at one frequency (Hz): the factorised system and the ``state`` (size,) at unit voltage."""
+
+    frequency: float
+    factor: Factor
+    state: Complex
+    charge: complex
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """A reduced ``model`` for the parameters about ``values``, with the full solves that it was made from."""
+
+    model: ReducedModel
+    values: Values
+    nodes: tuple[Node, ...]
+
+    def widened(self, corners: Sequence[Values], tolerance: float) -> Neighbourhood:
+        """The same, holding also the states on the way to other values, `corners`, to an error of Z of `tolerance`.
+
+        With A the system here and A + D that at a corner, the state there is the sum of (-A^-1 D)^k x, of which the
+        first terms are taken: their span serves beyond where the sum converges. No system is factorised anew.
+        """
+        model = self.model
+        basis, lift = model.basis[:, :-1], model.basis[:, -1:]
+        least = smallest(tolerance)
+        with one_thread():
+            for corner in corners:
+                terms = np.column_stack([self._terms(node, corner) for node in self.nodes])
+                basis = _grown(basis, terms, model.energy, least)
+            if basis.shape[1] == model.basis.shape[1] - 1:
+                return self
+            whole = np.column_stack([basis, lift])
+            matrices, sketch = projected_on(model.full, whole, model.test, model)
+        wider = replace(model, operators=replace(model.operators, matrices=matrices), basis=whole, sketch=sketch)
+        return replace(self, model=wider)
+
+    def _terms(self, node: Node, corner: Values) -> Complex:
+        """The first terms (size, TERMS) of the series of the state at a corner, over the root of the charge."""
+        operators, omega = self.model.full, np.array([2.0 * np.pi * node.frequency])
+        there, here = (operators.coefficients(omega, values)[0] for values in (corner, self.values))
+        change = (there - here)[:, None]
+        found = np.zeros((node.state.size, TERMS), dtype=complex)
+        term = node.state / np.sqrt(abs(node.charge))
+        factor = node.factor
+        for k in range(TERMS):
+            force = operators.images(term, change)[:-1, 0]
+            found[:-1, k] = -factor.scale * factor.solve_scaled(factor.scale * force)
+            term = found[:, k]
+        return found
+
+
+def neighbourhood(
+    operators: FullOperators, frequencies: Real, values: Values, moves: Mapping[str, float], *, tolerance: float,
+    nodes: int = NODES, depth: int = DEPTH,
+) -> Neighbourhood:
+    """A reduced model for parameters that move by about so much each about `values`.
+
+    From full solves at `nodes` of Chebyshev's frequencies: the states with their neighbours in frequency, and the
+    changes by the `moves` of the complex parameters. What an error of Z of `tolerance` (relative) does not need is left
+    out. Whether that is enough, :meth:`ReducedModel.error` says.
+
+    Raises:
+        NotConverged: a full solve that failed, or an unknown without any energy.
+    """
+    frequencies = np.asarray(frequencies, dtype=float)
+    at, looked_at = frequencies[chebyshev(frequencies.size, nodes)], watched(frequencies)
+    least, names = smallest(tolerance), tuple(moves)
+    with one_thread():
+        system = System(operators, values)
+        middle = float(np.median(frequencies))
+        energy = energy_matrix(system, middle)
+        weights = np.sqrt(np.abs(system.matrix(middle).diagonal()))
+        solved, states, changes, residual = [], [], [], 0.0
+        for frequency in at:
+            factor, found, left = system.neighbours(float(frequency), depth, tangents=names)
+            charge = system.charge(float(frequency), found[:, 0])
+            solved.append(Node(float(frequency), factor, found[:, 0], charge))
+            states.append(found[:, :depth])
+            changes.append(found[:, depth:] * np.array([moves[name] for name in names]) / np.sqrt(abs(charge)))
+            residual = max(residual, left)
+        lift = states[0][:, :1].real
+        wide = new_directions(lift, np.column_stack(states), weights)
+        basis = _grown(np.zeros((lift.size, 0)), _in_band(system, wide, lift, looked_at), energy, least)
+        basis = _grown(basis, np.column_stack(changes), energy, least)
+        test = random_probes(energy, middle)
+        whole = np.column_stack([basis, lift])
+        matrices, sketch = projected_on(operators, whole, test)
+    inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
+    model = ReducedModel(operators, inner, whole, weights, test, sketch, energy, at.size, residual)
+    return Neighbourhood(model, values, tuple(solved))
+
+
+def _in_band(system: System, columns: Real, lift: Real, frequencies: Real) -> Complex:
+    """The states (size, n) on some `columns` (size, k), without their share of the `lift`, over roots of charges."""
+    whole = np.column_stack([columns, lift])
+    matrices = np.stack([_small(matrix, whole) for matrix in system.group_matrices()])
+    found = solve_dense(system.factors(frequencies), matrices)
+    return np.asarray(columns @ (found.states[:-1] / np.sqrt(np.abs(found.charge))))
+
+
+def _small(matrix: sparse.csr_matrix, columns: Real) -> Complex:
+    """columns^T matrix columns of a complex symmetric matrix, (k, k)."""
+    parts = [columns.T @ (part @ columns) if part.data.any() else 0.0
+             for part in (matrix.real, matrix.imag)]
+    return np.asarray(parts[0] + 1j * parts[1], dtype=complex)
+
+
+def _grown(basis: Real, vectors: Complex, energy: sparse.csr_matrix, least: float) -> Real:
+    """`basis` (size, r), of unit energy each, with the directions of `vectors` of more than `least` beside it."""
+    parts = np.column_stack([vectors.real, vectors.imag])[:-1]
+    images = energy @ parts
+    large = np.sum(parts * images, axis=0) > least**2
+    parts, images = parts[:, large], images[:, large]
+    inside = basis[:-1]
+    # Twice, for what cancels.
+    for _ in range(2):
+        along = inside.T @ images
+        parts = parts - inside @ along
+        images = energy @ parts
+    sizes, directions = scipy.linalg.eigh(parts.T @ images)
+    kept = sizes > least**2
+    new = parts @ (directions[:, kept] / np.sqrt(sizes[kept]))
+    return np.column_stack([basis, np.vstack([new, np.zeros((1, new.shape[1]))])])
