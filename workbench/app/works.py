@@ -14,7 +14,7 @@ from workbench.app.background import Say, Stopped, lines_of, run_command
 from workbench.app.elsewhere import Send, elsewhere, stand_back
 from workbench.app.refit import Refit, refit
 from workbench.app.session import Present, Session
-from workbench.diagnosis.campaign import DIMENSIONS
+from workbench.diagnosis.numbers import DIMENSIONS
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.files.writing import write_atomic
