@@ -295,7 +295,7 @@ def test_known_numbers_come_first_and_then_what_states_add(folder: Path) -> None
 "couplant.thickness" = "30 %"
 "transducer.radius" = "10 um"
 "{SPEED}" = "1 m/s"
-"{SHEAR}.loss" = "20 %"
+"{SHEAR}.loss" = "30 %"
 """), accuracy=2e-2)
     campaign = found.campaign
     names = [p.name for p in found.parameters]
@@ -309,7 +309,7 @@ def test_known_numbers_come_first_and_then_what_states_add(folder: Path) -> None
         assert (each.offset, each.recordings, each.start) == (True, ("filled",), 0.0)
     # Five uncertainties, as far as something is left of the layer; no loss is a gain.
     assert (gel.low, gel.high) == pytest.approx((-0.9 * 20e-6, 5 * 6e-6))
-    assert (loss.low, loss.high) == pytest.approx((-5 * 6e6, 3e7))
+    assert (loss.low, loss.high) == pytest.approx((-5 * 9e6, 3e7))
     assert (gain.low, gain.high, gain.prior) == pytest.approx((-0.01, 0.01, 0.002))
     # A factor of what the state's own temperature gives, and added to the factor that all have.
     assert (speed.relative, speed.unit) == (True, "1")
