@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from workbench.diagnosis.campaign import read_campaign, scatter
+from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import model
+from workbench.diagnosis.state import scatter
 from workbench.files.errors import InputError
 from workbench.spectrum import Spectrum, write_csv
 
@@ -87,7 +88,7 @@ def test_a_campaign_says_what_is_known_in_si(folder: Path) -> None:
     assert found.known == pytest.approx({
         "pic255/plutho.c33": 0.02 * 117e9, "pla/acevedo_2026.shear_modulus": 30e6,
         "water/iapws_2011.sound_speed": 0.002 * 1496.7, "couplant.thickness": 3e-6, "bench.series_resistance": 0.05,
-        "bench.gain": 0.005}, rel=1e-4, abs=0.0)  # the speed of sound to the digits written here
+        "bench.gain": 0.005, "water/iapws_2011.density": 0.02}, rel=1e-4, abs=0.0)  # to the digits written here
     assert found.fixed == ("pic255/plutho.density",)
     assert found.states[0].noise == pytest.approx(0.01)
     assert found.states[1].noise == pytest.approx(0.005)

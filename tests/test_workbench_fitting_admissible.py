@@ -62,6 +62,36 @@ def moved(problem: Problem, parameters: tuple[Parameter, ...], x: Real) -> Piezo
 
 
 # --------------------------------------------------------------------------------------------------------------------
+# What one recording adds
+
+
+def test_a_material_is_one_in_each_recording_with_what_is_added_there(stack: Problem) -> None:
+    shared = free(stack, PLA, "shear_modulus", "bulk_modulus")
+    own = replace(shared[0], name=f"{PLA}.shear_modulus@again", start=0.0, low=-1e9, high=1e9, recordings=("again",),
+                  offset=True)
+    everything = (own, *shared)
+    found = {i.name: i for i in inequalities([stack, stack], everything, recordings=["first", "again"])}
+    plain = {i.name: i for i in inequalities([stack], shared)}
+    start = np.array([0.0, *(p.start for p in shared)])
+    for added in (-2e8, 0.0, 3e8):
+        x = start + np.array([added, 1e7, 0.0])
+        for name, condition in plain.items():
+            # A state without the offset does not see it; one with it is the same as one whose number is that much more.
+            assert found[name](x) == pytest.approx(condition(x[1:]), rel=1e-12)
+            assert found[f"{name} in again"](x) == pytest.approx(condition(x[1:] + np.array([added, 0.0])), rel=1e-12)
+    above, below = (found[name] for name in found if "@again" in name)
+    for total, kept in ((shared[0].low, (True, True)), (shared[0].low - 1e6, (False, True)),
+                        (shared[0].high + 1e6, (True, False))):
+        x = np.array([total - shared[0].start, shared[0].start, shared[1].start])
+        assert (above.margin(x) > -1e-12, below.margin(x) > -1e-12) == kept
+    # Alone an offset goes on from what the problem has.
+    alone = inequalities([stack], (own,), recordings=["again"])
+    assert alone[0](np.array([1e8])) == pytest.approx(plain[alone[0].name.removesuffix(" in again")](
+        start[1:] + np.array([1e8, 0.0])), rel=1e-12)
+    assert inequalities([stack], (own,), recordings=["first"]) == ()
+
+
+# --------------------------------------------------------------------------------------------------------------------
 # Ceramics
 
 

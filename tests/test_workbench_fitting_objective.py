@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material
 from workbench.fitting.objective import Objective, Recording, log_ratio, lorentzian, through_bench
-from workbench.fitting.parameter import BENCH_ELEMENTS, bench_parameter, parameters
+from workbench.fitting.parameter import BENCH_ELEMENTS, Parameter, bench_parameter, parameters
 from workbench.fitting.predict import Predictor
 from workbench.parameter_names import LENGTHS
 from workbench.problem import Problem
@@ -186,6 +186,81 @@ def test_recordings_have_names_of_their_own(stack: Problem, chip: Chip) -> None:
     one = recording("stack", stack, chip)
     with pytest.raises(ValueError, match="names of their own, received stack, stack"):
         Objective([one, one], parameters(stack, chip, PZT, ["c33"]), tolerance=1e-3)
+
+
+def offset(shared: Parameter, state: str, size: float) -> Parameter:
+    """What one recording alone adds to a parameter."""
+    return replace(shared, name=f"{shared.name}@{state}", start=0.0, low=-size, high=size, prior=size,
+                   recordings=(state,), offset=True)
+
+
+@pytest.fixture(scope="module")
+def between(stack: Problem, chip: Chip, bare: tuple[Chip, Problem]) -> Objective:
+    """One chip recorded twice and its disc, and one of every kind of parameter that one recording has an offset to."""
+    shared = parameters(stack, chip, PZT, ["c33", "c33.loss", "transducer.radius", "bench.gain", "bench.clock"])
+    speed = Parameter(f"{GEL}.sound_speed", 1.0, 0.9, 1.1, 0.02, "1", relative=True)
+    (thickness,) = parameters(stack, chip, PZT, ["couplant.thickness"])
+    own = [offset(p, name, 0.1 * p.scale) for p in (*shared, speed) for name in ("disc", "again")]
+    # The thickness is exact but for what one recording adds.
+    free = (offset(thickness, "again", 2e-6), *own, *shared, speed)
+    return Objective([recording("disc", bare[1], bare[0]), recording("first", stack, chip),
+                      recording("again", stack, chip)], free, tolerance=1e-6)
+
+
+def test_offsets_add_to_what_all_recordings_have(between: Objective, stack: Problem) -> None:
+    x = np.array([(0.3 if p.offset else 0.2) * p.scale + p.start for p in between.parameters])
+    number = dict(zip((p.name for p in between.parameters), map(float, x), strict=True))
+    first, again = (between.settings(x, index)[0] for index in (1, 2))
+    disc, bench = between.settings(x, 0)
+
+    def total(name: str, state: str) -> float:
+        return number[name] + number[f"{name}@{state}"]
+
+    c33, speed = f"{PZT}.c33", f"{GEL}.sound_speed"
+    assert first[c33] == complex(number[c33], number[f"{c33}.loss"])
+    assert again[c33] == complex(total(c33, "again"), total(f"{c33}.loss", "again"))
+    assert disc[c33] == complex(total(c33, "disc"), total(f"{c33}.loss", "disc"))
+    # Of a factor the offset is one, too; what nothing else moves goes on from what the problem has.
+    assert again[speed] == pytest.approx(total(speed, "again") * stack.values[speed], rel=1e-14)
+    assert "couplant.thickness" not in first
+    assert again["couplant.thickness"] == 50e-6 + number["couplant.thickness@again"]
+    assert again["transducer.radius"] == total("transducer.radius", "again")
+    assert bench == {"bench.gain": total("bench.gain", "disc"), "bench.clock": total("bench.clock", "disc")}
+    # Values differ with every call: the model is the same.
+    assert between.predictors[1] is between.predictors[2] is not between.predictors[0]
+    assert between.recordings[1].problem.terms == between.recordings[2].problem.terms
+
+
+def test_the_jacobian_by_offsets_is_the_derivative_of_the_residuals(between: Objective) -> None:
+    x = np.array([(0.3 if p.offset else 0.2) * p.scale + p.start for p in between.parameters])
+    deviation = [0.01, 0.02, 0.03]
+    between(x, deviation=deviation)
+    found, solves = between(x, deviation=deviation), between.solves
+    # Curvature of the disc's sharp resonance: offsets are a tenth of what they add to.
+    scale = np.array([p.scale if p.offset else 0.3 * p.scale for p in between.parameters])
+    exact = differences(lambda y: between(y, deviation=deviation).vector, x, scale)
+    assert between.solves == solves
+    for p, ours, theirs in zip(between.parameters, found.jacobian.T, exact.T, strict=True):
+        seen = [bool(np.any(rows)) for rows in np.split(theirs, 3)]
+        # A disc has neither gel nor a thickness of it.
+        gel = p.parsed.owner in (GEL, "couplant")
+        assert seen == [p.acts_in(name) and not (gel and name == "disc") for name in ("disc", "first", "again")], p.name
+        assert np.abs(ours - theirs).max() <= DIFFERENCE * np.abs(theirs).max(), p.name
+
+
+def test_a_basis_covers_what_offsets_set_apart(stack: Problem, chip: Chip) -> None:
+    (c33,) = parameters(stack, chip, PZT, ["c33"])
+    free = (c33, offset(c33, "again", 0.1 * c33.scale))
+    objective = Objective([recording("first", stack, chip), recording("again", stack, chip)], free, tolerance=np.inf)
+    x = np.array([c33.start, 0.5 * c33.scale])
+    values = objective.settings(x, 1)[0]
+    exact = Predictor(stack, GRID, tolerance=1e-6)(values).impedance
+    # Nothing moves, so what the model knows of the second recording is the derivative on the way to it.
+    objective.cover(x, {}, 1e-6)
+    # 0.03 without; the rest is what is left of the second derivative.
+    assert np.abs(objective(x, deviation=[1.0, 1.0]).impedance[1] / exact - 1.0).max() < 1e-3
+    # Nor does the neighbourhood of both leave one of them out.
+    assert np.abs(objective.narrowed([x])(x, deviation=[1.0, 1.0]).impedance[1] / exact - 1.0).max() < 1e-3
 
 
 # --------------------------------------------------------------------------------------------------------------------

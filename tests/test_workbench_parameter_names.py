@@ -23,6 +23,10 @@ from workbench.parameter_names import Kind, ParameterName, part, placed
     ("c33.loss", ParameterName("", "c33", True, Kind.TERM)),
     ("c33", ParameterName("", "c33", False, Kind.TERM)),
     ("loss", ParameterName("", "loss", False, Kind.TERM)),
+    ("bench.gain@filled", ParameterName("bench", "gain", False, Kind.BENCH, "filled")),
+    ("pzt4/a.c33.loss@disc", ParameterName("pzt4/a", "c33", True, Kind.MATERIAL, "disc")),
+    ("transducer.thickness@a.b/c", ParameterName("transducer", "thickness", False, Kind.DIMENSION, "a.b/c")),
+    ("gel.density@a@b", ParameterName("gel", "density", False, Kind.TERM, "a@b")),
 ])
 def test_a_name_is_taken_apart_and_put_together_again(text: str, expected: ParameterName) -> None:
     found = ParameterName.parse(text)
@@ -34,6 +38,15 @@ def test_a_name_is_told_of_its_owner_without_it() -> None:
     name = ParameterName.parse("pzt4/a.c33.loss")
     assert (name.key, name.local) == ("pzt4/a.c33", "c33.loss")
     assert (name.within("pzt4/a"), name.within("pzt4/b")) == ("c33.loss", "pzt4/a.c33.loss")
+
+
+def test_what_a_state_adds_belongs_to_the_number_that_all_have() -> None:
+    shared = ParameterName.parse("pzt4/a.c33.loss")
+    own = shared.of_state("filled")
+    assert str(own) == "pzt4/a.c33.loss@filled"
+    assert (own.shared, own.key, own.local) == ("pzt4/a.c33.loss", "pzt4/a.c33", "c33.loss")
+    assert shared.shared == str(shared)
+    assert part({"pzt4/a.c33": 2.0 - 1.0j}, str(own)) == -1.0
 
 
 @pytest.mark.parametrize(("text", "radius", "thickness"), [

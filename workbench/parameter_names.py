@@ -6,16 +6,20 @@ Names say what they are:
     pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
     transducer.thickness                 a dimension of the chip, metres
     bench.series_resistance              an element between the electrodes and the instrument
+    bench.gain@filled                    what that state alone adds to the number of that name
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 LOSS = ".loss"
 BENCH = "bench."
+
+#: Between a name and the one state that the number acts in. No name before it holds the sign; that of a state may.
+STATE = "@"
 
 #: How the name of a dimension of a chip ends (`geometry.chip.Chip.dimensions`).
 LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
@@ -35,39 +39,51 @@ class ParameterName:
     """A name taken apart.
 
     ``owner`` is a material, a region or "bench", empty where the name stands alone; ``coefficient`` what of it;
-    ``is_loss`` whether the number is the imaginary part of the coefficient.
+    ``is_loss`` whether the number is the imaginary part of the coefficient. ``state`` is the state that it is of alone,
+    empty for a number that all have.
     """
 
     owner: str
     coefficient: str
     is_loss: bool
     kind: Kind
+    state: str = ""
 
     @classmethod
     def parse(cls, text: str) -> ParameterName:
-        """The parts of ``owner.coefficient``, with or without ``.loss``; a bench element has none."""
-        if text.startswith(BENCH):
-            return cls(BENCH.removesuffix("."), text.removeprefix(BENCH), False, Kind.BENCH)
-        key, is_loss = text.removesuffix(LOSS), text.endswith(LOSS)
-        if "/" in text:
+        """The parts of ``owner.coefficient``, with or without ``.loss`` (a bench element has none) and ``@state``."""
+        name, _, state = text.partition(STATE)
+        if name.startswith(BENCH):
+            return cls(BENCH.removesuffix("."), name.removeprefix(BENCH), False, Kind.BENCH, state)
+        key, is_loss = name.removesuffix(LOSS), name.endswith(LOSS)
+        if "/" in name:
             # No material of the registry has a dot in its name; regions of terms do.
             owner, _, coefficient = key.partition(".")
-            return cls(owner, coefficient, is_loss, Kind.MATERIAL)
+            return cls(owner, coefficient, is_loss, Kind.MATERIAL, state)
         owner, _, coefficient = key.rpartition(".")
         is_length = coefficient in LENGTHS and not is_loss
-        return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_length else Kind.TERM)
+        return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_length else Kind.TERM, state)
 
     def __str__(self) -> str:
+        return self.shared + (STATE + self.state if self.state else "")
+
+    @property
+    def shared(self) -> str:
+        """The name of the number that all states have: without ``@state``."""
         return self.key + (LOSS if self.is_loss else "")
+
+    def of_state(self, state: str) -> ParameterName:
+        """The name of what one `state` adds to the number."""
+        return replace(self, state=state)
 
     @property
     def key(self) -> str:
-        """Name of the complex value that the number is a part of: the name without ``.loss``."""
+        """Name of the complex value that the number is a part of: the name without ``.loss`` and ``@state``."""
         return f"{self.owner}.{self.coefficient}" if self.owner else self.coefficient
 
     @property
     def local(self) -> str:
-        """The name without its owner."""
+        """The name without its owner and its state."""
         return self.coefficient + (LOSS if self.is_loss else "")
 
     @property

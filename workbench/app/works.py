@@ -14,7 +14,8 @@ from workbench.app.background import Say, Stopped, lines_of, run_command
 from workbench.app.elsewhere import Send, elsewhere, stand_back
 from workbench.app.refit import Refit, refit
 from workbench.app.session import Present, Session
-from workbench.diagnosis.campaign import DIMENSIONS
+from workbench.diagnosis.campaign import NAMED
+from workbench.diagnosis.numbers import DIMENSIONS
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.files.writing import write_atomic
@@ -131,8 +132,9 @@ class Works:
         chip = write_chip(session.present_chip(), folder / "chip.toml")
         write_csv(session.recording, folder / "recording.csv")
         names = [each.name for each in session.controls if not self.free or each.name in self.free]
-        lines = ["[states.recorded]", f'chip = "{chip.name}"', f'state = "{session.state}"',
-                 'recording = "recording.csv"', "", "[known]"]
+        # What is not ticked is exact, whatever its file says; the bench is not the chip's.
+        lines = ["[campaign]", f'known = "{NAMED}"', "", "[states.recorded]", f'chip = "{chip.name}"',
+                 f'state = "{session.state}"', 'recording = "recording.csv"', "", "[known]"]
         for parameter in parameters(session.problem, session.chip, session.transducer, names):
             if parameter.prior is not None:
                 unit = next(name for name, factor in UNITS[DIMENSIONS[parameter.unit]].items() if factor == 1.0)

@@ -113,16 +113,31 @@ def stated_uncertainty(
     """
     device = fill(chip, state, registry)
     given = [parse_statement(each) if isinstance(each, str) else each for each in statements]
-    found = _Collected({}, [], [])
-    _lengths(chip, law, found)
-    for material in dict.fromkeys(each.name for each in device.materials.values()):
-        _coefficients(next(each for each in device.materials.values() if each.name == material), found)
+    found = _of_files(device, law)
     for path in posteriors:
         _posterior(path, device, found)
     known = numbers_of(device)
     for each in given:
         _say(each, device, known, law, found)
     return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
+
+
+def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertainty:
+    """What the chip's file and its materials state themselves: tolerances, uncertainties and their correlations.
+
+    Raises:
+        InputError: a tolerance or an uncertainty that cannot be used.
+    """
+    return _of_files(device, law).uncertainty({m.name: m for m in device.materials.values()
+                                               if not isinstance(m, Fluid)})
+
+
+def _of_files(device: FilledChip, law: Law) -> _Collected:
+    found = _Collected({}, [], [])
+    _lengths(device.chip, law, found)
+    for material in {each.name: each for each in device.materials.values()}.values():
+        _coefficients(material, found)
+    return found
 
 
 def numbers_of(device: FilledChip) -> dict[str, float]:

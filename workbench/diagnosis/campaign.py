@@ -1,5 +1,11 @@
 """A campaign: one device in several states, each with its recording, and what is known about the device.
 
+    [campaign]
+    name = "device"
+    materials = "materials"         # a folder of materials beside the file
+    known = "stated"                # also known is what chip files and materials state: lengths with a tolerance (the
+                                    # limit of a uniform law), coefficients with an uncertainty; "named": only [known]
+
     [states.empty]
     chip = "chip.toml"              # path relative to the campaign's file
     state = "empty"                 # of that chip; may be left out where there is one only
@@ -11,101 +17,77 @@
     held_out = true                 # never fitted, only predicted
     columns = "MAP.toml"            # of the recording, where its headings do not say what they are
 
-    [known]                         # standard uncertainties: what is named here is free, nothing else is
+    [known]                         # standard uncertainties, one number in all states
     "pla/acevedo_2026.shear_modulus" = "3 %"
     "couplant.thickness" = "5 um"
     "bench.series_resistance" = "0.05 ohm"
 
-    [fixed]
-    names = ["transducer.density"]  # what no hypothesis may move
+    [states.empty.known]            # the same of what this state alone adds
+    "couplant.thickness" = "2 um"
 
-One device: what has one name is one number in all states.
+    [between]                       # and of what every state adds that has the number
+    "bench.gain" = "0.2 %"
+    "couplant.thickness" = "10 %"
+    defaults = true                 # the bench of each state adds to gain, series_resistance and clock what benches do,
+                                    # where nothing above says so (`workbench.diagnosis.knowledge.BETWEEN_RECORDINGS`)
+
+    [fixed]
+    names = ["transducer.density"]  # what no hypothesis may move, and what is exact
+
+    [model]
+    accuracy = "0.2 %"              # of the smooth relative changes of stiffness, mass and loss within parts that no
+                                    # model gets right; "0" for none, left out for what the recordings say of it
+
+One device: what has one name is one number in all states. What is not named is exact. Percentages are of the stated
+value, those of gain, phase and clock of the bench of one. Statements about one number are independent of each other,
+except that a number in [known] goes before what its own file says of it, correlations included.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from geometry.chip import Chip, read_chip
-from geometry.names import CAVITY, TRANSDUCER
+from geometry.names import TRANSDUCER
 from geometry.stretch import tied
-from materials.kinds import Fluid, Material
 from materials.registry import Registry, user_registry
+from workbench.diagnosis.knowledge import Taken, read_knowledge
+from workbench.diagnosis.numbers import unit_of as unit_of
+from workbench.diagnosis.numbers import value_of as value_of
+from workbench.diagnosis.state import DeviceState as DeviceState
+from workbench.diagnosis.state import read_state
 from workbench.files.errors import InputError, nearest_names
-from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
-from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
-from workbench.fitting.prepare import check_device, in_band
-from workbench.parameter_names import BENCH, Kind, ParameterName
-from workbench.problem import FilledChip, fill
-from workbench.readers import read_column_map, read_recording
-from workbench.spectrum import Spectrum
+from workbench.parameter_names import ParameterName
 
-STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns")
-
-#: Which units an uncertainty may be written in, by the SI unit of what it is of.
-DIMENSIONS: Mapping[str, str] = {
-    "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless", "kg/m^3": "density", "m/s": "speed",
-    "m": "length", "ohm": "resistance", "H": "inductance", "F": "capacitance", "s": "time", "rad": "angle",
-    "m^2/s": "diffusivity",
-}
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceState:
-    """One state of the device and its recording.
-
-    ``device`` is the chip in its state, with its materials; ``drive`` the voltage amplitude (V, zero to peak) at the
-    electrodes, ``temperature`` in kelvin, both None where nobody said; ``noise`` (n,) the standard deviation of every
-    point relative to |Z|, and ``stated`` whether the recording or the campaign states it (otherwise its own scatter
-    does).
-    """
-
-    name: str
-    device: FilledChip
-    measured: Spectrum
-    noise: np.ndarray[Any, np.dtype[np.float64]]
-    stated: bool
-    drive: float | None = None
-    temperature: float | None = None
-    held_out: bool = False
-
-    @property
-    def chip(self) -> Chip:
-        return self.device.chip
-
-    @property
-    def materials(self) -> Mapping[str, Material]:
-        """What fills each region."""
-        return self.device.materials
-
-    @property
-    def fluid(self) -> Fluid | None:
-        """What fills the cavity, if it is a fluid."""
-        found = self.materials.get(CAVITY)
-        return found if isinstance(found, Fluid) else None
+#: What is known besides what the campaign names: what the files of chip and materials state, or nothing.
+STATED, NAMED = "stated", "named"
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """A device, its states, and what is known of it.
 
-    ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI; ``fixed`` names
-    what may not move. Radii that coincide in a chip are one parameter, under the first of their names.
+    ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
+    names of what one state adds (``bench.gain@filled``); ``fixed`` names what may not move. Radii that coincide in a
+    chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
+    ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``model_accuracy`` is the
+    standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
+    None if the data are to say it.
     """
 
     name: str
     file: str
     states: tuple[DeviceState, ...]
     known: Mapping[str, float]
+    offsets: Mapping[str, float]
     fixed: tuple[str, ...]
+    correlations: Mapping[tuple[str, str], float]
+    taken: tuple[Taken, ...]
     registry: Registry
+    model_accuracy: float | None = None
 
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
@@ -134,103 +116,49 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path] = ()) -> Campai
             or two statements about one thing that contradict each other.
     """
     path = Path(path)
-    table = Table.read(path).only(("campaign", "states", "known", "fixed"))
+    table = Table.read(path).only(("campaign", "states", "known", "between", "fixed", "model"))
     source = table.source
-    head = table.table("campaign", expected="a table [campaign]").only(("name", "materials"))
-    folders = list(materials)
-    if "materials" in head:
-        said = str(head.content["materials"])
-        folder = path.parent / said
-        if not folder.is_dir():
-            raise InputError(source, head.at("materials"), said, "a folder of materials beside the campaign's file")
-        folders.append(folder)
-    registry = user_registry(folders)
-    listed = table.table("states", expected="a table [states]")
-    if not listed.content:
-        raise table.error("states", "a table [states]")
-    states = tuple(_state(name, listed.table(name, expected=f"a table [states.{name}]"), path.parent, registry)
-                   for name in listed)
+    head = table.table("campaign", expected="a table [campaign]").only(("name", "materials", "known"))
+    registry = user_registry([*materials, *_own_materials(head, path.parent)])
+    states = tuple(_states(table, path.parent, registry))
     if not any(not state.held_out for state in states):
         raise InputError(source, "states", ", ".join(s.name for s in states) or "none",
                          "at least one state with a recording that is not held out")
     _check_one_device(states, source)
-    known = _known(table.table("known", expected="a table [known]").content, states, source)
-    fixed = tuple(_fixed(table.table("fixed", expected="a table [fixed]"), known, states))
-    return Campaign(str(head.content.get("name", path.stem)), source, states, known, fixed, registry)
+    found = read_knowledge(table, states, from_files=head.choice("known", (STATED, NAMED), STATED) == STATED)
+    return Campaign(str(head.content.get("name", path.stem)), source, states, found.known, found.offsets, found.fixed,
+                    found.correlations, found.taken, registry, _accuracy(table))
 
 
-def _state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceState:
-    table.only(STATE_KEYS)
-    chip = read_chip(_path(table, "chip", folder))
-    if "state" in table:
-        state = chip.state(table.text("state", expected="a state, as text"))
-    elif len(chip.states) == 1:
-        state = chip.states[0]
-    else:
-        raise InputError(table.source, table.at("state"), "nothing", "one of the chip's states: "
-                         + ", ".join(s.name for s in chip.states))
-    held_out = table.flag("held_out")
-    temperature = table.optional_quantity("temperature", "temperature")
-    if temperature is not None and state.cavity is not None:
-        if state.temperature is not None and abs(state.temperature - temperature) > 0.5:
-            raise table.error("temperature", f"the {state.temperature - 273.15:.1f} degC that {chip.file} gives its "
-                              f"state {state.name!r}, or none there")
-        state = replace(state, temperature=temperature)
-        chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
-    device = fill(chip, state.name, registry)
-    recording = _path(table, "recording", folder)
-    band = _band(table) if "band" in table else None
-    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
-    whole = read_recording(recording, columns=columns).spectrum
-    measured = in_band(whole, chip, band, name=str(recording))
-    noise, stated = _noise(measured, table)
-    drive = table.optional_quantity("drive", "peak-to-peak voltage")
-    if drive is not None and not drive > 0.0:
-        raise table.error("drive", "a voltage above zero")
-    found = DeviceState(name, device, measured, noise, stated,
-                        None if drive is None else 0.5 * drive, temperature, held_out)
-    if set(device.materials) == {TRANSDUCER}:
-        # Loads shift resonances by more than this check allows for.
-        check_device(in_band(whole, chip, None, name=str(recording)), chip, device.materials, name=str(recording))
+def _own_materials(head: Table, folder: Path) -> Iterator[Path]:
+    """The folder of materials that a campaign brings along, if it does."""
+    if "materials" in head:
+        said = str(head.content["materials"])
+        if not (folder / said).is_dir():
+            raise head.error("materials", "a folder of materials beside the campaign's file")
+        yield folder / said
+
+
+def _states(table: Table, folder: Path, registry: Registry) -> Iterator[DeviceState]:
+    listed = table.table("states", expected="a table [states]")
+    if not listed.content:
+        raise table.error("states", "a table [states]")
+    found = {name: listed.table(name, expected=f"a table [states.{name}]") for name in listed}
+    whole = [name for name, each in found.items() if set(each) - {"known"}]
+    for name, each in found.items():
+        if name not in whole and each.content:
+            raise InputError(table.source, listed.at(name), name, "one of the states that have a chip and a recording: "
+                             + ", ".join(whole), nearest_names(name, whole))
+        yield read_state(name, each, folder, registry)
+
+
+def _accuracy(table: Table) -> float | None:
+    """The accuracy of the model, relative; None where nobody says."""
+    model = table.table("model", expected="a table [model]").only(("accuracy",))
+    found = model.optional_quantity("accuracy", "dimensionless")
+    if found is not None and not 0.0 <= found < 1.0:
+        raise model.error("accuracy", 'a relative deviation from 0 to below 1, such as "0.2 %"')
     return found
-
-
-def _path(table: Table, key: str, folder: Path) -> Path:
-    return folder / table.text(key, expected=f"a {key}, as text")
-
-
-def _band(table: Table) -> tuple[float, float]:
-    low, high = table.quantities("band", "frequency", expected="two frequencies")
-    if not low < high:
-        raise table.error("band", "a lower and a higher frequency")
-    return low, high
-
-
-def _noise(measured: Spectrum, table: Table) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
-    """Relative standard deviation of every point, and whether anybody stated it."""
-    stated = table.optional_quantity("noise", "dimensionless")
-    if stated is not None and not stated > 0.0:
-        raise InputError(table.source, table.at("noise"), stated, "a relative deviation above zero")
-    if measured.uncertainty is not None:
-        if stated is not None:
-            raise InputError(table.source, table.at("noise"), stated,
-                             "nothing: the recording brings its own uncertainties")
-        return np.asarray(measured.uncertainty / measured.magnitude), True
-    if stated is not None:
-        return np.full(measured.frequency.size, stated), True
-    return np.full(measured.frequency.size, scatter(measured)), False
-
-
-def scatter(measured: Spectrum) -> float:
-    """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
-
-    For white noise of that deviation in the real and in the imaginary part their variance is 20 times its square; the
-    median keeps out sharp resonances.
-    """
-    third = np.diff(np.log(measured.impedance), 3)
-    # The median of |x| of normal x is 0.6745 sigma.
-    size = np.median(np.abs(np.concatenate([third.real, third.imag]))) / 0.6745
-    return float(max(size / np.sqrt(20.0), 1e-6))
 
 
 def _check_one_device(states: Sequence[DeviceState], source: str) -> None:
@@ -259,106 +187,3 @@ def _pairs(states: Sequence[DeviceState]) -> Iterator[tuple[str, DeviceState, De
 
 def _same_stack(one: DeviceState, other: DeviceState) -> bool:
     return [x.region for x in one.chip.layers] == [x.region for x in other.chip.layers]
-
-
-def unit_of(name: str, states: Sequence[DeviceState]) -> str:
-    """SI unit of a parameter; empty if there is no such parameter."""
-    parsed = ParameterName.parse(name)
-    if parsed.kind is Kind.BENCH:
-        element = BENCH_ELEMENTS.get(parsed.coefficient)
-        return "" if element is None else element.unit
-    if parsed.kind is Kind.DIMENSION:
-        return "m" if any(name in s.chip.dimensions() for s in states) else ""
-    materials = [m for s in states for m in s.materials.values()]
-    if any(m.name == parsed.owner and parsed.coefficient in m.parameters() for m in materials):
-        return UNITS.get(parsed.coefficient, "1")
-    return ""
-
-
-def value_of(name: str, states: Sequence[DeviceState]) -> float:
-    """The value that the chip files and materials give a parameter, SI; zero for a bench element."""
-    parsed = ParameterName.parse(name)
-    for state in states:
-        known = state.chip.dimensions()
-        if name in known:
-            return known[name].value
-        for found in state.materials.values():
-            if found.name == parsed.owner:
-                return parsed.part_of(found.parameters()[parsed.coefficient])
-    return 0.0
-
-
-def _known(table: Mapping[str, Any], states: Sequence[DeviceState], source: str) -> dict[str, float]:
-    result: dict[str, float] = {}
-    stated: dict[str, str] = {}
-    first = tied(*(state.chip for state in states))
-    for written, entry in table.items():
-        field = f"known.{written}"
-        own = _full_name(written, states)
-        name = first.get(own, own)
-        unit, kind = unit_of(name, states), ParameterName.parse(name).kind
-        if not unit:
-            raise InputError(source, field, written, "the name of a material's coefficient, a dimension of a chip or a "
-                             "bench element that a state has", nearest_names(written, names(states)))
-        if name in result and own not in first:
-            raise InputError(source, field, written, f"each parameter once ({name})")
-        before = result.get(name)
-        if isinstance(entry, str) and entry.strip().endswith("%"):
-            share = parse_quantity(entry, "dimensionless", source=source, field=field)
-            size = abs(value_of(name, states))
-            if size == 0.0 and kind is Kind.BENCH:
-                size = 1.0 if unit in ("1", "rad") else 0.0
-            if size == 0.0:
-                raise InputError(source, field, entry, f"an uncertainty in {unit}: {name} is zero, so a percentage of "
-                                 "it says nothing")
-            result[name] = share * size
-        else:
-            result[name] = parse_quantity(entry, DIMENSIONS[unit], source=source, field=field)
-        if before is not None and abs(result[name] - before) > 1e-9 * before:
-            raise InputError(source, field, entry, f"the uncertainty that known.{stated[name]} has: the two radii "
-                             f"coincide, so they are one parameter")
-        stated[name] = written
-        if not result[name] > 0.0:
-            raise InputError(source, field, entry, "a standard uncertainty above zero; what is exact is left out")
-        if kind is Kind.DIMENSION:
-            for state in states:
-                for each, length in state.chip.dimensions().items():
-                    if first.get(each, each) == name and length.tolerance == 0.0:
-                        raise InputError(source, field, entry, f"nothing: {state.chip.file} states {each} as exact "
-                                         "(a tolerance of 0)")
-    return result
-
-
-def _full_name(written: str, states: Sequence[DeviceState]) -> str:
-    """The name with the material's full name, ``water.sound_speed`` for ``water/iapws_2011.sound_speed``."""
-    parsed = ParameterName.parse(written)
-    full = {m.name for s in states for m in s.materials.values() if m.name.split("/")[0] == parsed.owner}
-    return f"{full.pop()}.{parsed.local}" if len(full) == 1 and "/" not in parsed.owner else written
-
-
-def names(states: Sequence[DeviceState]) -> tuple[str, ...]:
-    """Every name that a parameter of the device may have."""
-    found = [*(BENCH + key for key in BENCH_ELEMENTS)]
-    for state in states:
-        found += state.chip.dimensions()
-        for material in state.materials.values():
-            found += [f"{material.name}.{key}" for key in material.parameters()]
-    return tuple(dict.fromkeys(found))
-
-
-def _fixed(table: Table, known: Mapping[str, float], states: Sequence[DeviceState]) -> Iterator[str]:
-    source = table.source
-    for written in table.only(("names",)).texts("names", (), expected="a list of names"):
-        parsed = ParameterName.parse(written)
-        material = next((s.materials[parsed.owner].name for s in states if parsed.owner in s.materials), None)
-        name = _full_name(written, states)
-        name = tied(*(state.chip for state in states)).get(name, name)
-        if parsed.local == "density" and material is not None:
-            name = f"{material}.density"
-        if not unit_of(name, states):
-            raise InputError(source, "fixed.names", written, "the name of a parameter that a state has",
-                             nearest_names(written, names(states)))
-        if name in known:
-            raise InputError(source, "fixed.names", written, f"a name that [known] does not free with an uncertainty "
-                             f"of {known[name]:g}: it either may move or may not")
-        yield name

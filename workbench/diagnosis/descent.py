@@ -27,32 +27,39 @@ SCANNED = np.linspace(-2.4, 2.4, 9)
 #: Steps of a look at one place of the scan, and of the descent from an optimum of it.
 LOOK, DESCENT = 3, 8
 
-#: A parameter is multimodal where one uncertainty of it to either side changes the data at little weight by this many
-#: deviations more than its tangent says; at most so many are scanned.
+#: A parameter is multimodal where one uncertainty along its profile changes the data at little weight by this many
+#: deviations more than the tangent says; at most so many are scanned.
 CURVED, SCANS = 10.0, 2
 
 #: Two optima are one where their parameters differ by less than so many uncertainties.
 ALIKE = 0.3
 
 
-def multimodal(likelihood: Likelihood, search: Search, x: Real) -> list[int]:
-    """Indices of the known parameters whose effect bends most within what is known of them, at x (p,)."""
-    level = LEVELS[0]
-    here = likelihood.objective(x, deviation=likelihood.spreads(level), free=range(likelihood.model.known))
+def multimodal(likelihood: Likelihood, x: Real) -> list[int]:
+    """Indices of the known parameters along whose profiles the data bend most, at an optimum x (p,) of little weight.
+
+    The profile of a parameter is where the optimum of all others goes when it moves: what these can make up for does
+    not bend anything.
+    """
+    model, level = likelihood.model, LEVELS[0]
+    known = np.arange(model.known)
+    prior = np.array([p.prior or 0.0 for p in model.parameters[:model.known]])
+    here = likelihood.objective(x, deviation=likelihood.spreads(level), free=known.tolist())
+    tangents = here.jacobian[:, known] * prior
+    covariance = np.linalg.inv(tangents.T @ tangents + np.eye(known.size))
     found: list[tuple[float, int]] = []
-    for i, parameter in enumerate(likelihood.model.parameters[:likelihood.model.known]):
-        if parameter.prior is None or parameter.is_bench:
+    for i in known:
+        profile = covariance[:, i] / covariance[i, i]
+        if model.parameters[i].is_bench or np.linalg.norm(tangents @ profile) < CURVED:
             continue
-        move = here.jacobian[:, i] * parameter.prior
-        if np.linalg.norm(move) < CURVED:
-            continue
-        bent = 0.0
+        bent = []
         for side in (-1.0, 1.0):
             y = x.copy()
-            y[i] = np.clip(x[i] + side * parameter.prior, parameter.low, parameter.high)
+            y[known] += side * prior * profile
+            y = np.clip(y, [p.low for p in model.parameters], [p.high for p in model.parameters])
             there = likelihood.objective(y, deviation=likelihood.spreads(level), free=())
-            bent += float(np.linalg.norm(there.vector - here.vector - move * (y[i] - x[i]) / parameter.prior))
-        found.append((0.5 * bent, i))
+            bent.append(float(np.linalg.norm(there.vector - here.vector - side * tangents @ profile)))
+        found.append((max(bent), int(i)))
     return [i for bent, i in sorted(found, reverse=True) if bent > CURVED][:SCANS]
 
 

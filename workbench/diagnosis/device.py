@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,20 @@ from numpy.typing import NDArray
 from geometry.mesh import SectionMesh
 from geometry.section import Section
 from materials.kinds import Fluid
-from workbench.diagnosis.campaign import Campaign, unit_of, value_of
+from workbench.design.uncertainty import limits
+from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.catalogue import effects, mistaken_length
 from workbench.diagnosis.hypothesis import Device, Effect
+from workbench.diagnosis.numbers import DeviceNumbers, unit_of, value_of
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import (
+    BENCH_ELEMENTS,
     Parameter,
     bench_parameter,
     material_parameter,
+    ranges_of_radii,
     stretchable,
 )
 from workbench.parameter_names import Kind, ParameterName
@@ -31,10 +36,19 @@ from workbench.problem import Problem, build, with_boundary_layers
 Real = NDArray[np.float64]
 
 
+#: How far a known parameter may move in any case, in its standard uncertainties. Doubled, nothing changes: the prior
+#: admits no more.
+REACH = 5.0
+
+#: What an offset leaves of a number that is above zero, relative: of nothing no spectrum can be made.
+LEAST = 0.05
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """All parameters of a campaign, the first ``known`` of them what is known to be uncertain, and its objectives.
 
+    Known are the numbers that all states share, then what one state adds to them; all of these have a prior.
     ``fitted`` and ``held_out`` are the objectives over the states of either kind (None without states held out);
     ``effects`` the hypotheses, whose parameters follow the known ones.
     """
@@ -46,8 +60,13 @@ class Model:
     fitted: Objective
     held_out: Objective | None
 
+    @cached_property
+    def _places(self) -> Mapping[str, int]:
+        return {p.name: i for i, p in enumerate(self.parameters)}
+
     def index(self, name: str) -> int:
-        return next(i for i, p in enumerate(self.parameters) if p.name == name)
+        """Where the parameter of that name is in :attr:`parameters`."""
+        return self._places[name]
 
     def free(self, chosen: Sequence[Effect]) -> tuple[list[int], list[int]]:
         """Indices of the parameters free under some hypotheses together, and of those whose prior is released."""
@@ -86,7 +105,11 @@ def model(
                       if name not in problem.values}
             problem = problem.with_terms(effect.terms.get(state.name, ()), values)
         problems.append(problem)
-    known = tuple(_known(name, error, campaign, problems) for name, error in campaign.known.items())
+    shared = {name: _known(name, error, campaign, problems) for name, error in campaign.known.items()}
+    by_state = dict(zip((state.name for state in campaign.states), problems, strict=True))
+    known = (*shared.values(), *(_offset(name, error, campaign, by_state, shared)
+                                 for name, error in campaign.offsets.items()
+                                 if ParameterName.parse(name).state in by_state))
     more: dict[str, Parameter] = {}
     for effect in hypotheses:
         for parameter in effect.parameters:
@@ -95,10 +118,7 @@ def model(
     recordings: dict[str, Recording] = {}
     meshes: dict[Section, SectionMesh] = {}
     for state, problem in zip(campaign.states, problems, strict=True):
-        lengths = state.chip.dimensions()
-        radii = {name: (p.low, p.high) for p in parameters if p.is_dimension
-                 for name in p.names if ParameterName.parse(name).is_radius and name in lengths}
-        problem = flexible(problem, state.chip, radii)
+        problem = flexible(problem, state.chip, ranges_of_radii(parameters, state.chip.dimensions()))
         # One mesh for states of one chip, so that they share what is solved on it.
         problem = replace(problem, mesh=meshes.setdefault(problem.mesh.section, problem.mesh))
         recordings[state.name] = Recording(state.name, problem, state.measured, state.chip)
@@ -119,15 +139,46 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         return Parameter(found.name, 0.0, found.low, found.high, error, unit)
     if parsed.kind is Kind.DIMENSION:
         limit = mistaken_length(name, value)
-        low, high = min(limit.lowest, value - 5.0 * error), max(limit.highest, value + 5.0 * error)
+        low, high = min(limit.lowest, value - REACH * error), max(limit.highest, value + REACH * error)
         others = campaign.tied.get(name, ())
         for each in (name, *others):
             low, high = stretchable([s.chip for s in campaign.states], each, low, high)
         return Parameter(name, value, low, high, error, unit, tied=others)
     problem = next(p for p in problems if parsed.key in p.values)
-    if any(isinstance(m, Fluid) and m.name == parsed.owner for m in problem.materials.values()):
-        reach = max(0.1, 5.0 * error / value)
+    if _is_fluid(problem, parsed.owner):
+        reach = max(0.1, REACH * error / value)
         return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, error / value, "1", relative=True)
     found = material_parameter(problem, parsed.owner, parsed.local)
-    return Parameter(name, found.start, min(found.low, found.start - 5.0 * error) if not found.is_loss else found.low,
-                     max(found.high, found.start + 5.0 * error) if not found.is_loss else found.high, error, unit)
+    low, high = found.low, found.high
+    if not found.is_loss:
+        low, high = min(low, found.start - REACH * error), max(high, found.start + REACH * error)
+    return Parameter(name, found.start, low, high, error, unit)
+
+
+def _is_fluid(problem: Problem, material: str) -> bool:
+    return any(isinstance(m, Fluid) and m.name == material for m in problem.materials.values())
+
+
+def _offset(
+    name: str, error: float, campaign: Campaign, problems: Mapping[str, Problem], shared: Mapping[str, Parameter]
+) -> Parameter:
+    """What one state adds to a number, by as much as is known of that, and no further than the number makes sense."""
+    parsed, numbers = ParameterName.parse(name), DeviceNumbers(campaign.states)
+    (state,) = (each for each in campaign.states if each.name == parsed.state)
+    unit, others = unit_of(parsed.shared, campaign.states), campaign.tied.get(parsed.shared, ())
+    value = numbers.value(parsed.shared, state)
+    start = shared[parsed.shared].start if parsed.shared in shared else value
+    relative = _is_fluid(problems[state.name], parsed.owner)
+    if relative:
+        unit, error, value, start = "1", error / value, 1.0, 1.0
+    lowest, highest = start - REACH * error, start + REACH * error
+    if parsed.kind is Kind.BENCH:
+        element = BENCH_ELEMENTS[parsed.coefficient]
+        lowest, highest = max(lowest, element.low), min(highest, element.high)
+    else:
+        least, most = limits(parsed.shared, start)
+        lowest, highest = max(lowest, LEAST * start if least == 0.0 < start else least), min(highest, most)
+    for each in (parsed.shared, *others) if parsed.kind is Kind.DIMENSION else ():
+        lowest, highest = stretchable([state.chip], each, lowest, highest)
+    return Parameter(name, 0.0, lowest - start, highest - start, error, unit, (state.name,), relative=relative,
+                     tied=others, offset=True)

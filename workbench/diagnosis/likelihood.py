@@ -161,7 +161,7 @@ class Likelihood:
                              for i, p in zip(free, parameters, strict=True)]),
             below=np.array([x[i] - p.low for i, p in zip(free, parameters, strict=True)]),
             above=np.array([p.high - x[i] for i, p in zip(free, parameters, strict=True)]))
-        stated: float | None = getattr(self.model.campaign, "model_accuracy", None)
+        stated = self.model.campaign.model_accuracy
         taus = ACCURACIES if stated is None else np.array([stated])
         sizes = REGION_SIZES if hypothesis.region else np.zeros(1)
         settings = [np.concatenate([np.full(general.shape[1], tau), np.full(region.shape[1], size),

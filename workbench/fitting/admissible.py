@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,13 @@ _Sum = tuple[tuple[float, str], ...]
 
 
 def inequalities(
-    problems: Sequence[Problem], parameters: Sequence[Parameter], *, poisson: tuple[float, float] = POISSON_RATIO
+    problems: Sequence[Problem], parameters: Sequence[Parameter], *, poisson: tuple[float, float] = POISSON_RATIO,
+    recordings: Sequence[str] = (),
 ) -> tuple[Inequality, ...]:
-    """Every condition on the free material parameters that bounds alone do not state.
+    """Every condition on the free parameters that bounds alone do not state.
+
+    Materials must be materials in each of the `recordings`, of which the `problems` are, with what is added there; and
+    a number with what is added to it must keep to its own bounds.
 
     For a transversely isotropic piezoelectric solid the 9 x 9 matrices of stored energy and of dissipation fall apart
     into blocks of the motions that do not mix: plane dilatation with thickness and axial field, shear along the poling
@@ -39,23 +44,45 @@ def inequalities(
         InputError: a coupling loss is free while a loss it needs is fixed at zero, which no passive solid can have.
     """
     result: list[Inequality] = []
-    done: set[str] = set()
-    for problem in problems:
+    done: set[tuple[str, frozenset[str]]] = set()
+    for problem, recording in zip(problems, recordings or [""] * len(problems), strict=True):
+        acting = [p if p.acts_in(recording) else None for p in parameters]
         for material in problem.materials.values():
-            if material.name in done:
+            added = frozenset(p.name for p in acting if p and p.offset and p.parsed.owner == material.name)
+            if (material.name, added) in done:
                 continue
-            done.add(material.name)
+            done.add((material.name, added))
             match material:
                 case Piezoelectric():
-                    result += _piezoelectric(problem, material.name, parameters)
+                    found = _piezoelectric(problem, material.name, acting)
                 case IsotropicSolid():
-                    result += _isotropic(problem, material.name, parameters, poisson)
+                    found = _isotropic(problem, material.name, acting, poisson)
                 case _:
-                    pass
-    return tuple(result)
+                    found = []
+            result += [replace(each, name=f"{each.name} in {recording}") for each in found] if added else found
+    return (*result, *_totals(parameters))
 
 
-def _piezoelectric(problem: Problem, name: str, parameters: Sequence[Parameter]) -> list[Inequality]:
+#: Parameters by their places; None for those that do not act in the recording.
+_Acting = Sequence[Parameter | None]
+
+
+def _totals(parameters: Sequence[Parameter]) -> Iterator[Inequality]:
+    """The bounds of numbers with what one recording adds; those of the bench end nowhere in particular."""
+    places = {p.name: i for i, p in enumerate(parameters) if not p.offset}
+    for i, p in enumerate(parameters):
+        if not p.offset or p.is_bench or p.parsed.shared not in places:
+            continue
+        k = places[p.parsed.shared]
+        shared = parameters[k]
+        slopes = np.zeros((len(parameters), 1, 1))
+        slopes[[i, k]] = 1.0 / (shared.high - shared.low)
+        for end, sign, text in ((shared.low, 1.0, "above"), (shared.high, -1.0, "below")):
+            constant = np.array([[-sign * end / (shared.high - shared.low)]])
+            yield Inequality(f"{shared.name} with {p.name} {text} {end:g}", constant, sign * slopes)
+
+
+def _piezoelectric(problem: Problem, name: str, parameters: _Acting) -> list[Inequality]:
     size = complex(problem.values[f"{name}.c33"]).real
     root = math.sqrt(2.0)
     # The axial field in units that make its energy as large as that of the strain, as in `materials.passivity`.
@@ -87,21 +114,21 @@ def _piezoelectric(problem: Problem, name: str, parameters: Sequence[Parameter])
 
 
 def _block(
-    problem: Problem, material: str, parameters: Sequence[Parameter], entries: list[list[_Sum]], part: str,
+    problem: Problem, material: str, parameters: _Acting, entries: list[list[_Sum]], part: str,
     size: float, text: str,
 ) -> Inequality | None:
     """The matrix of `entries` over `size` as a function of the free parameters; None if none of them is in it."""
     count = len(entries)
     constant = np.zeros((count, count))
     slopes = np.zeros((len(parameters), count, count))
-    columns = {p.name: i for i, p in enumerate(parameters)}
     for row in range(count):
         for column in range(count):
             for factor, coefficient in entries[row][column]:
                 name = f"{material}.{coefficient}{part}"
-                if name in columns:
-                    slopes[columns[name], row, column] += factor / size
-                else:
+                found = [(i, p.offset) for i, p in enumerate(parameters) if p and p.parsed.shared == name]
+                for i, _ in found:
+                    slopes[i, row, column] += factor / size
+                if all(offset for _, offset in found):
                     value = complex(problem.values[f"{material}.{coefficient}"])
                     constant[row, column] += factor * (value.imag if part else value.real) / size
     if not slopes.any():
@@ -110,7 +137,7 @@ def _block(
     idle = [i for i in range(count) if constant[i, i] == 0.0 and not slopes[:, i, i].any()]
     for i in idle:
         if slopes[:, i].any() or constant[i].any():
-            free = next((p.name for k, p in enumerate(parameters) if slopes[k, i].any()), material)
+            free = next((p.name for k, p in enumerate(parameters) if p and slopes[k, i].any()), material)
             needed = next(c for _, c in entries[i][i])
             raise InputError("fit", "free", free, f"{needed}{part} free or not zero: a loss of the coupling alone "
                              "would make energy")
@@ -119,7 +146,7 @@ def _block(
 
 
 def _isotropic(
-    problem: Problem, name: str, parameters: Sequence[Parameter], poisson: tuple[float, float]
+    problem: Problem, name: str, parameters: _Acting, poisson: tuple[float, float]
 ) -> list[Inequality]:
     size = complex(problem.values[f"{name}.bulk_modulus"]).real
     result = []

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.stretch import tied
 from workbench.dimensions import flexible
-from workbench.fitting.parameter import Parameter
+from workbench.fitting.parameter import Parameter, ranges_of_radii
 from workbench.fitting.predict import Prediction, Predictor
 from workbench.neighbourhood import Neighbourhood, neighbourhood
 from workbench.parameter_names import BENCH, LOSS, ParameterName, part, placed
@@ -82,8 +82,9 @@ class Residual:
 class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
-    A parameter moves the value of its name among those of a recording's problem; lengths of the chip are put among them
-    (`dimensions.flexible`). Recordings of one problem share a predictor. ``tolerance`` as of a `Predictor`.
+    A parameter moves the value of its name among those of a recording's problem, and an offset adds to that; lengths of
+    the chip are put among them (`dimensions.flexible`). Recordings of one problem share a predictor. ``tolerance`` as
+    of a `Predictor`.
     """
 
     def __init__(
@@ -94,25 +95,18 @@ class Objective:
         if len(set(names)) < len(names):
             raise ValueError(f"recordings must have names of their own, received {', '.join(names)}")
         acting = [[(column, p) for column, p in enumerate(self.parameters)
-                   if not p.recordings or r.name in p.recordings] for r in recordings]
+                   if p.acts_in(r.name)] for r in recordings]
         flexed: dict[Any, Problem] = {}
-        self.recordings = tuple(_with_lengths(r, [p for _, p in own], flexed)
-                                for r, own in zip(recordings, acting, strict=True))
+        self.recordings = tuple(_with_lengths(r, self.parameters, flexed) for r in recordings)
         self._bench = [[(column, p) for column, p in own if p.is_bench] for own in acting]
-        #: Of every recording, the columns and parameters that move a value of its problem, and which.
-        self._moved = [[(column, p, key) for column, p in own if (key := _moves(p, r)) is not None]
+        #: Of every recording, the columns and parameters that move a value of its problem, and which; offsets last,
+        #: which add to what the others set.
+        self._moved = [sorted(((column, p, key) for column, p in own if (key := _moves(p, r)) is not None),
+                              key=lambda each: each[1].offset)
                        for r, own in zip(self.recordings, acting, strict=True)]
         #: Of every recording, the values that parameters move.
         self.moved = [tuple(dict.fromkeys(key for _, _, key in moved)) for moved in self._moved]
-        shared: dict[Any, Predictor] = {}
-        predictors = []
-        for r, tangents in zip(self.recordings, self.moved, strict=True):
-            frequency = r.measured.frequency
-            alike = (id(r.problem.mesh), r.problem.terms, tangents, frequency.tobytes())
-            if alike not in shared:
-                shared[alike] = Predictor(r.problem, frequency, tolerance=tolerance, tangents=tangents)
-            predictors.append(shared[alike])
-        self.predictors = tuple(predictors)
+        self.predictors = _shared(self.recordings, self.moved, tolerance)
         #: Why steps of searches could not be taken, one entry for each; shared by all that are made of this.
         self.refusals: list[str] = []
 
@@ -125,19 +119,10 @@ class Objective:
 
         `corners` are further points (p,) to hold the states of.
         """
-        done: set[int] = set()
-        for index, predictor in enumerate(self.predictors):
-            if id(predictor) in done:
-                continue
-            done.add(id(predictor))
-            problem = self.recordings[index].problem
-            values, _ = self.settings(x, index)
-            moves: dict[str, float] = {}
-            for _, p, key in self._moved[index]:
-                if p.name in reach:
-                    size = abs(problem.values[key]) if p.relative else 1.0
-                    moves[key] = max(moves.get(key, 0.0), reach[p.name] * size)
-            others = [self.settings(corner, index)[0] for corner in corners]
+        for predictor, indices in self._sharing().items():
+            values, _ = self.settings(x, indices[0])
+            moves = self._moves_about(x, indices, reach)
+            others = [self.settings(corner, indices[0])[0] for corner in corners]
             predictor.cover(values, moves, tolerance, [other for other in others if other != values])
 
     def near(self, x: Real, reach: Mapping[str, float], tolerance: float) -> Objective:
@@ -145,23 +130,18 @@ class Objective:
 
         See `neighbourhood.neighbourhood`. Models do not grow, and nothing is taken over from those there are.
         """
-        def place(predictor: Predictor, index: int) -> Neighbourhood:
-            problem, moves = self.recordings[index].problem, dict[str, float]()
-            for _, p, key in self._moved[index]:
-                if p.name in reach:
-                    size = abs(problem.values[key]) if p.relative else 1.0
-                    moves[key] = max(moves.get(key, 0.0), reach[p.name] * size)
-            return neighbourhood(predictor.operators, predictor.frequencies, self._values(x, index), moves,
-                                 tolerance=tolerance)
+        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
+            return neighbourhood(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
+                                 self._moves_about(x, indices, reach), tolerance=tolerance)
 
         return self._placed(place)
 
     def widened(self, x: Real, corners: Sequence[Real], tolerance: float) -> Objective:
         """The same, of :meth:`near`, on models that also hold the states on the way from x to `corners` (p,)."""
-        def place(predictor: Predictor, index: int) -> Neighbourhood:
+        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
             assert predictor.place is not None  # one of `near`
-            here, own = self._values(x, index), predictor.place.values
-            there = [self._values(corner, index) for corner in corners]
+            here, own = self._values(x, indices[0]), predictor.place.values
+            there = [self._values(corner, indices[0]) for corner in corners]
             # What leads from x to a corner, from where the solves were made.
             moved = [{name: own[name] + values[name] - here[name] for name in own} for values in there
                      if values != here]
@@ -173,14 +153,47 @@ class Objective:
         """All values of the problem of the recording of that index at x (p,)."""
         return {**self.recordings[index].problem.values, **self.settings(x, index)[0]}
 
-    def _placed(self, place: Callable[[Predictor, int], Neighbourhood]) -> Objective:
-        """The same in other neighbourhoods, by predictor and the index of its first recording."""
-        other, made = copy.copy(self), dict[int, Predictor]()
-        for index, predictor in enumerate(self.predictors):
-            if id(predictor) not in made:
-                made[id(predictor)] = predictor.placed(place(predictor, index))
-        other.predictors = tuple(made[id(predictor)] for predictor in self.predictors)
+    def _placed(self, place: Callable[[Predictor, Sequence[int]], Neighbourhood]) -> Objective:
+        """The same in other neighbourhoods, by predictor and the indices of its recordings."""
+        other = copy.copy(self)
+        made = {predictor: predictor.placed(place(predictor, indices))
+                for predictor, indices in self._sharing().items()}
+        other.predictors = tuple(made[predictor] for predictor in self.predictors)
         return other
+
+    def _moves_about(self, x: Real, indices: Sequence[int], reach: Mapping[str, float]) -> dict[str, float]:
+        """How far values of recordings that share a model move from those of the first of them at x (p,)."""
+        values, _ = self.settings(x, indices[0])
+        moves: dict[str, float] = {}
+        for index in indices:
+            there = self.settings(x, index)[0]
+            # Offsets set recordings apart that share a model: it has to reach from the first to each.
+            apart = {key: size for key in values if (size := abs(there.get(key, values[key]) - values[key])) > 0.0}
+            found = self._reach(index, reach)
+            for key in {**found, **apart}:
+                moves[key] = max(moves.get(key, 0.0), found.get(key, 0.0) + apart.get(key, 0.0))
+        return moves
+
+    def _sharing(self) -> dict[Predictor, list[int]]:
+        """The recordings, by index, that each predictor is of."""
+        found: dict[Predictor, list[int]] = {}
+        for index, predictor in enumerate(self.predictors):
+            found.setdefault(predictor, []).append(index)
+        return found
+
+    def _reach(self, index: int, reach: Mapping[str, float]) -> dict[str, float]:
+        """How far the values of one recording move where parameters do by `reach`: an offset goes on from the others.
+
+        Only of values that parameters in `reach` move.
+        """
+        problem = self.recordings[index].problem
+        parts: dict[tuple[str, bool], float] = {}
+        for _, p, key in self._moved[index]:
+            if p.name in reach:
+                size = reach[p.name] * (abs(problem.values[key]) if p.relative else 1.0)
+                before = parts.get((key, p.is_loss), 0.0)
+                parts[key, p.is_loss] = before + size if p.offset else max(before, size)
+        return {key: max(parts.get((key, False), 0.0), parts.get((key, True), 0.0)) for key, _ in parts}
 
     def of(self, names: Collection[str]) -> Objective:
         """The same of some recordings only, sharing what the predictors have learnt."""
@@ -197,11 +210,13 @@ class Objective:
 
         Elsewhere the estimated error rises, and the models grow again.
         """
-        other, done = copy.copy(self), dict[int, Predictor]()
-        for index, predictor in enumerate(self.predictors):
-            if id(predictor) not in done:
-                done[id(predictor)] = predictor.narrowed([self.settings(point, index)[0] for point in points])
-        other.predictors = tuple(done[id(predictor)] for predictor in self.predictors)
+        other, done = copy.copy(self), dict[Predictor, Predictor]()
+        for predictor, indices in self._sharing().items():
+            settings: list[dict[str, complex]] = []
+            for each in (self.settings(point, index)[0] for point in points for index in indices):
+                settings += [each] if each not in settings else []
+            done[predictor] = predictor.narrowed(settings)
+        other.predictors = tuple(done[predictor] for predictor in self.predictors)
         return other
 
     def apart(self) -> Objective:
@@ -233,8 +248,13 @@ class Objective:
         result = {name: complex(problem.values[name]) for name in self.moved[index]}
         for column, p, key in self._moved[index]:
             number = float(x[column]) * (part(problem.values, p.name) if p.relative else 1.0)
-            result = placed(result, {key + LOSS if p.is_loss else key: number})
-        return result, {p.name: float(x[column]) for column, p in self._bench[index]}
+            where = key + LOSS if p.is_loss else key
+            result = placed(result, {where: number + (part(result, where) if p.offset else 0.0)})
+        bench: dict[str, float] = {}
+        for column, p in self._bench[index]:
+            # What is ideal is zero, so what all recordings have and an offset of one add up.
+            bench[p.parsed.key] = bench.get(p.parsed.key, 0.0) + float(x[column])
+        return result, bench
 
     def predict(
         self, x: Real, index: int, free: Collection[int] | None = None
@@ -253,8 +273,12 @@ class Objective:
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
         for column, p in self._bench[index]:
             if free is None or column in free:
-                gradient[:, column] = elements[p.name]
+                gradient[:, column] = elements[p.parsed.key]
         slopes = np.conj(prediction.logarithmic_gradient(keys))
+        clock = bench.get(BENCH + "clock", 0.0)
+        if clock != 0.0 and omega.size > 1:
+            # A clock that is off shows the slopes, too, at other frequencies (`through_bench`).
+            slopes = slopes + clock * np.gradient(slopes, np.log(omega), axis=0)
         for column, p, key in moved:
             slope = slopes[:, keys.index(key)]
             # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
@@ -293,6 +317,23 @@ class Objective:
         return Residual(np.concatenate(parts), np.concatenate(rows), tuple(logs), tuple(seen), tuple(predictions))
 
 
+def _shared(
+    recordings: Sequence[Recording], moved: Sequence[tuple[str, ...]], tolerance: float
+) -> tuple[Predictor, ...]:
+    """One predictor of every recording, the same for all of one problem, with tangents by all that is `moved` in any.
+
+    Values that only one of them moves do not set it apart: predictors are told all values with every call.
+    """
+    alike = [(id(r.problem.mesh), r.problem.terms, r.measured.frequency.tobytes()) for r in recordings]
+    found: dict[Any, Predictor] = {}
+    for r, key in zip(recordings, alike, strict=True):
+        if key not in found:
+            tangents = dict.fromkeys(name for names, other in zip(moved, alike, strict=True) if other == key
+                                     for name in names if name in r.problem.values)
+            found[key] = Predictor(r.problem, r.measured.frequency, tolerance=tolerance, tangents=tuple(tangents))
+    return tuple(found[key] for key in alike)
+
+
 def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: dict[Any, Problem]) -> Recording:
     """The recording with those lengths of its chip among the values of its problem that parameters move.
 
@@ -303,9 +344,9 @@ def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: 
     if chip is None or not lacking:
         return recording
     lengths = chip.dimensions()
-    named = [(next((name for name in p.names if name in lengths), ""), p) for p in lacking]
-    radii = {name: (p.low, p.high) for name, p in named if ParameterName.parse(name).is_radius}
-    if not radii and not any(ParameterName.parse(name).is_thickness for name, _ in named):
+    radii = ranges_of_radii(lacking, lengths)
+    if not radii and not any(ParameterName.parse(name).is_thickness for p in lacking for name in p.names
+                             if name in lengths):
         return recording
     key = id(problem.mesh), problem.terms, tuple(radii.items())
     if key not in known:
@@ -340,8 +381,8 @@ def through_bench(
     A clock that is off shifts the spectrum by so little that its slope between the given points tells by how much.
 
     Returns:
-        the impedance seen (n,), d ln seen / d ln impedance (n,), and d ln seen / d element (n,) for every element; for
-        the clock only where it is named.
+        the impedance seen (n,), d ln seen / d ln impedance (n,), of the impedance at the generator's frequency, and
+        d ln seen / d element (n,) for every element; for the clock only where it is named.
     """
     def element(name: str) -> float:
         return bench.get(BENCH + name, 0.0)

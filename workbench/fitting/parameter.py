@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from geometry.chip import Chip
+from geometry.parts import Dimension
 from geometry.stretch import movable, tied
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
@@ -83,9 +84,10 @@ class Parameter:
 
     ``start`` with ``low`` <= start <= ``high``, all in SI ``unit``; ``prior`` the standard uncertainty of `start` known
     beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``,
-    the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. ``beyond``
-    tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with this one
-    since they are as long.
+    the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. An ``offset``
+    is added to what the other parameters of the value, or its problem, give: to the factor where both are relative.
+    ``beyond`` tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with
+    this one since they are as long.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Parameter:
     relative: bool = False
     beyond: str = ""
     tied: tuple[str, ...] = ()
+    offset: bool = False
 
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:
@@ -123,8 +126,12 @@ class Parameter:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its name, and those of the lengths tied to it."""
-        return (self.name, *self.tied)
+        """The name of the number that it is or adds to, and those of the lengths tied to it."""
+        return (self.parsed.shared, *self.tied)
+
+    def acts_in(self, recording: str) -> bool:
+        """Whether it acts in the recording of that name."""
+        return not self.recordings or recording in self.recordings
 
     @property
     def is_loss(self) -> bool:
@@ -243,6 +250,25 @@ def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tu
         if name in chip.dimensions():
             low, high = movable(chip, name, low, high)
     return low, high
+
+
+def ranges_of_radii(
+    parameters: Iterable[Parameter], lengths: Mapping[str, Dimension]
+) -> dict[str, tuple[float, float]]:
+    """How far (m) `parameters` may take each radius among `lengths` in any recording, by its name there."""
+    shared: dict[str, tuple[float, float]] = {}
+    own: dict[str, tuple[float, float]] = {}
+    for p in parameters:
+        for name in p.names:
+            if p.is_dimension and name in lengths and ParameterName.parse(name).is_radius:
+                found, start = (own, 0.0) if p.offset else (shared, lengths[name].value)
+                low, high = found.get(name, (start, start))
+                found[name] = min(low, p.low), max(high, p.high)
+    result = dict(shared)
+    for name, (below, above) in own.items():
+        low, high = shared.get(name, (lengths[name].value,) * 2)
+        result[name] = low + below, high + above
+    return result
 
 
 def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:

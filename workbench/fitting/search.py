@@ -88,8 +88,9 @@ class Search:
                                    for i, p in enumerate(self.parameters)])
         problems = [r.problem for r in objective.recordings]
         moving = [self.parameters[i] for i in self.free]
-        found = (inequalities(problems, moving) if poisson is None
-                 else inequalities(problems, moving, poisson=poisson))
+        names = [r.name for r in objective.recordings]
+        found = (inequalities(problems, moving, recordings=names) if poisson is None
+                 else inequalities(problems, moving, poisson=poisson, recordings=names))
         self.inequalities: tuple[Inequality, ...] = tuple(self._among_all(inequality) for inequality in found)
         #: What deviates beside the noise of the points, if anything.
         self.covariance: Covariance | None = None

@@ -1,0 +1,247 @@
+"""What is known of the numbers of a device before its recordings are looked at: of all states together, and of each.
+
+Standard uncertainties come from the campaign's tables, from the files of the chip and its materials (a tolerance is the
+limit of a uniform law, `workbench.design.uncertainty`), and from what any bench does between two recordings
+(:data:`BETWEEN_RECORDINGS`). Independent statements about one number add their variances. The tables are described at
+the head of `workbench.diagnosis.campaign`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from workbench.design.stated import uncertainty_of_files
+from workbench.diagnosis.numbers import DIMENSIONS, SAME_NUMBER, DeviceNumbers, names, unit_of
+from workbench.diagnosis.state import DeviceState
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import Table
+from workbench.parameter_names import BENCH, STATE, Kind, ParameterName
+
+#: What any bench does between two recordings: how much, as a standard uncertainty in SI, and why. An instrument repeats
+#: a reading after its cables were moved to about 0.2 %; clips that are put on again have another contact resistance, by
+#: some 20 mohm; data sheets of generators give 1 to 50 in a million for the clock, most of which is of one generator
+#: for good, and some 5 its temperature and age. Doubled, differences between states of that size would count for half.
+BETWEEN_RECORDINGS: Mapping[str, tuple[float, str]] = {
+    "gain": (2e-3, "repeatability of instruments"),
+    "series_resistance": (0.02, "contact resistance of clips"),
+    "clock": (5e-6, "drift of generators' clocks"),
+}
+
+#: The key of [between] that switches these off.
+DEFAULTS = "defaults"
+
+#: The states that a statement about a name is of, with the name of the one that it is of alone ("" of none).
+Groups = Callable[[str], Sequence[tuple[str, Sequence[DeviceState]]]]
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What is taken to be known of a parameter: its standard ``uncertainty`` in the SI ``unit``, and the ``source``,
+    which is the file, table or entry that says so."""
+
+    name: str
+    uncertainty: float
+    unit: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Standard uncertainties (SI) of what is not exact, and what may not move.
+
+    ``known`` by the names of numbers that all states share; ``offsets`` by those of what one state adds to them
+    (``bench.gain@filled``); ``fixed`` names of the former. ``correlations`` are coefficients between two of ``known``,
+    each pair once. ``taken`` has an entry for each of ``known`` and ``offsets``, in that order.
+    """
+
+    known: Mapping[str, float]
+    offsets: Mapping[str, float]
+    fixed: tuple[str, ...]
+    correlations: Mapping[tuple[str, str], float]
+    taken: tuple[Taken, ...]
+
+
+@dataclass(frozen=True)
+class _Statement:
+    """One standard uncertainty (SI) of a number, of one ``state`` alone or ("") of all, and who says so.
+
+    ``field`` is the place in the campaign's file, empty for what is said elsewhere.
+    """
+
+    name: str
+    state: str
+    uncertainty: float
+    origin: str
+    field: str = ""
+
+
+def read_knowledge(campaign: Table, states: tuple[DeviceState, ...], *, from_files: bool = True) -> Knowledge:
+    """What the tables of a `campaign` say of its `states`, and the states' own files if `from_files`.
+
+    Raises:
+        InputError: a name that no state has, an uncertainty that is none, or statements that contradict each other.
+    """
+    numbers = DeviceNumbers(states)
+    fixed = tuple(_fixed(campaign.table("fixed", expected="a table [fixed]"), numbers))
+    shared = list(_stated(campaign.table("known", expected="a table [known]"), numbers, lambda _: (("", states),)))
+    for each in shared:
+        if not numbers.is_one(each.name):
+            raise InputError(campaign.source, each.field, each.name, "a number that is the same in all states, which "
+                             f"this is not; [between] or [states.{states[0].name}.known] say of each how exact it is")
+    own = [each for state in states for each in _of_state(campaign, state, numbers)]
+    between = campaign.table("between", expected="a table [between]")
+    varying = list(_stated(Table(between.source, between.field, {k: v for k, v in between.content.items()
+                                                                 if k != DEFAULTS}), numbers,
+                           lambda name: [(state.name, (state,)) for state in numbers.having(name)]))
+    for each in (*shared, *own, *varying):
+        if each.name in fixed:
+            raise InputError(campaign.source, "fixed.names", each.name, f"a name that {each.field} does not free with "
+                             f"an uncertainty of {each.uncertainty:g}: it either may move or may not")
+    closed = {*fixed, *(each.name for each in varying)}
+    if between.flag(DEFAULTS, default=True):
+        varying += [_Statement(BENCH + element, state.name, size, f"[between] by default: {reason}")
+                    for element, (size, reason) in BETWEEN_RECORDINGS.items() if BENCH + element not in closed
+                    for state in states]
+    found, correlations = _harvested(numbers, {*fixed, *(each.name for each in shared)}) if from_files else ([], {})
+    return _together(numbers, (*shared, *found, *own, *varying), fixed, correlations)
+
+
+def _of_state(campaign: Table, state: DeviceState, numbers: DeviceNumbers) -> Iterator[_Statement]:
+    """What [states.NAME.known] says the state adds, of numbers that it has."""
+    table = campaign.table("states").table(state.name).table("known", expected=f"a table [states.{state.name}.known]")
+    yield from _stated(table, numbers, lambda _: ((state.name, (state,)),), of=(state,))
+
+
+def _stated(
+    table: Table, numbers: DeviceNumbers, groups: Groups, *, of: Sequence[DeviceState] = ()
+) -> Iterator[_Statement]:
+    """The statements of a table of names and standard uncertainties about numbers that some states have, or those `of`.
+
+    Radii that coincide are one number, which several names may say the same of.
+    """
+    known, written_as = of or numbers.states, dict[str, tuple[str, float]]()
+    for written in table:
+        name, field = numbers.named(written), table.at(written)
+        if STATE in written or not any(state in known for state in numbers.having(name)):
+            raise InputError(table.source, field, written, "the name of a material's coefficient, a dimension of a "
+                             f"chip or a bench element that {'this' if of else 'a'} state has",
+                             nearest_names(written.partition(STATE)[0], names(known)))
+        _check_inexact(table, written, name, numbers)
+        found = [_Statement(name, state, _uncertainty(table, written, name, numbers, states),
+                            f"{table.source}: [{table.field}]", field) for state, states in groups(name)]
+        before, size = written_as.get(name), found[0].uncertainty
+        if before is not None and name not in numbers.first:
+            raise InputError(table.source, field, written, f"each parameter once ({name})")
+        if before is not None and abs(size - before[1]) > SAME_NUMBER * size:
+            raise table.error(written, f"the uncertainty that {table.at(before[0])} has: the two radii coincide, so "
+                              "they are one parameter")
+        if before is None:
+            written_as[name] = (written, size)
+            yield from found
+
+
+def _uncertainty(
+    table: Table, written: str, name: str, numbers: DeviceNumbers, states: Sequence[DeviceState]
+) -> float:
+    """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
+    entry, unit = table.content[written], unit_of(name, numbers.states)
+    share = isinstance(entry, str) and entry.strip().endswith("%")
+    found = parse_quantity(entry, "dimensionless" if share else DIMENSIONS[unit], source=table.source,
+                           field=table.at(written))
+    if share:
+        having = numbers.having(name)
+        size = abs(numbers.value(name, next(state for state in states if state in having)))
+        if ParameterName.parse(name).kind is Kind.BENCH and unit in ("1", "rad"):
+            size = 1.0
+        if size == 0.0:
+            raise table.error(written, f"an uncertainty in {unit}: {name} is zero, so a percentage of it says nothing")
+        found *= size
+    if not found > 0.0:
+        raise table.error(written, "a standard uncertainty above zero; what is exact is left out")
+    return found
+
+
+def _check_inexact(table: Table, written: str, name: str, numbers: DeviceNumbers) -> None:
+    for state in numbers.states:
+        lengths = state.chip.dimensions()
+        for each in numbers.together(name):
+            if each in lengths and lengths[each].tolerance == 0.0:
+                raise table.error(written, f"nothing: {state.chip.file} states {each} as exact (a tolerance of 0)")
+
+
+def _fixed(table: Table, numbers: DeviceNumbers) -> Iterator[str]:
+    states = numbers.states
+    for written in table.only(("names",)).texts("names", (), expected="a list of names"):
+        parsed, name = ParameterName.parse(written), numbers.named(written)
+        material = next((s.materials[parsed.owner].name for s in states if parsed.owner in s.materials), None)
+        if parsed.local == "density" and material is not None:
+            name = f"{material}.density"
+        if STATE in written or not numbers.having(name):
+            raise InputError(table.source, table.at("names"), written, "the name of a parameter that a state has",
+                             nearest_names(written, names(states)))
+        yield name
+
+
+def _harvested(
+    numbers: DeviceNumbers, closed: Iterable[str]
+) -> tuple[list[_Statement], dict[tuple[str, str], float]]:
+    """What the files of the states say of numbers that are not `closed`, and the correlations between these.
+
+    Of a number that is another one in another state each state says it alone.
+
+    Raises:
+        InputError: two chip files give one length two tolerances.
+    """
+    found: dict[tuple[str, str], _Statement] = {}
+    correlations: dict[tuple[str, str], float] = {}
+    for state in numbers.states:
+        stated = uncertainty_of_files(state.device)
+        kept: list[tuple[int, str]] = []
+        for k, each in enumerate(stated.inputs):
+            name = numbers.first.get(each.name, each.name)
+            if name in closed:
+                continue
+            key = (name, "" if numbers.is_one(name) else state.name)
+            size = each.deviation
+            new = _Statement(*key, size, f"{each.origin}: tolerance"
+                             if ParameterName.parse(name).kind is Kind.DIMENSION else f"{each.origin}: uncertainty")
+            before = found.setdefault(key, new)
+            if abs(before.uncertainty - size) > SAME_NUMBER * size and before.origin != new.origin:
+                raise InputError(state.chip.file, f"{each.name}.tolerance", f"{each.half_width:g} m",
+                                 f"the {math.sqrt(3.0) * before.uncertainty:g} m that {before.origin} is: one length")
+            kept += [(k, name)] if not key[1] else []
+        correlations |= {(one, other): float(stated.correlation[i, j])
+                         for i, one in kept for j, other in kept if i < j and stated.correlation[i, j] != 0.0}
+    return list(found.values()), correlations
+
+
+def _together(
+    numbers: DeviceNumbers, statements: Iterable[_Statement], fixed: tuple[str, ...],
+    correlations: Mapping[tuple[str, str], float],
+) -> Knowledge:
+    """One uncertainty for each number, and for what each state adds to it.
+
+    Where one state alone has the number, what all states share and what that one adds only act together: they are one.
+    """
+    said: dict[tuple[str, str], list[_Statement]] = {}
+    for each in statements:
+        alone = len(numbers.having(each.name)) == 1
+        said.setdefault((each.name, "" if alone else each.state), []).append(each)
+    sizes = {key: math.hypot(*(each.uncertainty for each in found)) for key, found in said.items()}
+    known = {name: size for (name, state), size in sizes.items() if not state}
+    offsets = {(name, state): size for (name, state), size in sizes.items() if state}
+    texts = {key: "; ".join(dict.fromkeys(each.origin for each in found)) for key, found in said.items()}
+    taken = [Taken(_full(*key), size, unit_of(key[0], numbers.states), texts[key])
+             for key, size in (*(((name, ""), size) for name, size in known.items()), *offsets.items())]
+    # What a state adds is independent of the rest, and takes its share of the correlation away.
+    shares = {name: said[name, ""][0].uncertainty / size for name, size in known.items()}
+    return Knowledge(known, {_full(*key): size for key, size in offsets.items()}, fixed,
+                     {(one, other): value * shares[one] * shares[other]
+                      for (one, other), value in correlations.items()}, tuple(taken))
+
+
+def _full(name: str, state: str) -> str:
+    return str(ParameterName.parse(name).of_state(state))

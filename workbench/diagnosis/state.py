@@ -1,0 +1,138 @@
+"""A state of a device and its recording, as a table of a campaign file gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.chip import Chip, read_chip
+from geometry.names import CAVITY, TRANSDUCER
+from materials.kinds import Fluid, Material
+from materials.registry import Registry
+from workbench.files.errors import InputError
+from workbench.files.tables import Table
+from workbench.fitting.prepare import check_device, in_band
+from workbench.problem import FilledChip, fill
+from workbench.readers import read_column_map, read_recording
+from workbench.spectrum import Spectrum
+
+#: What a campaign says of a state; ``known`` is read with what it says of the others.
+STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns", "known")
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceState:
+    """One state of the device and its recording.
+
+    ``device`` is the chip in its state, with its materials; ``drive`` the voltage amplitude (V, zero to peak) at the
+    electrodes, ``temperature`` in kelvin, both None where nobody said; ``noise`` (n,) the standard deviation of every
+    point relative to |Z|, and ``stated`` whether the recording or the campaign states it (otherwise its own scatter
+    does).
+    """
+
+    name: str
+    device: FilledChip
+    measured: Spectrum
+    noise: np.ndarray[Any, np.dtype[np.float64]]
+    stated: bool
+    drive: float | None = None
+    temperature: float | None = None
+    held_out: bool = False
+
+    @property
+    def chip(self) -> Chip:
+        return self.device.chip
+
+    @property
+    def materials(self) -> Mapping[str, Material]:
+        """What fills each region."""
+        return self.device.materials
+
+    @property
+    def fluid(self) -> Fluid | None:
+        """What fills the cavity, if it is a fluid."""
+        found = self.materials.get(CAVITY)
+        return found if isinstance(found, Fluid) else None
+
+
+def read_state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceState:
+    """The state of that name from its table; paths are relative to `folder`.
+
+    Raises:
+        InputError: a mistake in the table or in a file it names, or a recording that cannot be of this device.
+    """
+    table.only(STATE_KEYS)
+    chip = read_chip(_path(table, "chip", folder))
+    if "state" in table:
+        state = chip.state(table.text("state", expected="a state, as text"))
+    elif len(chip.states) == 1:
+        state = chip.states[0]
+    else:
+        raise InputError(table.source, table.at("state"), "nothing", "one of the chip's states: "
+                         + ", ".join(s.name for s in chip.states))
+    held_out = table.flag("held_out")
+    temperature = table.optional_quantity("temperature", "temperature")
+    if temperature is not None and state.cavity is not None:
+        if state.temperature is not None and abs(state.temperature - temperature) > 0.5:
+            raise table.error("temperature", f"the {state.temperature - 273.15:.1f} degC that {chip.file} gives its "
+                              f"state {state.name!r}, or none there")
+        state = replace(state, temperature=temperature)
+        chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
+    device = fill(chip, state.name, registry)
+    recording = _path(table, "recording", folder)
+    band = _band(table) if "band" in table else None
+    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
+    whole = read_recording(recording, columns=columns).spectrum
+    measured = in_band(whole, chip, band, name=str(recording))
+    noise, stated = _noise(measured, table)
+    drive = table.optional_quantity("drive", "peak-to-peak voltage")
+    if drive is not None and not drive > 0.0:
+        raise table.error("drive", "a voltage above zero")
+    found = DeviceState(name, device, measured, noise, stated,
+                        None if drive is None else 0.5 * drive, temperature, held_out)
+    if set(device.materials) == {TRANSDUCER}:
+        # Loads shift resonances by more than this check allows for.
+        check_device(in_band(whole, chip, None, name=str(recording)), chip, device.materials, name=str(recording))
+    return found
+
+
+def _path(table: Table, key: str, folder: Path) -> Path:
+    return folder / table.text(key, expected=f"a {key}, as text")
+
+
+def _band(table: Table) -> tuple[float, float]:
+    low, high = table.quantities("band", "frequency", expected="two frequencies")
+    if not low < high:
+        raise table.error("band", "a lower and a higher frequency")
+    return low, high
+
+
+def _noise(measured: Spectrum, table: Table) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
+    """Relative standard deviation of every point, and whether anybody stated it."""
+    stated = table.optional_quantity("noise", "dimensionless")
+    if stated is not None and not stated > 0.0:
+        raise InputError(table.source, table.at("noise"), stated, "a relative deviation above zero")
+    if measured.uncertainty is not None:
+        if stated is not None:
+            raise InputError(table.source, table.at("noise"), stated,
+                             "nothing: the recording brings its own uncertainties")
+        return np.asarray(measured.uncertainty / measured.magnitude), True
+    if stated is not None:
+        return np.full(measured.frequency.size, stated), True
+    return np.full(measured.frequency.size, scatter(measured)), False
+
+
+def scatter(measured: Spectrum) -> float:
+    """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
+
+    For white noise of that deviation in the real and in the imaginary part their variance is 20 times its square; the
+    median keeps out sharp resonances.
+    """
+    third = np.diff(np.log(measured.impedance), 3)
+    # The median of |x| of normal x is 0.6745 sigma.
+    size = np.median(np.abs(np.concatenate([third.real, third.imag]))) / 0.6745
+    return float(max(size / np.sqrt(20.0), 1e-6))
