@@ -9,11 +9,12 @@ everywhere, and every optimum on the way begins a descent (:func:`basins`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
+from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.fitting.search import NO_END, Optimum, Search
 
 Real = NDArray[np.float64]
@@ -104,12 +105,23 @@ def distinct(likelihood: Likelihood, ends: Sequence[Optimum]) -> list[Optimum]:
     return kept
 
 
-def explained(
-    likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], *, window: float = 8.0, kept: int = 2
-) -> Explanation | None:
-    """The best optimum that leads from any of the `starts` (p,) under a hypothesis; None if nothing can be predicted.
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A hypothesis where it leads with the data weighing little: ``x`` (p,), the log evidence and errors (p,) there."""
 
-    Of every level, so many ends are followed whose cost is within `window` of the best.
+    hypothesis: Hypothesis
+    x: Real
+    log_evidence: float
+    errors: Real
+
+
+def followed(
+    likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], *, window: float = 8.0, kept: int = 2
+) -> Candidate | None:
+    """The best optimum with the weight of the last of :data:`LEVELS` that leads from any of the `starts` (p,).
+
+    Of every level, so many ends are followed whose cost is within `window` of the best. None if nothing can be
+    predicted.
     """
     search = likelihood.search(hypothesis)
     places = list(starts)
@@ -128,10 +140,6 @@ def explained(
             return None
         best = min(end.cost for end in ends)
         places = [end.x for end in distinct(likelihood, ends) if end.cost < best + window][:kept]
-    found = []
-    for place in places:
-        try:
-            found.append(likelihood.settled(hypothesis, place))
-        except NO_END:
-            continue
-    return max(found, key=lambda each: each.log_evidence, default=None)
+    weighed = [(place, *likelihood.weighed(hypothesis, place, LEVELS[-1])) for place in places]
+    x, worth, errors = max(weighed, key=lambda each: each[1])
+    return Candidate(hypothesis, x, worth, errors)

@@ -144,16 +144,14 @@ class Likelihood:
         every = [max(1, round(own.measured.frequency.size / SEARCHED)) for own in search.objective.recordings]
         return search.on(thin).minimise(x, self.spreads(level, every), limit=limit, tolerance=0.01, fixed=fixed)
 
-    def linearised(self, hypothesis: Hypothesis, search: Search, x: Real) -> tuple[Linearised, list[Real], Residual]:
+    def linearised(
+        self, hypothesis: Hypothesis, search: Search, x: Real, level: float = 0.0
+    ) -> tuple[Linearised, list[Real], Residual]:
         """The problem at x (p,), the settings of the scales that are averaged over, and the data there."""
         free = search.free
-        data = self.objective(x, deviation=self.spreads(), free=frozenset(map(int, free)))
+        data = self.objective(x, deviation=self.spreads(level), free=frozenset(map(int, free)))
         parameters = [self.model.parameters[i] for i in free]
-        general = self.columns / self.noise[:, None]
-        region = np.zeros((self.noise.size, 0))
-        if hypothesis.region and self.anything is not None:
-            region = reduced(self.anything.within(hypothesis.region) / self.noise[:, None], REGION_SIZES[-1])
-        term = self._term(hypothesis, data.jacobian, x)
+        general, region, term = self._deviations(hypothesis, data, x, level)
         problem = Linearised.of(
             data.jacobian[:, free], data.vector, np.column_stack([general, region, term]),
             precision=np.diag(search.precision[free] ** 2), offset=(x - search.centre)[free],
@@ -208,7 +206,7 @@ class Likelihood:
                     width = search.high[i] - search.low[i]
                     search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
             scales = settings[best]
-            columns = self._deviations(hypothesis, data, x) * scales
+            columns = np.column_stack(self._deviations(hypothesis, data, x)) * scales
             under = search.under(Covariance.of(columns))
             x = under.minimise(x, self.spreads(), limit=STEPS, tolerance=ENOUGH).x
         else:
@@ -216,13 +214,24 @@ class Likelihood:
             worth, best, average = over_scales(problem, settings)
         return self._explanation(hypothesis, search, x, data, worth, settings[best], average)
 
-    def _deviations(self, hypothesis: Hypothesis, data: Residual, x: Real) -> Real:
-        """The columns (m, k) that the scales of :meth:`linearised` are of."""
-        general = self.columns / self.noise[:, None]
+    def _deviations(
+        self, hypothesis: Hypothesis, data: Residual, x: Real, level: float = 0.0
+    ) -> tuple[Real, Real, Real]:
+        """What deviates beside the noise (m, k), at a size of one: within all parts, within one, and of the term."""
+        noise = np.sqrt(self.noise**2 + level**2)[:, None]
         region = np.zeros((self.noise.size, 0))
         if hypothesis.region and self.anything is not None:
-            region = reduced(self.anything.within(hypothesis.region) / self.noise[:, None], REGION_SIZES[-1])
-        return np.column_stack([general, region, self._term(hypothesis, data.jacobian, x)])
+            region = reduced(self.anything.within(hypothesis.region) / noise, REGION_SIZES[-1])
+        return self.columns / noise, region, self._term(hypothesis, data.jacobian, x)
+
+    def weighed(self, hypothesis: Hypothesis, x: Real, level: float) -> tuple[float, Real]:
+        """The log evidence at x (p,) with points that weigh less, and the standard deviations (p,) there."""
+        search = self.search(hypothesis)
+        problem, settings, _ = self.linearised(hypothesis, search, x, level)
+        worth, _, average = over_scales(problem, settings)
+        errors = np.zeros(x.size)
+        errors[search.free] = np.sqrt(np.maximum(np.diag(average.covariance), 0.0))
+        return worth, errors
 
     def _explanation(
         self, hypothesis: Hypothesis, search: Search, x: Real, data: Residual, worth: float, scales: Real,
