@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.mechanisms import CATALOGUED, CLASHING, NONE, OUTSIDE  # noqa: E402
-from concealed.running import Piece, claimed, work  # noqa: E402
+from concealed.running import Piece, claimed, release, work  # noqa: E402
 from concealed.scoring import FAILED, read_outcomes, score, table  # noqa: E402
 from concealed.trial import make_trial  # noqa: E402
 
@@ -138,7 +138,12 @@ def run(folder: Path, jobs: int, minutes: float, *, uncommitted: bool = False,
 
     def pieces() -> Iterator[Piece]:
         for trial in sorted((folder / "trials").iterdir()):
-            if (results / f"{trial.name}.json").exists() or not claimed(unfinished, int(trial.name)):
+            done = results / f"{trial.name}.json"
+            if done.exists() or not claimed(unfinished, int(trial.name)):
+                continue
+            if done.exists():
+                # Somebody else ended it between the two questions.
+                release(unfinished, int(trial.name))
                 continue
             now = commit()
             if now != tried:
@@ -153,6 +158,7 @@ def run(folder: Path, jobs: int, minutes: float, *, uncommitted: bool = False,
         said |= {"cpu_seconds": ended.seconds, "wall_seconds": ended.wall, "commit": tried}
         write_atomic(results / name, json.dumps(said, indent=1) + "\n")
         (unfinished / name).unlink(missing_ok=True)
+        release(unfinished, int(ended.piece.name))
         print(f"{ended.piece.name} {said['verdict']} "
               f"{ended.reason or ' and '.join(e['name'] for e in said['effects'])} {ended.wall:.0f} s", flush=True)
 

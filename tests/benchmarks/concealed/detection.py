@@ -21,12 +21,15 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Own = Mapping[str, Mapping[str, float]]
 
-#: An imitation takes at most so many steps, until one changes less than this share of the square of what is left; none
-#: goes further than so many uncertainties.
-IMITATED, SETTLED, REACH = 4, 1e-2, 10.0
+#: An imitation takes at most so many steps, until one changes less than this share of what is left.
+IMITATED, SETTLED = 10, 5e-3
 
 #: Below so many standard deviations an effect is not detectable, above so many it is, and nobody asks further.
-LOW, CLEAR = 2.0, 50.0
+LOW, CLEAR = 2.0, 30.0
+
+#: Weight of the first step's length beside what it should take away, and how the next ones' falls, or grows after one
+#: that did not help (Levenberg and Marquardt).
+DAMPING, FREER, TIGHTER = 100.0, 0.1, 100.0
 
 #: Order of the elements and tolerance of the reduced models where only differences count.
 COARSE, LOOSE = 3, 1e-3
@@ -39,7 +42,8 @@ def detectability(
     as well as they can: `change` (m,) is what is left of it where these have moved by their argument (p,), `tangents`
     (m, p) their effects there, `covariance` (m, m) of the rest. Never more than what a linear device would leave.
 
-    Steps of Gauss and Newton, halved where they do not help."""
+    Damped steps; they end early where what is left will not come below `CLEAR` at the rate it falls, or is below `LOW`.
+    """
     factor = np.linalg.cholesky(covariance)
 
     def lengths(moves: Real) -> Real:
@@ -48,27 +52,28 @@ def detectability(
     def slopes(moves: Real) -> Real:
         return np.concatenate([-solve_triangular(factor, tangents(moves), lower=True), np.eye(parameters)])
 
-    moves = np.zeros(parameters)
+    moves, damping = np.zeros(parameters), DAMPING
     here, steep = lengths(moves), slopes(moves)
-    step = np.linalg.lstsq(steep, -here)[0]
-    least = min(float(np.linalg.norm(here)), float(np.linalg.norm(here + steep @ step)))
-    for _ in range(IMITATED):
-        if least < LOW:
+    linear = float(np.linalg.norm(here + steep @ np.linalg.lstsq(steep, -here)[0]))
+    size = float(np.linalg.norm(here))
+    for left in reversed(range(IMITATED)):
+        if min(linear, size) < LOW:
             break
-        step *= min(1.0, REACH / float(np.abs(step).max()))
+        damped = np.vstack([steep, math.sqrt(damping) * np.eye(parameters)])
+        step = np.linalg.lstsq(damped, np.concatenate([-here, np.zeros(parameters)]))[0]
         there = lengths(moves + step)
-        if there @ there > here @ here:
-            step *= 0.5
-            there = lengths(moves + step)
-        if there @ there > (1.0 - SETTLED) * (here @ here):
+        after = float(np.linalg.norm(there))
+        if not after < size:
+            if damping > DAMPING:
+                break
+            damping *= TIGHTER
+            continue
+        rate, size = after / size, after
+        if rate > 1.0 - SETTLED or size * rate**left > CLEAR:
             break
-        moves, here = moves + step, there
-        least = min(least, float(np.linalg.norm(here)))
+        moves, here, damping = moves + step, there, damping * FREER
         steep = slopes(moves)
-        step = np.linalg.lstsq(steep, -here)[0]
-        if np.linalg.norm(here + steep @ step) > CLEAR:
-            break
-    return least
+    return min(linear, size)
 
 
 def hidden(plain: Values, effects: Sequence[Effect]) -> tuple[dict[str, float], dict[str, float]]:

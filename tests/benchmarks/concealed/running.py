@@ -106,3 +106,8 @@ def claimed(folder: Path, number: int) -> bool:
                 mark.unlink(missing_ok=True)
     finally:
         own.unlink()
+
+
+def release(folder: Path, number: int) -> None:
+    """Give a piece of work back that this process has claimed."""
+    (folder / f"{number:04d}.pid").unlink(missing_ok=True)
