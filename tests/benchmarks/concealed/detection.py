@@ -27,6 +27,9 @@ IMITATED, SETTLED = 10, 5e-3
 #: Below so many standard deviations an effect is not detectable, above so many it is, and nobody asks further.
 LOW, CLEAR = 2.0, 30.0
 
+#: A step of less than so many uncertainties leaves the tangents as they are.
+NEAR = 0.3
+
 #: Weight of the first step's length beside what it should take away, and how the next ones' falls, or grows after one
 #: that did not help (Levenberg and Marquardt).
 DAMPING, FREER, TIGHTER = 100.0, 0.1, 100.0
@@ -72,7 +75,8 @@ def detectability(
         if rate > 1.0 - SETTLED or size * rate**left > CLEAR:
             break
         moves, here, damping = moves + step, there, damping * FREER
-        steep = slopes(moves)
+        if np.abs(step).max() > NEAR:
+            steep = slopes(moves)
     return min(linear, size)
 
 

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
+from concealed.blocks import Block, Model
 from concealed.elements import UNKNOWNS, edge_matrices, line, matrices
 from concealed.fields import Inhomogeneity, scales
 from concealed.media import Anything, Coefficients, Contact, Necks
@@ -45,60 +45,6 @@ PROBES = 80
 
 class NotAccurate(RuntimeError):
     """A solve or the reduced model misses its tolerance."""
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Cells or edges of one medium: (cells, k) unknowns, -1 where zero, and a real matrix for each coefficient; the
-    relative ``field`` (cells,) of every kind of :mod:`fields` where it is not homogeneous, and which cells of the grid
-    these are (none: edges)."""
-
-    medium: Anything
-    unknowns: Integers
-    matrices: Mapping[str, Real]
-    field: Mapping[str, Real] | None = None
-    cells: tuple[Integers, Integers] | None = None
-
-    def scaled(self, name: str, coefficient: complex) -> Any:
-        """The coefficient of every cell (cells, 1, 1), or of all."""
-        if self.field is None:
-            return coefficient
-        real, imaginary = scales(name, self.field)
-        return (coefficient.real * real + 1j * coefficient.imag * imaginary)[:, None, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """Blocks and the number of unknowns; the last one is the voltage of the live electrode."""
-
-    blocks: tuple[Block, ...]
-    size: int
-
-    @cached_property
-    def pattern(self) -> Pattern:
-        kept, rows, columns = [], [], []
-        for block in self.blocks:
-            shape = (*block.unknowns.shape, block.unknowns.shape[1])
-            row = np.broadcast_to(block.unknowns[:, :, None], shape)
-            column = np.broadcast_to(block.unknowns[:, None, :], shape)
-            kept.append((row >= 0) & (column >= 0))
-            rows.append(row[kept[-1]])
-            columns.append(column[kept[-1]])
-        places, entry = np.unique(np.concatenate(columns) * self.size + np.concatenate(rows), return_inverse=True)
-        return Pattern(tuple(kept), entry, places % self.size, places // self.size,
-                       np.searchsorted(places, np.arange(self.size + 1) * self.size))
-
-
-@dataclass(frozen=True, eq=False)
-class Pattern:
-    """Which entries of the element matrices count, where each goes among those of the csc matrix, and row, column and
-    column starts of these."""
-
-    kept: tuple[NDArray[np.bool_], ...]
-    entry: Integers
-    row: Integers
-    column: Integers
-    starts: Integers
 
 
 def assemble(body: Body, cells: Grid, *, order: int = 5, uneven: Inhomogeneity | None = None) -> Model:
@@ -241,22 +187,13 @@ def _faces(face: Face, cells: Grid, number: Mapping[str, Integers], order: int) 
 def system(model: Model, omega: float) -> tuple[sparse.csc_matrix, Real]:
     """A(w), live electrode last, and a scale (size - 1,) of the other unknowns: what adds up to the diagonal, taken
     without sign, since stiffness and inertia may cancel there."""
-    pattern = model.pattern
-    entries, size = [], np.zeros(model.size + 1)
-    for block, counted in zip(model.blocks, pattern.kept, strict=True):
-        coefficients = block.medium.coefficients(np.array([omega]))
-        values, magnitude = np.zeros(counted.shape, dtype=complex), np.zeros(block.unknowns.shape)
-        for name, matrix in block.matrices.items():
-            factor = complex(np.asarray(coefficients[name]).ravel()[0])
-            whole = block.scaled(name, factor)
-            values.real += np.real(whole) * matrix
-            if factor.imag:
-                values.imag += np.imag(whole) * matrix
-            magnitude += abs(factor) * np.abs(np.einsum("cii->ci", matrix))
-        size += np.bincount(block.unknowns.ravel() % size.size, magnitude.ravel(), size.size)
-        entries.append(values[counted])
-    each = np.concatenate(entries)
-    data = np.bincount(pattern.entry, each.real) + 1j * np.bincount(pattern.entry, each.imag)
+    pattern, fixed = model.pattern, model.fixed
+    data, size = fixed.data.copy(), fixed.size.copy()
+    for each in fixed.varying:
+        factor = complex(np.asarray(each.block.medium.coefficients(np.array([omega]))[each.name]).ravel()[0])
+        data.real[each.places] += factor.real * each.real
+        data.imag[each.places] += factor.imag * each.imaginary
+        size += abs(factor) * each.size
     matrix = sparse.csc_matrix((data, pattern.row, pattern.starts), shape=(model.size, model.size))
     return matrix, 1.0 / np.sqrt(size[:-2])
 
