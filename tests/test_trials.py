@@ -56,7 +56,8 @@ def test_a_round_holds_what_is_asked_for() -> None:
     pairs = [set(names) for names in drawn if len(names) == 2]
     assert count["none"] >= 40
     assert len(pairs) >= 30
-    assert not any(pair in CLASHING for pair in pairs)
+    # Three of 465 pairs clash: of these 2000 draws some would.
+    assert not any(set(names) in CLASHING for names in islice(trials.schedule(1), 20000))
     assert all(count[name] >= 6 for name in CATALOGUED)
     assert all(count[name] >= 6 for name in OUTSIDE)
     assert {name for pair in CLASHING for name in pair} <= set(CATALOGUED)
