@@ -35,18 +35,47 @@ ABSOLUTE: Mapping[str, tuple[float, str]] = {
 }
 
 
+#: Standard deviations (SI) by which states differ, on top of what they share: every bench has these.
+BETWEEN: Mapping[str, float] = {"bench.gain": 0.002, "bench.series_resistance": 0.02, "bench.clock": 5e-6}
+
+#: The gel below a chip, where it is mounted anew for every state: in how many devices, and by which share of its
+#: thickness the states then differ.
+REMOUNTED, REMOUNTED_BY = 0.3, 0.1
+
+#: In how many devices the couplant ends where the transducer does, and in how many the chip does.
+FLUSH_COUPLANT, FLUSH_CHIP = 0.25, 0.2
+
+#: Least thickness (m) of the wall beside the cavity above the transducer: grids have lines at every radius.
+WALL = 0.7e-3
+
+COUPLANT, SUBSTRATE, TRANSDUCER = "couplant.radius", "substrate.radius", "transducer.radius"
+
+
 @dataclass(frozen=True)
 class Design:
     """``nominal`` numbers as the files state them, ``prior`` standard uncertainties (SI) of those that are free, the
-    ``frequency`` (n,) Hz of the recordings and the relative ``noise`` of a point."""
+    ``frequency`` (n,) Hz of the recordings and the relative ``noise`` of a point; ``tied`` are the names of lengths
+    that are one with the transducer's radius, ``remounted`` tells whether every state has a gel of its own."""
 
     nominal: Mapping[str, float]
     prior: Mapping[str, float]
     frequency: NDArray[np.float64]
     noise: float
+    tied: tuple[str, ...] = ()
+    remounted: bool = False
+
+    def moved(self, values: Mapping[str, float], by: Mapping[str, float]) -> dict[str, float]:
+        """Values some of which are moved by so much (SI), with what is one with them."""
+        return {**values, **{name: values.get(name, 0.0) + shift for name, shift in by.items()},
+                **{name: values[name] + by[TRANSDUCER] for name in self.tied if TRANSDUCER in by}}
+
+    def between(self, filling: str) -> dict[str, float]:
+        """Standard deviations (SI) of what a state of that filling has of its own."""
+        gel = REMOUNTED_BY * self.nominal["couplant.thickness"]
+        return {**BETWEEN, **({"couplant.thickness": gel} if self.remounted and filling != "disc" else {})}
 
 
-def random_design(rng: np.random.Generator, *, points: int = 161) -> Design:
+def random_design(rng: np.random.Generator, *, points: int = 321) -> Design:
     """A chip that could have been built."""
     def about(value: float, spread: float) -> float:
         return float(f"{value * (1.0 + spread * rng.uniform(-1.0, 1.0)):.4g}")
@@ -72,13 +101,17 @@ def random_design(rng: np.random.Generator, *, points: int = 161) -> Design:
         f"{GEL}.density": about(1020.0, 0.02), f"{GEL}.sound_speed": about(1480.0, 0.02),
         f"{WATER}.sound_speed": water(REFERENCE_TEMPERATURE).sound_speed,
     }
-    radius = between(3.5e-3, 5.0e-3, 1e-4)
+    radius = between(3.5e-3, 5.2e-3, 1e-4)
+    tied = tuple(name for name, share in ((COUPLANT, FLUSH_COUPLANT), (SUBSTRATE, FLUSH_CHIP)) if rng.random() < share)
     nominal |= {
-        "transducer.thickness": between(1.9e-3, 2.1e-3, 1e-5), "transducer.radius": radius,
-        "couplant.thickness": between(12e-6, 40e-6, 1e-6), "couplant.radius": radius - between(5e-5, 2e-4, 5e-5),
-        "substrate.thickness": between(0.8e-3, 1.2e-3, 1e-5), "substrate.radius": radius + between(3e-4, 8e-4, 1e-4),
-        "sidewall.thickness": between(0.6e-3, 0.8e-3, 1e-5), "cavity.radius": between(1.5e-3, 2.5e-3, 5e-5),
-        "bond.thickness": between(30e-6, 60e-6, 1e-6), "superstrate.thickness": between(0.5e-3, 1.0e-3, 1e-5),
+        "transducer.thickness": between(1.8e-3, 2.2e-3, 1e-5), TRANSDUCER: radius,
+        "couplant.thickness": between(10e-6, 50e-6, 1e-6),
+        COUPLANT: radius - (0.0 if COUPLANT in tied else between(5e-5, 2e-4, 5e-5)),
+        "substrate.thickness": between(0.7e-3, 1.3e-3, 1e-5),
+        SUBSTRATE: radius + (0.0 if SUBSTRATE in tied else between(3e-4, 8e-4, 1e-4)),
+        "sidewall.thickness": between(0.5e-3, 0.9e-3, 1e-5),
+        "cavity.radius": between(1e-3, min(3e-3, radius - WALL), 5e-5),
+        "bond.thickness": between(25e-6, 70e-6, 1e-6), "superstrate.thickness": between(0.2e-3, 1.2e-3, 1e-5),
     }
     prior = {name: share * abs(nominal[name]) for name, share in RELATIVE.items()}
     for name, (size, _) in ABSOLUTE.items():
@@ -90,15 +123,24 @@ def random_design(rng: np.random.Generator, *, points: int = 161) -> Design:
     # The coupled thickness resonance lies a tenth below half a wavelength of the stiffened wave.
     centre = 0.9 * 0.5 * math.sqrt(stiffened / density) / nominal["transducer.thickness"]
     low, high = 1e3 * round(0.88e-3 * centre), 1e3 * round(1.12e-3 * centre)
-    return Design(nominal, prior, np.linspace(low, high, points), float(f"{rng.uniform(3e-3, 1e-2):.2g}"))
+    return Design(nominal, prior, np.linspace(low, high, points), float(f"{rng.uniform(3e-3, 1e-2):.2g}"),
+                  tied, bool(rng.random() < REMOUNTED))
+
+
+def _normal(rng: np.random.Generator) -> float:
+    """Normal, cut at two and a half standard deviations."""
+    while True:
+        found = float(rng.standard_normal())
+        if abs(found) < 2.5:
+            return found
 
 
 def draw(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    """True numbers: normal about the nominal ones, cut at two and a half standard uncertainties."""
-    def normal() -> float:
-        while True:
-            found = float(rng.standard_normal())
-            if abs(found) < 2.5:
-                return found
+    """True numbers, normal about the nominal ones."""
+    return design.moved(design.nominal, {name: size * _normal(rng) for name, size in design.prior.items()})
 
-    return dict(design.nominal) | {n: design.nominal[n] + s * normal() for n, s in design.prior.items()}
+
+def draw_own(rng: np.random.Generator, design: Design, fillings: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """By how much (SI) the numbers of every state differ from those that they share; `fillings` by state."""
+    return {state: {name: size * _normal(rng) for name, size in design.between(filling).items()}
+            for state, filling in fillings.items()}

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from concealed.media import Bubbles, Liquid, Load, Medium, Necks, Piezo, Solid, Viscous
-from concealed.solver import Body, Box, Face
+from concealed.section import Body, Box, Face
 from numpy.typing import NDArray
 
 from materials.kinds import Fluid
 from materials.registry import Registry
 
 Values = Mapping[str, float]
+Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 PZT, PLA, EPOXY, GLASS, GEL, WATER = ("pzt/trial", "pla/trial", "epoxy/trial", "glass/trial", "gel/trial",
@@ -28,8 +31,14 @@ REFERENCE_TEMPERATURE = 298.15
 #: Thickness (m) of the layers that stand for an imperfect bond and for a crack.
 THIN = 1e-6
 
+#: Slices of the ceramic whose poling changes through its thickness.
+SLICES = 8
+
 #: Distance (m) from an inner corner of the cavity within which the grid is finer: stress is singular there.
 CORNER = 3e-5
+
+#: Distance (m) from the edge of an open face within which the grid is finer: stress is singular there as well.
+TIP = 1e-5
 
 PIEZO_CONSTANTS = ("density", "c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33")
 
@@ -45,13 +54,17 @@ class State:
     held_out: bool = False
 
 
-STATES = (
-    State("disc", "disc"), State("empty", "empty"), State("filled", "filled"),
-    State("filled_low", "filled", drive=0.5), State("filled_high", "filled", drive=8.0),
-    State("filled_again", "filled", temperature=308.15, drive=5.0, held_out=True),
-)
+_DISC, _AGAIN = State("disc", "disc"), State("filled_again", "filled", temperature=308.15, drive=5.0, held_out=True)
+
+#: Sets of states that somebody measures: fillings, or drives.
+FILLINGS = (_DISC, State("empty", "empty"), State("filled", "filled"), _AGAIN)
+DRIVES = (_DISC, State("filled_low", "filled", drive=0.5), State("filled_high", "filled", drive=8.0), _AGAIN)
+
+#: All of them.
+STATES = tuple(dict.fromkeys((*FILLINGS, *DRIVES)))
 
 
+@lru_cache
 def water(temperature: float) -> Fluid:
     """The registry's water (its law is what the states' stated temperatures refer to)."""
     found = Registry().load("water", temperature=temperature)
@@ -77,6 +90,11 @@ def transducer(values: Values, defects: Values, drive: float) -> Piezo:
         "eps33": constants["eps33"] + 1j * defects.get("eps33.loss", 0.0),
         "e33": constants["e33"] + 1j * defects.get("e33.loss", 0.0),
     })
+
+
+def poled(ceramic: Piezo, share: float) -> Piezo:
+    """A ceramic with a share of its piezoelectricity."""
+    return replace(ceramic, e31=share * ceramic.e31, e33=share * ceramic.e33, e15=share * ceramic.e15)
 
 
 def polymer(values: Values, defects: Values, *, wet: bool, factor: float = 1.0) -> Solid:
@@ -108,9 +126,8 @@ def couplant(values: Values, defects: Values) -> Medium:
     return Liquid(density, speed, 0.0, bubbles)
 
 
-def content(values: Values, defects: Values, state: State) -> Medium:
-    """What fills the cavity: a viscous fluid, whose layers at the walls are resolved, or with openings in the wall a
-    liquid without shear."""
+def content(values: Values, defects: Values, state: State) -> Viscous:
+    """What fills the cavity: a viscous fluid, whose layers at the walls are resolved."""
     law = water(state.temperature + defects.get("temperature.offset", 0.0))
     scale = values[f"{WATER}.sound_speed"] / water(REFERENCE_TEMPERATURE).sound_speed
     speed, shear, bulk = law.sound_speed * scale, law.shear_viscosity or 0.0, law.bulk_viscosity or 0.0
@@ -119,8 +136,6 @@ def content(values: Values, defects: Values, state: State) -> Medium:
     if "cavity.void_fraction" in defects:
         bubbles = Bubbles(defects["cavity.void_fraction"], defects.get("cavity.bubble_radius", 0.0), law.density,
                           speed, shear)
-    if "port.share" in defects:
-        return Liquid(law.density, speed, (bulk + 4.0 / 3.0 * shear) / law.density, bubbles)
     return Viscous(law.density, speed, shear, bulk, bubbles)
 
 
@@ -136,7 +151,7 @@ def body(values: Values, defects: Values, state: State) -> Body:
     h, a = values["transducer.thickness"], values["transducer.radius"]
     metal = defects.get("electrode.thickness", 0.0)
     ceramic = transducer(values, defects, state.drive)
-    boxes = [Box(0.0, a, metal, metal + h, ceramic)]
+    boxes = [Box(0.0, a, metal, metal + h, ceramic, "transducer")]
     lines_r: list[float] = []
     lines_z: list[float] = []
     faces: list[Face] = []
@@ -145,8 +160,12 @@ def body(values: Values, defects: Values, state: State) -> Body:
         silver = Solid.isotropic(defects["electrode.density"], 6e9, 4e9)
         boxes += [Box(0.0, a, 0.0, metal, silver), Box(0.0, a, metal + h, 2.0 * metal + h, silver)]
     if "depoled.radius" in defects:
-        bare = Piezo(**{**{n: getattr(ceramic, n) for n in PIEZO_CONSTANTS}, "e31": 0.0, "e33": 0.0, "e15": 0.0})
-        boxes.append(Box(defects["depoled.radius"], a, metal, metal + h, bare))
+        bare = poled(ceramic, 0.0)
+        boxes.append(Box(defects["depoled.radius"], a, metal, metal + h, bare, "transducer"))
+    if "poling.slope" in defects:
+        middle = metal + 0.5 * h
+        boxes += [Box(0.0, a, z0, z1, poled(ceramic, 1.0 + defects["poling.slope"] * (0.5 * (z0 + z1) - middle) / h),
+                      "transducer") for z0, z1 in pairwise(np.linspace(metal, metal + h, SLICES + 1).tolist())]
     live = (metal + h, 0.0, min(a, defects.get("electrode.radius", a)))
     ground = (metal, 0.0, a)
     if "clamp.normal" in defects:
@@ -158,7 +177,7 @@ def body(values: Values, defects: Values, state: State) -> Body:
     z = 2.0 * metal + h
     gel, top = couplant(values, defects), z + values["couplant.thickness"]
     covered = values["couplant.radius"]
-    boxes.append(Box(0.0, covered, z, top, gel))
+    boxes.append(Box(0.0, covered, z, top, gel, "couplant"))
     if "coverage.inner" in defects:
         boxes.append(Box(defects["coverage.inner"], min(covered, defects["coverage.outer"]), z, top, None))
     if isinstance(gel, Viscous):
@@ -170,18 +189,24 @@ def body(values: Values, defects: Values, state: State) -> Body:
     if gradient:
         edges = np.linspace(0.0, outer, 9)
         boxes += [Box(r0, r1, z, top, polymer(values, defects, wet=wet, factor=1.0 + gradient * (
-            0.5 * (r0 + r1) / outer - 0.5))) for r0, r1 in zip(edges.tolist(), edges[1:].tolist(), strict=False)]
+            0.5 * (r0 + r1) / outer - 0.5)), "substrate") for r0, r1 in pairwise(edges.tolist())]
     else:
-        boxes.append(Box(0.0, outer, z, top, pla))
+        boxes.append(Box(0.0, outer, z, top, pla, "substrate"))
     if "crack.inner" in defects:
         middle = z + defects["crack.height"] * (top - z)
         boxes.append(Box(defects["crack.inner"], defects["crack.outer"], middle, middle + THIN, None))
     floor, z, top = top, top, top + values["sidewall.thickness"]
-    boxes.append(Box(cavity, outer, z, top, pla))
+    boxes.append(Box(cavity, outer, z, top, pla, "sidewall"))
     z, top = top, top + values["bond.thickness"]
     boxes.append(Box(cavity, outer, z, top, Solid.isotropic(
         values[f"{EPOXY}.density"], _number(values, f"{EPOXY}.bulk_modulus"),
-        _number(values, f"{EPOXY}.shear_modulus"))))
+        _number(values, f"{EPOXY}.shear_modulus")), "bond"))
+    if "open.width" in defects:
+        at, width = z if defects["open.below"] else top - THIN, defects["open.width"] * (outer - cavity)
+        inner, edge, end = (cavity, cavity + width, cavity + width) if not defects["open.beyond"] else (
+            outer - width, outer - width, outer)
+        boxes.append(Box(inner, end, at, at + THIN, None))
+        lines_r += [edge - TIP, edge + TIP]
     if "bond.normal_stiffness" in defects:
         lossy = 1.0 - 1j * defects["bond.loss_factor"]
         normal, shear = (defects[f"bond.{kind}_stiffness"] * THIN * lossy for kind in ("normal", "tangential"))
@@ -193,24 +218,35 @@ def body(values: Values, defects: Values, state: State) -> Body:
     lines_z += [floor - CORNER, floor + CORNER, floor + values["sidewall.thickness"] - CORNER]
     boxes.append(Box(0.0, outer, z, top, Solid.isotropic(
         values[f"{GLASS}.density"], _number(values, f"{GLASS}.bulk_modulus"),
-        _number(values, f"{GLASS}.shear_modulus"))))
+        _number(values, f"{GLASS}.shear_modulus")), "superstrate"))
     if state.filling == "filled":
         fluid = content(values, defects, state)
         boxes.append(Box(0.0, cavity, floor, ceiling, fluid))
-        if isinstance(fluid, Viscous):
-            layer = math.sqrt(2.0 * fluid.shear_viscosity / (abs(fluid.density) * omega))
-            lines_z += [floor + 2.5 * layer, ceiling - 2.5 * layer, ceiling - CORNER]
-            lines_r.append(cavity - 2.5 * layer)
-        if "port.share" in defects:
-            necks = Necks(defects["port.share"], abs(fluid.density), defects["port.length"],
-                          defects["port.resistance"], 0.0)
+        layer = math.sqrt(2.0 * fluid.shear_viscosity / (abs(fluid.density) * omega))
+        lines_z += [floor + 2.5 * layer, ceiling - 2.5 * layer, ceiling - CORNER]
+        lines_r.append(cavity - 2.5 * layer)
+        if "port necks.share" in defects:
+            necks = Necks(defects["port necks.share"], abs(fluid.density), defects["port necks.length"],
+                          defects["port necks.resistance"], 0.0)
             faces.append(Face(cavity, cavity, floor, ceiling, necks))
     if "lid.normal" in defects:
         faces.append(Face(0.0, outer, top, top, Load(defects["lid.normal"], 0.0)))
     return Body(tuple(boxes), live, ground, tuple(faces), tuple(lines_r), tuple(lines_z))
 
 
-def seen(values: Values, defects: Values, state: State, frequency: NDArray[np.float64], own: Complex) -> Complex:
+def swept(values: Values, defects: Values, state: State, frequency: Real) -> Real:
+    """Frequencies (n,) Hz that the device has been asked for where the generator shows `frequency` (n,), relative to a
+    device as warm as at the start: its moduli follow the temperature, which wanders through the sweep."""
+    asked = frequency * (1.0 + values.get("bench.clock", 0.0))
+    if "wander.size" in defects:
+        # Every state is measured at another hour.
+        time = np.linspace(0.0, 1.0, frequency.size)
+        turn = 2.0 * np.pi * (defects["wander.cycles"] * time + defects["wander.phase"] + 0.382 * STATES.index(state))
+        asked = asked / (1.0 + defects["wander.size"] * np.sin(turn))
+    return asked
+
+
+def seen(values: Values, defects: Values, state: State, frequency: Real, own: Complex) -> Complex:
     """What the bench shows (n,) of a device of impedance `own` (n,), both e^{+j w t}."""
     w = 2.0 * np.pi * frequency
     admittance = 1.0 / own

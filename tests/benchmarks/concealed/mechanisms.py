@@ -80,6 +80,12 @@ def fluid_temperature(rng: np.random.Generator, design: Design, truth: Values) -
                    {"temperature.offset": _sign(rng) * _log(rng, 1.0, 10.0)})
 
 
+def port_necks(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    return _hidden("port necks", "cavity", "other", {
+        "port necks.share": _log(rng, 1e-3, 0.2), "port necks.length": rng.uniform(2e-4, 6e-4),
+        "port necks.resistance": _log(rng, 3e4, 1e6)})
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # Gel
 
@@ -115,6 +121,17 @@ def imperfect_bond(rng: np.random.Generator, design: Design, truth: Values) -> E
     hidden = {"bond.normal_stiffness": normal, "bond.tangential_stiffness": normal * rng.uniform(0.1, 0.6),
               "bond.loss_factor": rng.uniform(0.0, 0.1), "bond.below": float(below)}
     return _hidden("imperfect bond", "bond", "stiffness", hidden)
+
+
+def delamination(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """One face of the bond open beyond a radius, or within one."""
+    inner, outer = truth["cavity.radius"], truth["substrate.radius"]
+    width, beyond, below = _log(rng, 1e-2, 0.6), bool(rng.integers(2)), bool(rng.integers(2))
+    edge = outer - width * (outer - inner) if beyond else inner + width * (outer - inner)
+    share = (outer**2 - edge**2 if beyond else edge**2 - inner**2) / (outer**2 - inner**2)
+    opened = {"open.width": width, "open.beyond": float(beyond), "open.below": float(below)}
+    return _hidden("partial bond", "bond", "geometry", opened,
+                   told={**opened, "open.radius": edge, "open.share": share})
 
 
 def fractional_loss(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
@@ -216,6 +233,16 @@ def wrong_density(rng: np.random.Generator, design: Design, truth: Values) -> Ef
     return _moved("wrong density", region, "mass", truth, name, value)
 
 
+def density_gauge(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """Constants fitted to a free disc with a wrong density: all of them are off with it, and the disc does not show."""
+    size = _sign(rng) * _log(rng, 5e-3, 6e-2)
+    powers = {name: 0.5 if name.startswith("e3") or name.startswith("e1") else 1.0
+              for name in ("density", "c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15")}
+    true = {f"{PZT}.{name}{part}": truth[f"{PZT}.{name}{part}"] * (1.0 + size) ** power
+            for name, power in powers.items() for part in ("", ".loss") if f"{PZT}.{name}{part}" in truth}
+    return Effect("density gauge", "transducer", "mass", {"transducer.gauge": size, **true}, values=true)
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # Bench
 
@@ -234,15 +261,9 @@ def _bench(element: str, low: float, high: float, *, both: bool = False) -> Draw
 # Outside the catalogue
 
 
-def port_necks(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
-    return _hidden("port necks", "cavity", "other", {
-        "port.share": _log(rng, 1e-3, 0.2), "port.length": rng.uniform(2e-4, 6e-4),
-        "port.resistance": _log(rng, 3e4, 1e6)}, catalogued=False)
-
-
-def delamination(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+def substrate_crack(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
     inner = rng.uniform(0.2, 0.7) * truth["transducer.radius"]
-    return _hidden("delamination", "substrate", "other", {
+    return _hidden("substrate crack", "substrate", "other", {
         "crack.inner": inner, "crack.outer": inner + _log(rng, 0.05e-3, 1.2e-3), "crack.height": rng.uniform(0.3, 0.7)},
         catalogued=False)
 
@@ -261,15 +282,30 @@ def lateral_gradient(rng: np.random.Generator, design: Design, truth: Values) ->
                    catalogued=False)
 
 
+def poling_gradient(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """Piezoelectric constants that change through the thickness; their mean does not."""
+    return _hidden("poling gradient", "transducer", "other", {"poling.slope": _sign(rng) * _log(rng, 0.02, 0.6)},
+                   catalogued=False)
+
+
+def wandering_temperature(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """Resonances that move to and fro while they are measured."""
+    return _hidden("wandering temperature", "transducer", "other", {
+        "wander.size": _log(rng, 1e-5, 1e-3), "wander.cycles": rng.uniform(0.7, 3.0), "wander.phase": rng.random()},
+        catalogued=False)
+
+
 CATALOGUED: Mapping[str, Draw] = {
     "fluid_absorption": fluid_absorption, "cavity_bubbles": cavity_bubbles, "resonant_bubbles": resonant_bubbles,
-    "fluid_temperature": fluid_temperature, "gel_bubbles": gel_bubbles, "gel_shear": gel_shear,
+    "fluid_temperature": fluid_temperature, "port_necks": port_necks, "gel_bubbles": gel_bubbles,
+    "gel_shear": gel_shear,
     "gel_thickness": gel_thickness, "partial_coverage": partial_coverage, "imperfect_bond": imperfect_bond,
+    "delamination": delamination,
     "fractional_loss": fractional_loss, "anisotropic_polymer": anisotropic_polymer, "water_uptake": water_uptake,
     "dielectric_loss": dielectric_loss, "complex_piezoelectric": complex_piezoelectric,
     "stiffness_loss": stiffness_loss, "electrode_mass": electrode_mass, "partial_electrode": partial_electrode,
     "depoled_rim": depoled_rim, "clamp_load": clamp_load, "softening": softening, "wrong_dimension": wrong_dimension,
-    "wrong_density": wrong_density,
+    "wrong_density": wrong_density, "density_gauge": density_gauge,
     "bench_resistance": _bench("series_resistance", 1.5, 40.0),
     "bench_inductance": _bench("series_inductance", 1.5, 40.0),
     "bench_capacitance": _bench("parallel_capacitance", 1.5, 30.0),
@@ -277,8 +313,12 @@ CATALOGUED: Mapping[str, Draw] = {
     "bench_delay": _bench("delay", 1.5, 30.0, both=True),
 }
 OUTSIDE: Mapping[str, Draw] = {
-    "port_necks": port_necks, "delamination": delamination, "mode_splitting": mode_splitting,
-    "lateral_gradient": lateral_gradient,
+    "lateral_gradient": lateral_gradient, "mode_splitting": mode_splitting, "substrate_crack": substrate_crack,
+    "poling_gradient": poling_gradient, "wandering_temperature": wandering_temperature,
 }
+#: Effects that say two things of one place, so that one device cannot have both.
+CLASHING = (
+    {"cavity_bubbles", "resonant_bubbles"}, {"imperfect_bond", "delamination"}, {"wrong_density", "density_gauge"},
+)
 NONE = "none"
 MECHANISMS: tuple[str, ...] = (NONE, *CATALOGUED, *OUTSIDE)

@@ -13,14 +13,16 @@ At unit voltage the charge is -x^T A x, live electrode included.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
+from concealed.blocks import Block, Model
 from concealed.elements import UNKNOWNS, edge_matrices, line, matrices
-from concealed.media import Anything, Contact, Liquid, Load, Medium, Necks, Piezo, Solid, Viscous
+from concealed.fields import Inhomogeneity, scales
+from concealed.media import Anything, Coefficients, Contact, Necks
+from concealed.section import SAME, Body, Box, Face, Grid, grid
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
@@ -29,160 +31,24 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Integers = NDArray[np.int64]
 
-SAME = 1e-10  # metres
+__all__ = ["Body", "Box", "Face", "Grid", "NotAccurate", "assemble", "grid", "reduce", "solve", "spectrum"]
 
 #: A diagonal entry is taken for pivot down to this share of the largest in its column.
 PIVOT = 1e-3
 
-#: Cells per shortest wavelength; of fifth order two give 0.1 % of Z in a chip.
-CELLS = 2.0
-
 #: Frequencies a reduced model starts from, and directions taken at each beside the solution.
 START, FURTHER = 3, 4
+
+#: Frequencies at which a reduced model is compared with the one before.
+PROBES = 80
 
 
 class NotAccurate(RuntimeError):
     """A solve or the reduced model misses its tolerance."""
 
 
-@dataclass(frozen=True)
-class Box:
-    """A rectangle r0..r1, z0..z1 (m) of a medium; None for nothing. Later boxes replace earlier ones."""
-
-    r0: float
-    r1: float
-    z0: float
-    z1: float
-    medium: Medium | None
-
-
-@dataclass(frozen=True)
-class Face:
-    """A straight piece of a surface: z0 == z1 when it lies flat, r0 == r1 when it stands; what acts on it."""
-
-    r0: float
-    r1: float
-    z0: float
-    z1: float
-    surface: Load | Necks
-
-
-@dataclass(frozen=True)
-class Body:
-    """Boxes, faces, both electrodes as (z, inner radius, outer radius), and where the grid needs further lines."""
-
-    boxes: tuple[Box, ...]
-    live: tuple[float, float, float]
-    ground: tuple[float, float, float]
-    faces: tuple[Face, ...] = ()
-    lines_r: tuple[float, ...] = ()
-    lines_z: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """Lines of the grid (m), and the index of the medium of every cell, (cells along r, cells along z), -1: nothing."""
-
-    r: Real
-    z: Real
-    media: tuple[Medium, ...]
-    fill: Integers
-    counts: tuple[tuple[int, ...], tuple[int, ...]]
-
-
-def _distinct(values: Sequence[float]) -> Real:
-    ordered = np.sort(np.array(values))
-    return ordered[np.concatenate([[True], np.diff(ordered) > SAME])]
-
-
-def _shortest(medium: Medium, frequency: float) -> float:
-    """Shortest wavelength (m) in a medium; in a viscous fluid that of sound, its layers are asked for by lines."""
-    match medium:
-        case Solid() | Piezo():
-            slow = min(abs(medium.c44), 0.5 * abs(medium.c11 - medium.c12))
-            return math.sqrt(slow / abs(medium.density)) / frequency
-        case Viscous() | Liquid():
-            w = np.array([2.0 * np.pi * frequency])
-            kappa = complex(np.asarray(medium.coefficients(w)["compressibility"]).ravel()[0])
-            return 1.0 / math.sqrt(abs(kappa) * abs(medium.density)) / frequency
-        case _:
-            raise TypeError(f"received {medium!r}; expected a solid, a ceramic or a liquid")
-
-
-def grid(body: Body, frequency: float, *, per_wavelength: float | None = None,
-         counts: tuple[tuple[int, ...], tuple[int, ...]] | None = None) -> Grid:
-    """The grid of a body for frequencies up to `frequency` (Hz): cells of at most a `per_wavelength`-th (CELLS unless
-    given) of the shortest wave beside them. `counts` (cells between neighbouring breaks) makes the same grid on a body
-    slightly changed."""
-    breaks = (_distinct([x for b in body.boxes for x in (b.r0, b.r1)] + [*body.lines_r, *body.live[1:],
-                                                                         *body.ground[1:]]),
-              _distinct([x for b in body.boxes for x in (b.z0, b.z1)] + list(body.lines_z)))
-    coarse = _fill(body, *breaks)
-    wanted = CELLS if per_wavelength is None else per_wavelength
-    media = tuple(dict.fromkeys(b.medium for b in body.boxes if b.medium is not None))
-    waves = np.array([*(_shortest(m, frequency) for m in media), np.inf])
-    shortest = waves[coarse]
-    lines, numbers = [], []
-    for axis, at in enumerate(breaks):
-        per_strip = shortest.min(axis=1 - axis)
-        given = None if counts is None else counts[axis]
-        if given is None:
-            given = tuple(max(1, math.ceil(d / w * wanted - 1e-9)) for d, w in
-                          zip(np.diff(at), per_strip, strict=True))
-        if len(given) != at.size - 1:
-            raise ValueError("the body has changed so much that its grid has other breaks")
-        numbers.append(given)
-        lines.append(np.concatenate([*(np.linspace(a, b, n, endpoint=False) for a, b, n in
-                                       zip(at, at[1:], given, strict=False)), at[-1:]]))
-    return Grid(lines[0], lines[1], media, _fill(body, lines[0], lines[1]), (numbers[0], numbers[1]))
-
-
-def _fill(body: Body, r: Real, z: Real) -> Integers:
-    media = tuple(dict.fromkeys(b.medium for b in body.boxes if b.medium is not None))
-    index = {m: k for k, m in enumerate(media)}
-    found = np.full((r.size - 1, z.size - 1), -1)
-    mid_r, mid_z = 0.5 * (r[1:] + r[:-1]), 0.5 * (z[1:] + z[:-1])
-    for box in body.boxes:
-        inside = np.ix_((mid_r > box.r0) & (mid_r < box.r1), (mid_z > box.z0) & (mid_z < box.z1))
-        found[inside] = -1 if box.medium is None else index[box.medium]
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Cells or edges of one medium: (cells, k) unknowns, -1 where zero, and a real matrix for each coefficient."""
-
-    medium: Anything
-    unknowns: Integers
-    matrices: Mapping[str, Real]
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """Blocks and the number of unknowns; the last one is the voltage of the live electrode."""
-
-    blocks: tuple[Block, ...]
-    size: int
-
-    @cached_property
-    def pattern(self) -> tuple[list[NDArray[np.bool_]], Integers, Integers, Integers]:
-        """Which entries of the element matrices count, where each goes among those of the csc matrix, and its indices
-        and column starts."""
-        kept, rows, columns = [], [], []
-        for block in self.blocks:
-            shape = (*block.unknowns.shape, block.unknowns.shape[1])
-            row = np.broadcast_to(block.unknowns[:, :, None], shape)
-            column = np.broadcast_to(block.unknowns[:, None, :], shape)
-            kept.append((row >= 0) & (column >= 0))
-            rows.append(row[kept[-1]])
-            columns.append(column[kept[-1]])
-        places, entry = np.unique(np.concatenate(columns) * self.size + np.concatenate(rows), return_inverse=True)
-        starts = np.searchsorted(places, np.arange(self.size + 1) * self.size)
-        return kept, entry, places % self.size, starts
-
-
-def assemble(body: Body, cells: Grid, *, order: int = 5) -> Model:
-    """The real element matrices of a body on its grid."""
+def assemble(body: Body, cells: Grid, *, order: int = 5, uneven: Inhomogeneity | None = None) -> Model:
+    """The real element matrices of a body on its grid, whose parts may be `uneven`."""
     n_r, n_z = (cells.r.size - 1) * order + 1, (cells.z.size - 1) * order + 1
     m_z = (cells.z.size - 1) * (order - 1) + 1
     kind_of = np.array([*(m.kind for m in cells.media), "nothing"])[cells.fill]
@@ -223,7 +89,8 @@ def assemble(body: Body, cells: Grid, *, order: int = 5) -> Model:
             unknowns = [number[name].ravel()[nodes(i, j, order - 1 if name == "q" else order,
                                                    m_z if name == "q" else n_z)] for name in UNKNOWNS[medium.kind]]
             found = matrices(medium.kind, order, cells.r[i], np.diff(cells.r)[i], np.diff(cells.z)[j])
-            blocks.append(Block(medium, np.concatenate(unknowns, axis=1), found))
+            field = None if uneven is None else uneven.values(body, cells, i, j)
+            blocks.append(Block(medium, np.concatenate(unknowns, axis=1), found, field, (i, j)))
     blocks += _contacts(cells, kind_of, number, order)
     blocks += [block for face in body.faces for block in _faces(face, cells, number, order)]
     return Model(tuple(blocks), count + 1)
@@ -296,10 +163,18 @@ def _faces(face: Face, cells: Grid, number: Mapping[str, Integers], order: int) 
     along = np.nonzero((middle > low) & (middle < high))[0]
     level = np.full(along.size, int(np.argmin(np.abs(across - position))))
     i, j = (along, level) if horizontal else (level, along)
-    mass = edge_matrices(order, horizontal, lines[along], np.diff(lines)[along], np.full(along.size, face.r0))
-    at = _edge_nodes(i, j, order, number["ur"].shape[1], horizontal)
+    def traces(order: int) -> Real:
+        return edge_matrices(order, horizontal, lines[along], np.diff(lines)[along], np.full(along.size, face.r0))
+
     if isinstance(face.surface, Necks):
-        return [Block(face.surface, number["p"].ravel()[at], {"admittance": mass})]
+        # What passes the wall is missing in the fluid: the pressure of either kind of fluid has it in its own equation.
+        found = []
+        for name, p in (("p", order), ("q", order - 1)):
+            at = number[name].ravel()[_edge_nodes(i, j, p, number[name].shape[1], horizontal)]
+            if (at >= 0).any():
+                found.append(Block(face.surface, at, {"admittance": traces(p)}))
+        return found
+    mass, at = traces(order), _edge_nodes(i, j, order, number["ur"].shape[1], horizontal)
     normal, tangential = ("uz", "ur") if horizontal else ("ur", "uz")
     return [Block(face.surface, number[name].ravel()[at], {key: mass})
             for name, key in ((normal, "normal"), (tangential, "tangential"))]
@@ -312,20 +187,14 @@ def _faces(face: Face, cells: Grid, number: Mapping[str, Integers], order: int) 
 def system(model: Model, omega: float) -> tuple[sparse.csc_matrix, Real]:
     """A(w), live electrode last, and a scale (size - 1,) of the other unknowns: what adds up to the diagonal, taken
     without sign, since stiffness and inertia may cancel there."""
-    kept, entry, indices, starts = model.pattern
-    entries, size = [], np.zeros(model.size + 1)
-    for block, counted in zip(model.blocks, kept, strict=True):
-        coefficients = block.medium.coefficients(np.array([omega]))
-        values, magnitude = np.zeros(counted.shape, dtype=complex), np.zeros(block.unknowns.shape)
-        for name, matrix in block.matrices.items():
-            factor = complex(np.asarray(coefficients[name]).ravel()[0])
-            values += factor * matrix
-            magnitude += abs(factor) * np.abs(np.einsum("cii->ci", matrix))
-        np.add.at(size, block.unknowns, magnitude)
-        entries.append(values[counted])
-    each = np.concatenate(entries)
-    data = np.bincount(entry, each.real) + 1j * np.bincount(entry, each.imag)
-    matrix = sparse.csc_matrix((data, indices, starts), shape=(model.size, model.size))
+    pattern, fixed = model.pattern, model.fixed
+    data, size = fixed.data.copy(), fixed.size.copy()
+    for each in fixed.varying:
+        factor = complex(np.asarray(each.block.medium.coefficients(np.array([omega]))[each.name]).ravel()[0])
+        data.real[each.places] += factor.real * each.real
+        data.imag[each.places] += factor.imag * each.imaginary
+        size += abs(factor) * each.size
+    matrix = sparse.csc_matrix((data, pattern.row, pattern.starts), shape=(model.size, model.size))
     return matrix, 1.0 / np.sqrt(size[:-2])
 
 
@@ -340,7 +209,8 @@ def _slope(model: Model, omega: float, x: Complex) -> Complex:
             first, second = np.broadcast_to(coefficients[name], 2)
             if first != second:
                 product = np.matmul(matrix, np.stack([local.real, local.imag], axis=2))
-                np.add.at(result, block.unknowns, (second - first) / step * (product[..., 0] + 1j * product[..., 1]))
+                slope = np.asarray(block.scaled(name, complex(second - first) / step)).reshape(-1, 1)
+                np.add.at(result, block.unknowns, slope * (product[..., 0] + 1j * product[..., 1]))
     return result[:-1]
 
 
@@ -353,7 +223,7 @@ def solve(model: Model, frequency: float, *, further: int = 0) -> tuple[complex,
     """
     omega = 2.0 * np.pi * frequency
     matrix, scale = system(model, omega)
-    inner = (sparse.diags(scale) @ matrix[:-1, :-1] @ sparse.diags(scale)).tocsc()
+    inner = _inner(model, matrix, scale)
     factor = splu(inner, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=PIVOT, options={"SymmetricMode": True})
 
     right = -scale * matrix[:-1, -1].toarray().ravel()
@@ -371,12 +241,25 @@ def solve(model: Model, frequency: float, *, further: int = 0) -> tuple[complex,
     return complex(1.0 / (1j * omega * (x @ (matrix @ x)))), np.array(found)
 
 
+def _inner(model: Model, matrix: sparse.csc_matrix, scale: Real) -> sparse.csc_matrix:
+    """The scaled matrix without the live electrode."""
+    last, pattern = model.size - 1, model.pattern
+    kept = (pattern.row < last) & (pattern.column < last)
+    row, column = pattern.row[kept], pattern.column[kept]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=last))])
+    return sparse.csc_matrix((matrix.data[kept] * scale[row] * scale[column], row, starts), shape=(last, last))
+
+
+#: Media with their matrices on a basis.
+Projected = Sequence[tuple[Anything, Mapping[str, Real]]]
+
+
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """The model on a real basis (size, k), the live electrode's column last."""
+    """The model on a real basis (size, k), the live electrode's column first."""
 
     basis: Real
-    blocks: tuple[tuple[Anything, Mapping[str, Real]], ...]
+    blocks: Projected
     solves: int
     error: float
 
@@ -385,34 +268,77 @@ class Reduced:
         return impedance(self.blocks, frequency)
 
 
-def impedance(blocks: Sequence[tuple[Anything, Mapping[str, Real]]], frequency: Real) -> Complex:
+def impedance(blocks: Projected, frequency: Real) -> Complex:
     """Impedance (n,) of projected blocks."""
+    charge, _ = response(blocks, frequency)
+    return np.asarray(1.0 / (-2j * np.pi * np.asarray(frequency) * charge))
+
+
+def response(blocks: Projected, frequency: Real) -> tuple[Complex, Complex]:
+    """Charge (n,) at one volt and the unknowns (n, k) of projected blocks."""
     omega = 2.0 * np.pi * np.asarray(frequency)
     size = next(iter(blocks[0][1].values())).shape[0]
     constant = np.zeros((size, size), dtype=complex)
     factors, parts = [], []
     for medium, projected in blocks:
         values = medium.coefficients(omega)
-        for name, matrix in projected.items():
-            if np.ndim(values[name]) == 0:
-                constant += values[name] * matrix
+        for key, matrix in projected.items():
+            factor = coefficient(values, key)
+            if np.ndim(factor) == 0:
+                constant += factor * matrix
             else:
-                factors.append(values[name])
+                factors.append(factor)
                 parts.append(matrix.ravel())
     varying, flat = np.array(factors).T, np.array(parts)
     total = constant + (varying.real @ flat + 1j * (varying.imag @ flat)).reshape(omega.size, size, size)
-    inner, right = total[:, :-1, :-1], total[:, :-1, -1:]
-    y = -np.linalg.solve(inner, right)
-    charge = -(total[:, -1, -1] + (right[:, :, 0] * y[:, :, 0]).sum(axis=1))
-    return np.asarray(1.0 / (-1j * omega * charge))
+    inner, right = total[:, 1:, 1:], total[:, 1:, :1]
+    y = -np.linalg.solve(inner, right)[:, :, 0]
+    charge = -(total[:, 0, 0] + (right[:, :, 0] * y).sum(axis=1))
+    return charge, np.concatenate([np.ones((omega.size, 1)), y], axis=1)
+
+
+#: What the keys of projected matrices end with that go with the real or the imaginary part of a coefficient.
+REAL, IMAGINARY = ".real", ".imag"
+
+
+def coefficient(values: Coefficients, key: str) -> Any:
+    """The coefficient that goes with a projected matrix."""
+    if key.endswith(REAL):
+        return np.real(values[key.removesuffix(REAL)]) + 0j
+    if key.endswith(IMAGINARY):
+        return 1j * np.imag(values[key.removesuffix(IMAGINARY)])
+    return values[key]
 
 
 def project(block: Block, basis: Real) -> dict[str, Real]:
-    """The matrices of a block on a basis."""
-    padded = np.vstack([basis, np.zeros((1, basis.shape[1]))])
-    local = padded[block.unknowns]
-    flat = local.reshape(-1, basis.shape[1])
-    return {name: flat.T @ np.matmul(matrix, local).reshape(flat.shape) for name, matrix in block.matrices.items()}
+    """The matrices of a block on a basis; where it is not homogeneous those of both parts of a coefficient."""
+    return _between(block, basis, basis)
+
+
+def _between(block: Block, left: Real, right: Real) -> dict[str, Real]:
+    """The matrices of a block from one basis (size, k) to another (size, l): (k, l)."""
+    first, local = (np.vstack([each, np.zeros((1, each.shape[1]))])[block.unknowns] for each in (left, right))
+    flat = first.reshape(-1, left.shape[1])
+    shape = flat.shape[0], right.shape[1]
+    found = {}
+    for name, matrix in block.matrices.items():
+        image = np.matmul(matrix, local)
+        if block.field is None:
+            found[name] = flat.T @ image.reshape(shape)
+        else:
+            for key, scale in zip((REAL, IMAGINARY), scales(name, block.field), strict=True):
+                found[name + key] = flat.T @ (scale[:, None, None] * image).reshape(shape)
+    return found
+
+
+def _grown(block: Block, projected: Mapping[str, Real], basis: Real, fresh: Real) -> dict[str, Real]:
+    """Projected matrices of a block when `fresh` columns are added to a basis."""
+    known = basis.shape[1]
+    found = {}
+    for key, added in _between(block, np.concatenate([basis, fresh], axis=1), fresh).items():
+        before = projected.get(key, np.zeros((known, known)))
+        found[key] = np.block([[before, added[:known]], [added[:known].T, added[known:]]])
+    return found
 
 
 def reduce(model: Model, frequency: Real, *, tolerance: float = 1e-5, limit: int = 40,
@@ -424,18 +350,25 @@ def reduce(model: Model, frequency: Real, *, tolerance: float = 1e-5, limit: int
         NotAccurate: not after `limit` full solves.
     """
     low, high = float(frequency[0]), float(frequency[-1])
+    # Resonances are wider than the distance of so many.
+    probes = frequency[:: max(1, frequency.size // PROBES)]
     start, more = (START, FURTHER) if known is None else (2, 1)
     asked = list(np.linspace(low, high, start))
-    states = [solve(model, f, further=more)[1] for f in asked]
     weight = system(model, np.pi * (low + high))[1]
-    previous, change = np.zeros(frequency.size, dtype=complex), np.full(frequency.size, np.inf)
+    basis = np.eye(model.size, 1, k=1 - model.size)
+    blocks = [(block, _between(block, basis, basis)) for block in model.blocks]
+    fresh = [*([] if known is None else [known[:-1, 1:]]),
+             *(_columns(solve(model, f, further=more)[1]) for f in asked)]
+    previous, change = np.zeros(probes.size, dtype=complex), np.full(probes.size, np.inf)
     while True:
-        basis = _basis(np.concatenate(states), weight, known)
-        reduced = tuple((block.medium, project(block, basis)) for block in model.blocks)
-        found = impedance(reduced, frequency)
+        added = _fresh(basis, np.concatenate(fresh, axis=1), weight)
+        blocks = [(block, _grown(block, projected, basis, added)) for block, projected in blocks]
+        basis = np.concatenate([basis, added], axis=1)
+        reduced = tuple((block.medium, projected) for block, projected in blocks)
+        found = impedance(reduced, probes)
         if len(asked) > start:
             change = np.abs(np.log(found / previous))
-        candidate = float(frequency[int(np.argmax(change))])
+        candidate = float(probes[int(np.argmax(change))])
         if len(asked) == start or any(abs(candidate - f) < 1e-4 * candidate for f in asked):
             # Nothing to go by: the middle of the widest gap.
             gaps = np.sort(np.array(asked))
@@ -448,21 +381,26 @@ def reduce(model: Model, frequency: Real, *, tolerance: float = 1e-5, limit: int
         if len(asked) >= limit:
             raise NotAccurate(f"the reduced model is still {error:.1e} off after {limit} solves")
         asked.append(candidate)
-        states.append(state)
-        previous = found
+        fresh, previous = [_columns(state)], found
 
 
-def _basis(states: Complex, weight: Real, known: Real | None) -> Real:
-    """Real columns orthonormal in scaled unknowns, then that of the live electrode."""
-    parts = [states.real.T, states.imag.T, *([] if known is None else [known[:, :-1]])]
-    columns = np.concatenate(parts, axis=1)[:-1] / weight[:, None]
-    columns = columns / np.linalg.norm(columns, axis=0)
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    left = left[:, singular > 1e-10 * singular[0]] * weight[:, None]
-    size, count = left.shape
-    basis = np.zeros((size + 1, count + 1))
-    basis[:-1, :-1], basis[-1, -1] = left, 1.0
-    return basis
+def _columns(states: Complex) -> Real:
+    """Real columns (size - 1, 2 k) of solutions (k, size)."""
+    return np.concatenate([states.real.T, states.imag.T], axis=1)[:-1]
+
+
+def _fresh(basis: Real, columns: Real, weight: Real) -> Real:
+    """What columns (size - 1, k) add to a basis, orthonormal in scaled unknowns."""
+    old = basis[:-1, 1:] / weight[:, None]
+    new = columns / weight[:, None]
+    new = new / np.linalg.norm(new, axis=0)
+    # Once more, for what rounding leaves of the first.
+    for _ in range(2):
+        new = new - old @ (old.T @ new)
+    left, singular, _ = np.linalg.svd(new, full_matrices=False)
+    left = left[:, singular > 1e-10 * np.sqrt(columns.shape[1])]
+    left = left - old @ (old.T @ left)
+    return np.vstack([left / np.linalg.norm(left, axis=0) * weight[:, None], np.zeros((1, left.shape[1]))])
 
 
 def spectrum(body: Body, frequency: Real, *, order: int = 5, per_wavelength: float | None = None,
