@@ -279,6 +279,24 @@ class Admissible:
 
 
 @dataclass(frozen=True)
+class Free:
+    """A number that a term brings in and a recording may determine, by its full name, and what it can be.
+
+    ``neutral`` is its value in a model without the effect. Of several numbers of a term it is enough that one makes it
+    vanish; what is neutral of the others is a usual value.
+    """
+
+    name: str
+    neutral: float
+    admissible: Admissible
+
+
+def free_of(owner: str, limits: Mapping[str, Admissible], neutral: Mapping[str, float]) -> tuple[Free, ...]:
+    """The numbers ``<owner>.<key>`` for the keys of `neutral`, each within what `limits` has under its key."""
+    return tuple(Free(f"{owner}.{key}", value, limits[key]) for key, value in neutral.items())
+
+
+@dataclass(frozen=True)
 class Product:
     """weight * integral of row(x) * column(x); row and column are names of :data:`OPERATORS`."""
 
@@ -361,3 +379,11 @@ class Term:
     def conditions(self) -> tuple[Condition, ...]:
         """Its essential conditions."""
         return ()
+
+    def free(self) -> tuple[Free, ...]:
+        """What a recording may determine of it, where it stands for something that may be missing from a model."""
+        return ()
+
+    def fixed(self) -> Mapping[str, float]:
+        """Values of what else it needs, by name, that belongs to no material and no dimension and stays as it is."""
+        return {}
