@@ -85,7 +85,8 @@ class Parameter:
     beforehand, None if nothing was; ``recordings`` the names of those it acts in, empty for all. Where ``relative``,
     the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. ``beyond``
     tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with this one
-    since they are as long.
+    since they are as long. ``powers`` are values, by their keys, that the number x scales together: each by
+    (1 + x)**power, after all others have been set.
     """
 
     name: str
@@ -98,6 +99,7 @@ class Parameter:
     relative: bool = False
     beyond: str = ""
     tied: tuple[str, ...] = ()
+    powers: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:

@@ -22,8 +22,9 @@ ADMISSIBLE: Mapping[str, Admissible] = {
     "share": Admissible(
         0.0, 0.3, "1", "of the wall's area: from none to four ports as wide as a cavity of 5 mm is high, 1 mm"),
     "length": Admissible(
-        5e-5, 5e-3, "m", "from the end corrections alone of a hole of 60 um, 16 a / (3 pi), Kinsler et al., Fundamentals "
-        "of Acoustics, 2000, section 10.8, to a bore through 5 mm of wall"),
+        5e-5, 5e-3, "m",
+        "from the end corrections alone of a hole of 60 um, 16 a / (3 pi), to a bore through 5 mm of wall; Kinsler et "
+        "al., Fundamentals of Acoustics, 2000, section 10.8"),
     "resistance": Admissible(
         0.0, 1.5e6, "Pa s/m", "from a plug of liquid without friction to a long tube of water behind it, rho c"),
 }
@@ -66,8 +67,8 @@ class PortNecks(Term):
 
 def _yielding(omega: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
     """-s / (K - w^2 rho l - i w R) and its derivatives."""
-    inverse = -1.0 / (v["K"] - omega**2 * v["rho"] * v["l"] - 1j * omega * v["R"])
-    # d(1 / x) = -dx / x^2, and inverse is -1 / x.
-    slope = v["s"] * inverse**2
-    return v["s"] * inverse, {"s": inverse, "K": slope, "l": -slope * omega**2 * v["rho"], "R": -1j * omega * slope,
-                              "rho": -slope * omega**2 * v["l"]}
+    moving = np.asarray(v["K"] - omega**2 * v["rho"] * v["l"] - 1j * omega * v["R"], dtype=np.complex128)
+    by_moving = v["s"] / moving**2
+    inertia = -by_moving * omega**2
+    return -v["s"] / moving, {"s": -1.0 / moving, "K": by_moving, "l": inertia * v["rho"], "rho": inertia * v["l"],
+                              "R": -1j * omega * by_moving}
