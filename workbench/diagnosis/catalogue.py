@@ -249,8 +249,9 @@ def solids(device: Device) -> Iterator[Effect]:
         name, region = material.name, regions[0]
         for coefficient in ("bulk_modulus", "shear_modulus"):
             size = getattr(material, coefficient).real
+            loss = Admissible(-0.3 * size, 0.0, "Pa", POLYMER)
             yield other_than_stated(device, f"{coefficient} loss of {name}", region, "loss", "the solid loses more, or "
-                                    "less", {f"{name}.{coefficient}{LOSS}": Admissible(-0.3 * size, 0.0, "Pa", POLYMER)})
+                                    "less", {f"{name}.{coefficient}{LOSS}": loss})
             yield other_than_stated(device, f"{coefficient} of {name}", region, "stiffness", "the solid is stiffer or "
                                     "softer than stated",
                                     {f"{name}.{coefficient}": around(size, MISTAKEN_STIFFNESS, "Pa")})
