@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -103,16 +104,22 @@ def test_without_powers_and_at_zero_nothing_changes(lossy: Problem, parameters: 
     assert (plain[:, -1] == 0.0).all()
 
 
-def test_it_is_covered_and_left_out_as_others_are(lossy: Problem) -> None:
-    found = objective(lossy, FACTOR, tolerance=np.inf)
-    found.cover(np.array([0.0]), {FACTOR.name: 0.03}, 1e-5)
-    solves = found.solves
-    seen, gradient, _ = found.predict(np.array([0.03]), 0)
-    assert found.solves == solves
-    exact = np.conj(solve_full(found.predictors[0].operators, GRID, {**lossy.values, **found.settings(
-        np.array([0.03]), 0)[0]}).impedance)
-    assert np.abs(seen / exact - 1.0).max() < 1e-4
-    assert np.abs(gradient).max() > 0.0
-    assert (found.predict(np.array([0.03]), 0, free=())[1] == 0.0).all()
-    part = found.of(["state"])
-    assert part.predict(np.array([0.03]), 0)[0] == pytest.approx(seen, rel=1e-12)
+def test_bases_grow_for_all_it_scales(lossy: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Mapping[str, float]] = []
+    monkeypatch.setattr(Predictor, "cover", lambda _self, _values, moves, *_more: asked.append(moves))
+    objective(lossy, FACTOR).cover(np.array([0.0]), {FACTOR.name: 0.03}, 1e-5)
+    assert asked == [{f"pzt.{name}": pytest.approx(0.03 * power * abs(lossy.values[f"pzt.{name}"]))
+                      for name, power in GAUGE.items()}]
+
+
+def test_it_acts_where_it_is_told_to_and_is_left_out_as_others_are(lossy: Problem) -> None:
+    first = objective(lossy, FACTOR).recordings[0]
+    found = Objective([first, replace(first, name="other")], [replace(FACTOR, recordings=("other",))], tolerance=1e-5)
+    x = np.array([0.03])
+    (plain, _, _), (scaled, slope, _) = (found.predict(x, index) for index in (0, 1))
+    assert np.abs(np.log(scaled / plain)).max() > 0.01
+    assert (found.predict(x, 0)[1] == 0.0).all()
+    assert np.abs(slope).min() > 0.0
+    assert (found.predict(x, 1, free=())[1] == 0.0).all()
+    part = found.of(["other"])
+    assert part.predict(x, 0)[0] == pytest.approx(scaled, rel=1e-12)
