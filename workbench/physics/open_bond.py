@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from workbench.physics.term import Admissible, Formula, Free, Integral, Product, Term, free_of
 
-#: Share of the layer's stiffness and mass that stays where it is open: that of air, gamma p_0 = 1.4e5 Pa, beside 6 GPa
-#: of epoxy. With nothing left there would be no equation for what is in the gap; ten times as much changes nothing.
-LEFT = 2e-5
+#: Share of the layer's stiffness and mass that stays where it is open, so that there is an equation for what is in the
+#: gap. Of epoxy's 6 GPa air, gamma p_0 = 1.4e5 Pa, would leave 2e-5; ten times as much as here changes nothing.
+LEFT = 1e-7
 
 #: Share of the thickness of a solid, at its face, that stands for the joint where two solids touch without a layer.
 SKIN = 0.02

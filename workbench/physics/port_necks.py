@@ -20,7 +20,7 @@ Complex = NDArray[np.complex128]
 #: What the openings of a side wall can be.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "share": Admissible(
-        0.0, 0.3, "1", "of the wall's area: from none to four ports as wide as a cavity of 5 mm is high, 1 mm"),
+        0.0, 0.25, "1", "of the wall's area: from none to four bores of 1 mm in a cavity of 1 mm by 2 mm of radius"),
     "length": Admissible(
         5e-5, 5e-3, "m",
         "from the end corrections alone of a hole of 60 um, 16 a / (3 pi), to a bore through 5 mm of wall; Kinsler et "
