@@ -20,6 +20,7 @@ from workbench.diagnosis.campaign import DeviceState
 from workbench.diagnosis.hypothesis import (
     MISTAKEN_DENSITY,
     MISTAKEN_STIFFNESS,
+    RIMS,
     Device,
     Effect,
     around,
@@ -43,6 +44,7 @@ from workbench.physics import (
     fluid_temperature,
     loss_laws,
     missing_couplant,
+    open_bond,
     port_necks,
     surface_load,
     thin_layer,
@@ -241,6 +243,35 @@ def _springs(device: Device, region: str, material: str, *, upper: bool) -> Iter
                          "does", states, lambda _: [thin_layer.ImperfectBond(region, material, name, upper)])
 
 
+def joints(device: Device) -> Iterator[Effect]:
+    """Superstrates that are not held everywhere, by a bond or where they touch what is below."""
+    for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "superstrate"):
+        state = device.holding(region)[0]
+        below, _ = neighbours(state, region)
+        if all(isinstance(state.materials.get(each), IsotropicSolid) for each in (below, region)):
+            yield from _open(device, region, below)
+
+
+def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
+    states = device.holding(region)
+    # Without a bond, what touches it is the lower face of the superstrate.
+    joint = below if role_of(below) == "bond" else region
+    material = states[0].materials[joint].name
+    held, own = states[0].chip.layer(below), states[0].chip.layer(joint).radius.value
+    # Shares of the joint's radius between which it holds.
+    hole = 0.0 if held.cavity_radius is None else held.cavity_radius.value / own
+    rim = min(held.radius.value / own, 1.0)
+    skin = 0.0 if joint == below else -open_bond.SKIN
+    rims = tuple(open_bond.Ring(name, share * rim, rim) for name, share in rims_of(joint).items() if share * rim > hole)
+    yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
+                     lambda _: [open_bond.OpenBond(joint, material, rims, skin)])
+    inside = tuple(open_bond.Ring(f"{joint} {100 * (1.0 - share):g} % around the cavity", hole, hole + 1.0 - share)
+                   for share in RIMS if 0.0 < hole < hole + 1.0 - share < rim)
+    if inside:
+        yield with_terms(f"{region} loose around the cavity", joint, "geometry", "it is loose where the cavity begins",
+                         states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
+
+
 def solids(device: Device) -> Iterator[Effect]:
     """Stiffness, loss and mass of every passive solid that are not as stated."""
     for material, regions in device.materials().values():
@@ -308,4 +339,4 @@ def bench(device: Device) -> Iterator[Effect]:
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
-    cavity_fluid, ports, soaked, top, couplant, bonds, solids, lengths, transducer, bench)
+    cavity_fluid, ports, soaked, top, couplant, bonds, joints, solids, lengths, transducer, bench)

@@ -8,9 +8,12 @@ millimetre of it open at the rim is @RIM@; open around the cavity, @CAVITY@.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import mul
 
-from workbench.physics.term import Admissible, Formula, Free, Integral, Product, Term, free_of
+from workbench.physics.solid import IsotropicSolid
+from workbench.physics.term import Admissible, Formula, Free, Integral, Term, free_of, times
 
 #: Share of the layer's stiffness and mass that stays where it is open, so that there is an equation for what is in the
 #: gap. Of epoxy's 6 GPa air, gamma p_0 = 1.4e5 Pa, would leave 2e-5; ten times as much as here changes nothing.
@@ -36,18 +39,18 @@ class Ring:
 
 @dataclass(frozen=True)
 class OpenBond(Term):
-    """A layer that transmits less, or nothing, in rings: K, G and rho there times 1 - g,
+    """A layer that transmits less, or nothing, in rings: K, G and rho are times 1 - g there,
 
-        - g [K tr(eps(v)) tr(eps(u)) + 2 G dev(eps(v)) : dev(eps(u)) - rho w^2 u.v]        in the rings,
+        - g [K tr(eps(v)) tr(eps(u)) + 2 G dev(eps(v)) : dev(eps(u)) - rho w^2 u.v]
         1 - g = l + (1 - l) (1 - f_1) (1 - f_2) ... ,    l = LEFT,
 
     next to `solid.IsotropicSolid` on the same region; the product is over the rings that hold a point. Where a share f
     of the area is open in patches that are wide beside the layer's thickness, stiffnesses and masses of unit area add.
-    The rings lie in one another, the widest first: rims end at the region's radius, what is open from a hole outwards
-    begins at its edge. An edge between those of two rings is a part, 0 < f < 1, of the wider one and all of the other.
-    Rings are integrated over exactly, also where they begin within an element. Where `skin` is given the layer is that
-    share of the region at its upper face, or, where negative, at its lower one (`geometry.mesh_size.MeshSize.skins`):
-    the joint of two solids without a layer between. What is open neither closes nor rubs while it vibrates. Parameters
+    Rings lie in one another: rims all end at the layer's own, and what opens from a hole outwards all begins there. An
+    edge between those of two rings is a part, 0 < f < 1, of the wider one and all of the other. They are integrated
+    over exactly, also where they begin within an element. Where `skin` is given the layer is that share of the region
+    at its upper face, or, where negative, at its lower one (`geometry.mesh_size.MeshSize.skins`): the joint of two
+    solids without a layer between. What is open holds gas, and neither closes nor rubs while it vibrates. Parameters
     ``<ring>.open_fraction`` f (see :data:`ADMISSIBLE`), ``<material>.bulk_modulus``, ``.shear_modulus``, ``.density``.
     """
 
@@ -60,42 +63,25 @@ class OpenBond(Term):
         return tuple(each for ring in self.rings for each in free_of(ring.name, ADMISSIBLE, {"open_fraction": 0.0}))
 
     def integrals(self) -> tuple[Integral, ...]:
-        found = []
-        for k, ring in enumerate(self.rings):
-            opened = tuple((f"f{j}", f"{each.name}.open_fraction") for j, each in enumerate(self.rings[: k + 1]))
-            # A ring is what is beyond its beginning without what is beyond its end.
-            for beyond, sign in ((ring.begin, -1.0), (ring.end, 1.0)):
-                if beyond < 1.0:
-                    found += [
-                        Integral(Formula(_taken, (*opened, ("constant", f"{self.material}.{constant}")), power),
-                                 self.region, tuple(Product(p.row, p.column, sign * p.weight) for p in products),
-                                 beyond=beyond, skin=self.skin)
-                        for constant, power, products in _FORMS
-                    ]
-        return tuple(found)
+        edges = sorted({edge for ring in self.rings for edge in (ring.begin, ring.end) if edge < 1.0})
+        return tuple(
+            replace(integral, coefficient=times(integral.coefficient, self._opened(edge)), beyond=edge, skin=self.skin)
+            for edge in edges for integral in IsotropicSolid(self.region, self.material).integrals()
+        )
+
+    def _opened(self, edge: float) -> Formula:
+        """-g just beyond an edge without -g just within: what is integrated beyond an edge adds up over the edges."""
+        within = [ring for ring in self.rings if ring.begin < edge <= ring.end]
+        beyond = [ring for ring in self.rings if ring.begin <= edge < ring.end]
+        return Formula(_opening, tuple((f"{side} {ring.name}", f"{ring.name}.open_fraction")
+                                       for side, rings in (("within", within), ("beyond", beyond)) for ring in rings))
 
 
-#: The quadratic form of an isotropic solid: constant, power of w, and what they multiply.
-_FORMS: tuple[tuple[str, float, tuple[Product, ...]], ...] = (
-    ("bulk_modulus", 0, (Product("dilatation", "dilatation"),)),
-    ("shear_modulus", 0, (
-        Product("strain_rr", "strain_rr", 2.0), Product("strain_tt", "strain_tt", 2.0),
-        Product("strain_zz", "strain_zz", 2.0), Product("strain_rz", "strain_rz"),
-        Product("dilatation", "dilatation", -2.0 / 3.0))),
-    ("density", 2, (Product("u_r", "u_r", -1.0), Product("u_z", "u_z", -1.0))),
-)
-
-
-def _taken(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """What the narrowest of some rings takes of a constant beyond what the wider ones take, and its derivatives."""
-    *wider, last = [name for name in v if name != "constant"]
-
-    def held(names: list[str]) -> complex:
-        product = complex(1.0 - LEFT)
-        for name in names:
-            product *= 1.0 - v[name]
-        return product
-
-    constant, share = v["constant"], held(wider) * v[last]
-    by = {name: -constant * v[last] * held([n for n in wider if n != name]) for name in wider}
-    return share * constant, {**by, last: held(wider) * constant, "constant": share}
+def _opening(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
+    value, slopes = 0j, {}
+    for side, sign in (("within", LEFT - 1.0), ("beyond", 1.0 - LEFT)):
+        held = {name: 1.0 - f for name, f in v.items() if name.startswith(side)}
+        value += sign * reduce(mul, held.values(), 1.0 + 0j)
+        for name in held:
+            slopes[name] = -sign * reduce(mul, (x for other, x in held.items() if other != name), 1.0 + 0j)
+    return value, slopes

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -174,7 +175,7 @@ class Formula:
     symbols: tuple[tuple[str, str], ...]
     omega_power: float = 0
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for _, name in self.symbols))
 
@@ -203,7 +204,7 @@ class Dispersion:
     law: DispersiveLaw
     symbols: tuple[tuple[str, str], ...]
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for _, name in self.symbols))
 
@@ -241,7 +242,7 @@ class Times:
     first: Coefficient
     second: Constant
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys((*self.first.parameters, *self.second.parameters)))
 
