@@ -2,7 +2,8 @@
 
 They let the cavity's pressure out and take energy; in the filled state alone. A neck is stiff by its inertia, so that
 the more of the wall is open and the shorter the necks, the more they do. Where the chip's own mode stands across the
-cavity they hardly show: @EFFECT@.
+cavity they hardly show: in a chip of 25 mm, 5 % of the wall open in necks of 0.5 mm are -0.1 % of Z_min, 20 % in necks
+of 0.2 mm -1 %.
 """
 
 from __future__ import annotations
