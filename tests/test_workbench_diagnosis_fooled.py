@@ -134,7 +134,7 @@ def test_a_wrong_density_of_the_transducer_is_not_laid_to_the_polymer(bench: Ben
     print("density off by", low, high)
     assert low < factor - 1.0 < high
     # Known to 5 %, the constants make up for a density that alone is wrong.
-    assert {effect.name for rival in found.rivals for effect in rival.effects} <= {"density of the transducer"}
+    assert {effect.name for rival in found.rivals for effect in rival.refit.effects} <= {"density of the transducer"}
     # Without it the polymer takes the blame.
     moduli = [found.model.index(f"{PLA}.{name}") for name in ("shear_modulus", "bulk_modulus")]
     bias = [abs(found.base.x[i] / found.model.parameters[i].start - 1.0) for i in moduli]
