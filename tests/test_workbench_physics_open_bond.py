@@ -13,7 +13,7 @@ from geometry.chip import Chip
 from materials.kinds import IsotropicSolid, Material
 from workbench.operators import assemble
 from workbench.physics import open_bond
-from workbench.physics.open_bond import LEFT, SKIN, OpenBond, Ring
+from workbench.physics.open_bond import HALFWAY, LEFT, SKIN, OpenBond, Ring
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 
@@ -111,16 +111,16 @@ def test_a_share_of_a_ring_says_where_the_edge_is(empty: Callable[..., Problem])
     found = impedance(opened(base, *rings, wide=share, narrow=1.0))
     miss = np.abs(found - expected).max() / np.abs(expected - full).max()
     print(f"open beyond {edge * 1e3:.2f} mm by a share of a ring: off by {miss:.2g}")
-    # Half of a ring spread evenly over it holds the superstrate further out than all of it up to the middle.
-    assert miss < 0.2
+    # Spread evenly over a ring, what is left holds the superstrate elsewhere than at the edge.
+    assert miss < 0.15
 
 
 @pytest.mark.parametrize("share", [0.5, 0.99])
-def test_a_share_of_all_is_a_bond_of_so_much_less_stiffness_and_mass(filled: Problem, share: float) -> None:
+def test_a_ring_all_over_is_a_bond_of_so_much_less_stiffness_and_mass(filled: Problem, share: float) -> None:
     frequency = np.linspace(310e3, 390e3, 5)
     epoxy = filled.materials["bond"]
     assert isinstance(epoxy, IsotropicSolid)
-    held = 1.0 - share * (1.0 - LEFT)
+    held = LEFT + (1.0 - LEFT) * HALFWAY * (1.0 - share) / (1.0 - (1.0 - HALFWAY) * (1.0 - share))
     less = replace(epoxy, density=held * epoxy.density, bulk_modulus=held * epoxy.bulk_modulus,
                    shear_modulus=held * epoxy.shear_modulus)
     expected = impedance(problem(filled.mesh, {**filled.materials, "bond": less}, filled.band), frequency)
@@ -165,7 +165,7 @@ def test_a_bond_that_holds_changes_nothing_and_the_tangent_is_the_change(filled:
     assert np.abs(at.impedance / impedance(filled, frequency) - 1.0).max() < 1e-11
     slopes = at.parameter_gradient(model.values, tuple(NAMES)).T
     for name, slope in zip(NAMES, slopes, strict=True):
-        step = 3e-6  # rounding of Z, 1e-11, against a change of 1e-6
+        step = 1e-6  # rounding of Z, 1e-11, against a change of 1e-6
         below, above = (solve_full(operators, frequency, {**model.values, name: s}).impedance for s in (-step, step))
         assert np.abs((above - below) / (2.0 * step) / slope - 1.0).max() < 1e-4, name
 

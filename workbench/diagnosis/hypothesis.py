@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from materials.kinds import Fluid, IsotropicSolid, Material
@@ -101,7 +101,7 @@ def neighbours(state: DeviceState, region: str) -> tuple[str, str]:
 
 
 def with_terms(
-    label: str, region: str, kind: str, about: str, states: Iterable[DeviceState],
+    label: str, region: str, kind: str, about: str, states: Sequence[DeviceState],
     terms: Callable[[DeviceState], Iterable[Term]], values: Callable[[DeviceState], Mapping[str, float]] = lambda _: {},
     *, free: tuple[Free, ...] | None = None,
 ) -> Effect:
