@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
@@ -18,7 +19,9 @@ from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.discretisation import Discretisation
 from workbench.fitting.parameter import Parameter
+from workbench.operators import FullOperators
 from workbench.physics.term import Condition, Term
+from workbench.solve import System
 
 #: A transducer the size of a pea, as a chip file.
 DISC = """
@@ -127,6 +130,21 @@ def plate_below_a_layer(
         a, _ = np.linalg.solve(matrix, [h, h])
         found.append((thickness / permittivity - 2.0 * h * a * s) / (-1j * omega * np.pi * radius**2))
     return np.array(found)
+
+
+def fluid_modes(
+    operators: FullOperators, values: Mapping[str, complex], pressure: NDArray[np.int64], omega: float
+) -> NDArray[np.complex128]:
+    """w^2 of the modes of the water alone, on the rows `pressure`, with its walls as they are at `omega`."""
+    g = operators.coefficients(np.array([omega]), values)[0]
+    compressed = np.array([i.coefficient.parameters == ("water.density", "water.sound_speed")
+                           for i in operators.integrals])
+    blocks = []
+    for constants in (np.where(compressed, 0.0, g), np.where(compressed, g, 0.0)):
+        whole = System(operators, values).matrix(1e6)
+        whole.data = operators.matrix(constants)
+        blocks.append(np.asarray(whole[pressure][:, pressure].toarray()))
+    return np.asarray(scipy.linalg.eigvals(blocks[0] * omega**2, -blocks[1]), dtype=np.complex128)
 
 
 class Wire:

@@ -1,8 +1,9 @@
-"""The hypotheses: what may be wrong with a device or its model, where, and which numbers that would bring in.
+"""The hypotheses: what may be wrong with a device or its model, and where.
 
 A hypothesis is a set of further parameters, at zero or at their stated value where nothing is missing. Those that no
 term of the base model has come with a term that is there from the beginning, with a coefficient of zero; so every
-hypothesis is a direction in one and the same model, and its score and its refit need no other.
+hypothesis is a direction in one and the same model, and its score and its refit need no other. Which numbers a term
+brings in, and what they may be, it says itself (`workbench.physics.term.Term.free`).
 
 To add one: a function below, or in `transducer`, that yields it, listed in :data:`SOURCES`.
 """
@@ -19,20 +20,21 @@ from workbench.diagnosis.campaign import DeviceState
 from workbench.diagnosis.hypothesis import (
     MISTAKEN_DENSITY,
     MISTAKEN_STIFFNESS,
+    RIMS,
     Device,
     Effect,
-    Make,
     around,
+    filled_with,
     is_liquid,
-    new_parameter,
-    propose_value,
+    is_polymer,
+    neighbours,
+    other_than_stated,
     rims_of,
-    terms_by_state,
     with_terms,
 )
 from workbench.diagnosis.transducer import transducer
 from workbench.files.errors import InputError
-from workbench.fitting.parameter import BENCH_ELEMENTS, Parameter, bench_parameter
+from workbench.fitting.parameter import BENCH_ELEMENTS
 from workbench.parameter_names import BENCH, LOSS, ParameterName
 from workbench.physics import (
     absorption,
@@ -42,11 +44,13 @@ from workbench.physics import (
     fluid_temperature,
     loss_laws,
     missing_couplant,
+    open_bond,
+    port_necks,
     surface_load,
     thin_layer,
 )
 from workbench.physics.solid import IsotropicSolid as SolidTerm
-from workbench.physics.term import Admissible, Term
+from workbench.physics.term import Admissible, Free
 
 #: Losses a polymer can have.
 POLYMER = "from none to a rubber"
@@ -71,82 +75,35 @@ def effects(device: Device) -> tuple[Effect, ...]:
     return tuple(effect for effect in found if not set(effect.names) & set(device.fixed))
 
 
-def _touched(state: DeviceState) -> list[str]:
-    """The solids that the cavity touches."""
-    pairs = (boundary.split("|") for boundary in state.device.section.boundary_names())
-    found = [side for pair in pairs if CAVITY in pair for side in pair]
-    return [side for side in dict.fromkeys(found) if isinstance(state.materials.get(side), IsotropicSolid)]
-
-
-def _small_bubbles(region: str, fluid: str, name: str) -> Make:
-    """Wood's bubbles in a fluid, none yet."""
-    known = {f"{name}.{key}": complex(bubbles.AIR_IN_WATER[key]) for key in ("ambient_pressure", "heat_capacity_ratio")}
-    return lambda _state: ((bubbles.WoodBubbles(region, fluid, name),), {f"{name}.void_fraction": 0j, **known})
-
-
 # --------------------------------------------------------------------------------------------------------------------
 # Cavity
 
 
 def cavity_fluid(device: Device) -> Iterator[Effect]:
     """What a liquid in the cavity may be or hold."""
-    if not device.filled:
+    states = device.filled
+    fluid = states[0].fluid if states else None
+    if fluid is None:
         return
-    fluid = device.filled[0].fluid
-    assert fluid is not None
-    name = f"{fluid.name}.diffusivity_of_sound"
-    loss = Admissible(0.0, 3e-2, "m^2/s", "from a pure liquid (water: 4e-6) to a loss factor of 0.1 at 1 MHz, a "
-                      "suspension or a gel")
-
-    def absorbing(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        return (absorption.BulkAbsorption(CAVITY, fluid.name),), {name: 0.0}
-
-    known = fluid.diffusivity_of_sound
-    terms, values = terms_by_state(device.filled, absorbing) if known is None else ({}, {})
-    yield Effect("fluid absorption", CAVITY, "loss", "the liquid absorbs more sound than its viscosities say",
-                 (new_parameter(name, loss, 0.0 if known is None else known),), admissible={name: loss}, terms=terms,
-                 values=values)
-
-    wood = {"wood.void_fraction": bubbles.ADMISSIBLE["void_fraction"]}
-
+    absorbing, known = absorption.BulkAbsorption(CAVITY, fluid.name), fluid.diffusivity_of_sound
+    # A liquid whose viscosities are stated absorbs already.
+    yield with_terms("fluid absorption", CAVITY, "loss", "the liquid absorbs more sound than its viscosities say",
+                     states if known is None else (), lambda _: [absorbing],
+                     free=tuple(replace(each, neutral=known or 0.0) for each in absorbing.free()))
     yield with_terms("small bubbles in the cavity", CAVITY, "stiffness", "gas far below its resonance softens the "
-                     "liquid", device.filled, _small_bubbles(CAVITY, fluid.name, "wood"), wood)
-
+                     "liquid", states, lambda _: [bubbles.WoodBubbles(CAVITY, fluid.name, "wood")])
     if fluid.shear_viscosity is not None:
-        limits = {"bubbles.void_fraction": bubbles.ADMISSIBLE["void_fraction"],
-                  "bubbles.radius": bubbles.ADMISSIBLE["radius"]}
-
-        def resonant(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-            return ((bubbles.ResonantBubbles(CAVITY, fluid.name, "bubbles"),),
-                    {"bubbles.void_fraction": 0.0, "bubbles.radius": 4e-6,
-                     **{f"bubbles.{key}": value for key, value in bubbles.AIR_IN_WATER.items()}})
-
         yield with_terms("resonant bubbles in the cavity", CAVITY, "loss", "bubbles of one size about their resonance",
-                         device.filled, resonant, limits, {"bubbles.radius": 4e-6})
-
-    yield from _warmer(device)
-    speed = f"{fluid.name}.sound_speed"
-    limit = Admissible(0.9, 1.1, "1", "of the stated speed: a tenth of another liquid in it")
-    yield from propose_value(device, "fluid sound speed", CAVITY, "stiffness", speed, limit,
-                             "the liquid is another than stated", relative=True)
-
-
-def _warmer(device: Device) -> Iterator[Effect]:
-    """A liquid whose temperature is stated wrongly, by as much in all states."""
-    terms: dict[str, tuple[Term, ...]] = {}
-    values: dict[str, Mapping[str, complex]] = {}
-    for state in device.filled:
-        fluid = state.fluid
-        assert fluid is not None
-        slopes = fluid_slopes(fluid, partial(device.load_fluid, fluid.name))
-        if slopes is None:
-            return
-        terms[state.name] = (fluid_temperature.FluidTemperature(CAVITY, fluid.name),)
-        values[state.name] = {f"{fluid.name}.temperature_offset": 0j, **{k: complex(v) for k, v in slopes.items()}}
-        name = f"{fluid.name}.temperature_offset"
-    limits = {name: fluid_temperature.ADMISSIBLE["temperature_offset"]}
-    yield Effect("fluid temperature", CAVITY, "stiffness", "the liquid is warmer or colder than stated",
-                 tuple(new_parameter(n, a) for n, a in limits.items()), admissible=limits, terms=terms, values=values)
+                         states, lambda _: [bubbles.ResonantBubbles(CAVITY, fluid.name, "bubbles")])
+    slopes = {state.name: found for state in states if state.fluid is not None
+              and (found := fluid_slopes(state.fluid, partial(device.load_fluid, state.fluid.name))) is not None}
+    if len(slopes) == len(states):
+        yield with_terms("fluid temperature", CAVITY, "stiffness", "the liquid is warmer or colder than stated", states,
+                         lambda state: [fluid_temperature.FluidTemperature(CAVITY, state.materials[CAVITY].name)],
+                         lambda state: slopes[state.name])
+    yield other_than_stated(device, "fluid sound speed", CAVITY, "stiffness", "the liquid is another than stated", {
+        f"{fluid.name}.sound_speed": Admissible(0.9, 1.1, "1", "of the stated speed: a tenth of another liquid in it")},
+        relative=True)
 
 
 def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float] | None:
@@ -168,59 +125,67 @@ def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float
     return found
 
 
+def ports(device: Device) -> Iterator[Effect]:
+    """Openings in the side wall of a cavity that holds a liquid."""
+    def necks(state: DeviceState) -> list[port_necks.PortNecks]:
+        return [port_necks.PortNecks(interface(CAVITY, region), region, CAVITY, state.materials[CAVITY].name,
+                                     "port necks") for region in _touched(state) if role_of(region) == "sidewall"]
+
+    found = with_terms("port necks", CAVITY, "coupling", "ports open the side wall: their liquid swings with the "
+                       "cavity's pressure", device.filled, necks)
+    if found.terms:
+        yield found
+
+
+def _touched(state: DeviceState) -> list[str]:
+    """The solids that the cavity touches."""
+    pairs = (boundary.split("|") for boundary in state.device.section.boundary_names())
+    found = [side for pair in pairs if CAVITY in pair for side in pair]
+    return [side for side in dict.fromkeys(found) if isinstance(state.materials.get(side), IsotropicSolid)]
+
+
 def soaked(device: Device) -> Iterator[Effect]:
     """Solids that take up the liquid: other constants in the filled states than in the empty ones."""
-    dry = [s for s in device.states if s not in device.filled]
-    if not device.filled or not dry:
+    if not device.filled or len(device.filled) == len(device.states):
         return
-    touched = dict.fromkeys(solid for state in device.filled for solid in _touched(state))
     done: set[str] = set()
-    for region in touched:
+    for region in dict.fromkeys(solid for state in device.filled for solid in _touched(state)):
         material = device.filled[0].materials[region]
-        assert isinstance(material, IsotropicSolid)
-        if material.name in done or _is_hard(material):
-            continue
-        done.add(material.name)
-        regions = [r for r, m in device.filled[0].materials.items() if m.name == material.name]
-        wet = f"{material.name}, wet"
-        limits = {
-            f"{wet}.shear_modulus": Admissible(-0.2 * material.shear_modulus.real, 0.0, "Pa", "swollen polymers "
-                                               "soften: PLA by up to a fifth in water"),
-            f"{wet}.shear_modulus{LOSS}": Admissible(-0.1 * material.shear_modulus.real, 0.0, "Pa", POLYMER),
-            f"{wet}.density": Admissible(0.0, 0.1 * material.density, "kg/m^3", "from none to a tenth of the volume of "
-                                         "a printed part filled"),
-        }
+        if isinstance(material, IsotropicSolid) and is_polymer(material) and material.name not in done:
+            done.add(material.name)
+            yield _swollen(device, material, region)
 
-        def swollen(
-            _state: DeviceState, regions: Sequence[str] = tuple(regions), wet: str = wet
-        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-            return (tuple(SolidTerm(r, wet) for r in regions),
-                    {f"{wet}.bulk_modulus": 0.0, f"{wet}.shear_modulus": 0.0, f"{wet}.density": 0.0})
 
-        yield with_terms(f"liquid taken up by {material.name}", region, "mass", "the solid is heavier and softer once "
-                         "the cavity has been filled", device.filled, swollen, limits)
+def _swollen(device: Device, material: IsotropicSolid, region: str) -> Effect:
+    wet, shear = f"{material.name}, wet", material.shear_modulus.real
+    regions = filled_with(device.filled[0], material.name)
+    free = (
+        Free(f"{wet}.shear_modulus", 0.0, Admissible(
+            -0.2 * shear, 0.0, "Pa", "swollen polymers soften: PLA by up to a fifth in water")),
+        Free(f"{wet}.shear_modulus{LOSS}", 0.0, Admissible(-0.1 * shear, 0.0, "Pa", POLYMER)),
+        Free(f"{wet}.density", 0.0, Admissible(
+            0.0, 0.1 * material.density, "kg/m^3", "from none to a tenth of the volume of a printed part filled")),
+    )
+    return with_terms(f"liquid taken up by {material.name}", region, "mass", "the solid is heavier and softer once the "
+                      "cavity has been filled", device.filled, lambda _: [SolidTerm(r, wet) for r in regions],
+                      lambda _: {f"{wet}.bulk_modulus": 0.0}, free=free)
 
 
 def top(device: Device) -> Iterator[Effect]:
     """What lies on the stack, or holds it from above."""
-    for region in dict.fromkeys(state.chip.layers[-1].region for state in device.states):
-        if region == TRANSDUCER:
-            continue
-        states = tuple(state for state in device.states if state.chip.layers[-1].region == region)
-        name = f"load on the {region}"
-        limits = {f"{name}.normal_impedance": replace(surface_load.ADMISSIBLE["normal_impedance"], lowest=0.0)}
-
-        def loaded(
-            _state: DeviceState, region: str = region, name: str = name
-        ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-            return ((surface_load.SurfaceLoad(part(outside(region), LEVEL), region, name),),
-                    {f"{name}.normal_impedance": 0.0, f"{name}.tangential_impedance": 0.0})
-
-        yield with_terms(name, region, "loss", "something lies on the chip, or presses on it", states, loaded, limits)
+    for region in dict.fromkeys(_highest(state) for state in device.states):
+        if region != TRANSDUCER:
+            yield _loaded(device, region)
 
 
-def _is_hard(material: IsotropicSolid) -> bool:
-    return abs(material.shear_modulus) > 1e10
+def _loaded(device: Device, region: str) -> Effect:
+    load = surface_load.SurfaceLoad(part(outside(region), LEVEL), region, f"load on the {region}")
+    return with_terms(load.name, region, "loss", "something lies on the chip, or presses on it", device.states,
+                      lambda state: [load] if _highest(state) == region else [])
+
+
+def _highest(state: DeviceState) -> str:
+    return state.chip.layers[-1].region
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -229,88 +194,82 @@ def _is_hard(material: IsotropicSolid) -> bool:
 
 def couplant(device: Device) -> Iterator[Effect]:
     """What a gel between transducer and substrate may be."""
-    for region, fluid in _fluids(device):
-        name = f"{region} bubbles"
-        limits = {f"{name}.void_fraction": Admissible(0.0, 0.05, "1", "from none to gel that was stirred")}
-        yield from _shearing(device, region, fluid)
-        yield from _partial(device, region, fluid)
-        yield with_terms(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it",
-                         device.holding(region), _small_bubbles(region, fluid.name, name), limits)
-
-
-def _shearing(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
-    """Shear across a fluid layer between two solids, which may be others in another state."""
-    states = [state for state in device.holding(region) if all(_neighbours(state, region))]
-    if not states:
-        return
-    root, modulus = f"{fluid.name}.gel_viscosity_root", f"{fluid.name}.gel_shear_modulus"
-    limits = {root: couplant_shear.ADMISSIBLE["gel_viscosity_root"]}
-
-    def viscous(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        below, above = _neighbours(state, region)
-        term = couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
-                                            below, above)
-        return (term,), {root: 0.0, modulus: 0.0, f"{region}.thickness": state.chip.layer(region).thickness.value}
-
-    yield with_terms(f"shear through the {region}", region, "coupling", "the layer is viscous and carries shear",
-                     states, viscous, limits)
-
-
-def _partial(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
-    """A layer that does not reach its rim everywhere."""
-    states = device.holding(region)
-    rings = rims_of(region)
-    limits = {f"{ring}.missing_fraction": missing_couplant.ADMISSIBLE["missing_fraction"] for ring in rings}
-    air = device.load_fluid(AIR)
-
-    def missing(_state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        return (tuple(missing_couplant.MissingCouplant(region, fluid.name, GAPS, beyond, ring)
-                      for ring, beyond in rings.items()),
-                {**dict.fromkeys(limits, 0j), f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
-
-    yield with_terms(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
-                     states, missing, limits)
-
-
-def _fluids(device: Device) -> list[tuple[str, Fluid]]:
-    """Layers of the stack that are fluids."""
     found: dict[str, Fluid] = {}
     for state in device.states:
         for region, material in state.materials.items():
-            if isinstance(material, Fluid) and region != CAVITY and is_liquid(material):
+            if isinstance(material, Fluid) and is_liquid(material) and region != CAVITY:
                 found.setdefault(region, material)
-    return list(found.items())
+    for region, fluid in found.items():
+        yield from _gel(device, region, fluid)
 
 
-def _neighbours(state: DeviceState, region: str) -> tuple[str, str]:
-    """The layers below and above one, "" where there is none."""
-    order = ["", *(layer.region for layer in state.chip.layers), ""]
-    at = order.index(region)
-    return order[at - 1], order[at + 1]
+def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
+    def shearing(state: DeviceState) -> list[couplant_shear.CouplantShear]:
+        # Between two solids, which may be others in another state.
+        below, above = neighbours(state, region)
+        return [couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
+                                             below, above)] if below and above else []
+
+    states, air = device.holding(region), device.load_fluid(AIR)
+    viscous = with_terms(f"shear through the {region}", region, "coupling", "the layer is viscous and carries shear",
+                         states, shearing)
+    if viscous.terms:
+        yield viscous
+    yield with_terms(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
+                     states, lambda _: [missing_couplant.MissingCouplant(region, fluid.name, GAPS, beyond, ring)
+                                        for ring, beyond in rims_of(region).items()],
+                     lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
+    mixed = bubbles.WoodBubbles(region, fluid.name, f"{region} bubbles")
+    stirred = Admissible(0.0, 0.05, "1", "from none to gel that was stirred")
+    yield with_terms(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it", states,
+                     lambda _: [mixed], free=tuple(replace(each, admissible=stirred) for each in mixed.free()))
 
 
 def bonds(device: Device) -> Iterator[Effect]:
     """Thin solid layers that hold less than their material does."""
     for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "bond"):
-        states = device.holding(region)
-        material = states[0].materials[region]
-        if not isinstance(material, IsotropicSolid):
-            continue
-        for other, upper in zip(_neighbours(states[0], region), (False, True), strict=True):
-            if not other:
-                continue
-            name = f"{region} at the {other}"
-            limits = {f"{name}.{key}": limit for key, limit in thin_layer.ADMISSIBLE.items()}
+        material = device.holding(region)[0].materials[region]
+        if isinstance(material, IsotropicSolid):
+            for upper in (False, True):
+                yield from _springs(device, region, material.name, upper=upper)
 
-            def springs(
-                state: DeviceState, region: str = region, material: str = material.name, name: str = name,
-                upper: bool = upper, limits: Mapping[str, Admissible] = limits
-            ) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-                return ((thin_layer.ImperfectBond(region, material, name, upper),),
-                        {**dict.fromkeys(limits, 0j), f"{region}.thickness": state.chip.layer(region).thickness.value})
 
-            yield with_terms(f"imperfect {name}", region, "stiffness", "the layer gives way there more than its "
-                             "material does", states, springs, limits)
+def _springs(device: Device, region: str, material: str, *, upper: bool) -> Iterator[Effect]:
+    states = device.holding(region)
+    other = neighbours(states[0], region)[upper]
+    name = f"{region} at the {other}"
+    if other:
+        yield with_terms(f"imperfect {name}", region, "stiffness", "the layer gives way there more than its material "
+                         "does", states, lambda _: [thin_layer.ImperfectBond(region, material, name, upper)])
+
+
+def joints(device: Device) -> Iterator[Effect]:
+    """Superstrates that are not held everywhere, by a bond or where they touch what is below."""
+    for region in dict.fromkeys(r for s in device.states for r in s.materials if role_of(r) == "superstrate"):
+        state = device.holding(region)[0]
+        below, _ = neighbours(state, region)
+        if all(isinstance(state.materials.get(each), IsotropicSolid) for each in (below, region)):
+            yield from _open(device, region, below)
+
+
+def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
+    states = device.holding(region)
+    # Without a bond, what touches it is the lower face of the superstrate.
+    joint = below if role_of(below) == "bond" else region
+    material = states[0].materials[joint].name
+    held, own = states[0].chip.layer(below), states[0].chip.layer(joint).radius.value
+    # Shares of the joint's radius between which it holds.
+    hole = 0.0 if held.cavity_radius is None else held.cavity_radius.value / own
+    rim = min(held.radius.value / own, 1.0)
+    skin = 0.0 if joint == below else -open_bond.SKIN
+    rims = tuple(open_bond.Ring(name, share * rim, rim) for name, share in rims_of(joint).items() if share * rim > hole)
+    yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
+                     lambda _: [open_bond.OpenBond(joint, material, rims, skin)])
+    inside = tuple(open_bond.Ring(f"{joint} {100 * (1.0 - share):g} % around the cavity", hole, hole + 1.0 - share)
+                   for share in RIMS if 0.0 < hole < hole + 1.0 - share < rim)
+    if inside:
+        yield with_terms(f"{region} loose around the cavity", joint, "geometry", "it is loose where the cavity begins",
+                         states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
 
 
 def solids(device: Device) -> Iterator[Effect]:
@@ -318,54 +277,32 @@ def solids(device: Device) -> Iterator[Effect]:
     for material, regions in device.materials().values():
         if not isinstance(material, IsotropicSolid):
             continue
-        region = regions[0]
+        name, region = material.name, regions[0]
         for coefficient in ("bulk_modulus", "shear_modulus"):
             size = getattr(material, coefficient).real
             loss = Admissible(-0.3 * size, 0.0, "Pa", POLYMER)
-            yield from propose_value(device, f"{coefficient} loss of {material.name}", region, "loss",
-                                     f"{material.name}.{coefficient}{LOSS}", loss, "the solid loses more, or less")
-            yield from propose_value(device, f"{coefficient} of {material.name}", region, "stiffness",
-                                     f"{material.name}.{coefficient}", around(size, MISTAKEN_STIFFNESS, "Pa"),
-                                     "the solid is stiffer or softer than stated")
-        yield from propose_value(device, f"density of {material.name}", region, "mass", f"{material.name}.density",
-                                 around(material.density, MISTAKEN_DENSITY, "kg/m^3"), "a wrong density")
-        if not _is_hard(material):
-            yield from _dispersive(device, material, regions)
-            if {role_of(region) for region in regions} & PRINTED:
-                yield from _printed(device, material, regions)
+            yield other_than_stated(device, f"{coefficient} loss of {name}", region, "loss", "the solid loses more, or "
+                                    "less", {f"{name}.{coefficient}{LOSS}": loss})
+            yield other_than_stated(device, f"{coefficient} of {name}", region, "stiffness", "the solid is stiffer or "
+                                    "softer than stated",
+                                    {f"{name}.{coefficient}": around(size, MISTAKEN_STIFFNESS, "Pa")})
+        yield other_than_stated(device, f"density of {name}", region, "mass", "a wrong density",
+                                {f"{name}.density": around(material.density, MISTAKEN_DENSITY, "kg/m^3")})
+        if is_polymer(material):
+            yield from _polymer(device, name, regions)
 
 
-def _printed(device: Device, material: IsotropicSolid, regions: Sequence[str]) -> Iterator[Effect]:
-    """A printed polymer whose layers make it another solid across than along."""
-    names = (f"{material.name}.axial_excess", f"{material.name}.shear_excess")
-    limits = {name: anisotropy.ADMISSIBLE[ParameterName.parse(name).coefficient] for name in names}
-
-    def across(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        held = [r for r in regions if r in state.materials and state.materials[r].name == material.name]
-        return (tuple(anisotropy.TransverseIsotropy(r, material.name) for r in held),
-                {names[0]: 0.0, names[1]: 0.0, f"{material.name}.lateral_excess": 0.0})
-
-    states = [s for s in device.states if any(m.name == material.name for m in s.materials.values())]
-    yield with_terms(f"anisotropy of {material.name}", regions[0], "stiffness", "a printed solid is stiffer along its "
-                     "layers than across", states, across, limits)
-
-
-def _dispersive(device: Device, material: IsotropicSolid, regions: Sequence[str]) -> Iterator[Effect]:
-    """A loss that grows with frequency, and the dispersion that goes with it."""
-    name = material.name
-    loss = f"{name}.shear_fractional_loss"
-    exponent = f"{name}.loss_exponent"
-    limits = {loss: loss_laws.ADMISSIBLE["shear_fractional_loss"], exponent: loss_laws.ADMISSIBLE["loss_exponent"]}
+def _polymer(device: Device, name: str, regions: Sequence[str]) -> Iterator[Effect]:
+    """A loss that grows with frequency, and the dispersion that goes with it; layers of a print."""
     middle = float(sum(device.states[-1].chip.band) / 2.0)
-
-    def law(state: DeviceState) -> tuple[tuple[Term, ...], Mapping[str, complex]]:
-        held = [r for r in regions if r in state.materials and state.materials[r].name == name]
-        return (tuple(loss_laws.FractionalLoss(r, name) for r in held),
-                {loss: 0.0, f"{name}.bulk_fractional_loss": 0.0, exponent: 0.3, f"{name}.loss_frequency": middle})
-
-    states = [s for s in device.states if any(m.name == name for m in s.materials.values())]
     yield with_terms(f"fractional loss of {name}", regions[0], "loss", "a loss that changes with frequency, and the "
-                     "stiffness that must change with it", states, law, limits, {exponent: 0.3})
+                     "stiffness that must change with it", device.states,
+                     lambda state: [loss_laws.FractionalLoss(r, name) for r in filled_with(state, name)],
+                     lambda _: {f"{name}.loss_frequency": middle})
+    if {role_of(region) for region in regions} & PRINTED:
+        yield with_terms(f"anisotropy of {name}", regions[0], "stiffness", "a printed solid is stiffer along its "
+                         "layers than across", device.states,
+                         lambda state: [anisotropy.TransverseIsotropy(r, name) for r in filled_with(state, name)])
 
 
 def lengths(device: Device) -> Iterator[Effect]:
@@ -376,9 +313,9 @@ def lengths(device: Device) -> Iterator[Effect]:
         region, what = parsed.owner, parsed.coefficient
         if region.startswith(("ports", "electrode")) or (what != "thickness" and name not in device.known):
             continue
-        text = "a wrong thickness" if what == "thickness" else "a wrong radius"
-        yield from propose_value(device, f"{what} of the {region}", region, "geometry", name,
-                                 mistaken_length(name, dimension.value), text, start=dimension.value)
+        yield other_than_stated(device, f"{what} of the {region}", region, "geometry",
+                                "a wrong thickness" if what == "thickness" else "a wrong radius",
+                                {name: mistaken_length(name, dimension.value)})
 
 
 def mistaken_length(name: str, value: float) -> Admissible:
@@ -396,16 +333,10 @@ def mistaken_length(name: str, value: float) -> Admissible:
 def bench(device: Device) -> Iterator[Effect]:
     """What stands between the electrodes and the instrument."""
     for element, known in BENCH_ELEMENTS.items():
-        name = BENCH + element
         limit = Admissible(known.low, known.high, known.unit, "leads, contacts and probes of a laboratory bench")
-        if name in device.known:
-            yield Effect(known.text, "bench", "bench", "between the electrodes and the instrument", releases=(name,),
-                         admissible={name: limit})
-        else:
-            found = bench_parameter(name)
-            yield Effect(known.text, "bench", "bench", "between the electrodes and the instrument",
-                         (Parameter(name, 0.0, found.low, found.high, None, found.unit),), admissible={name: limit})
+        yield other_than_stated(device, known.text, "bench", "bench", "between the electrodes and the instrument",
+                                {BENCH + element: limit})
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
-    cavity_fluid, soaked, top, couplant, bonds, solids, lengths, transducer, bench)
+    cavity_fluid, ports, soaked, top, couplant, bonds, joints, solids, lengths, transducer, bench)

@@ -1,24 +1,23 @@
-"""What a hypothesis is, what the functions of the catalogue look at, and how they make one."""
+"""What a hypothesis is, what the catalogue looks at, and how a term or a stated number becomes one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from materials.kinds import Fluid, Material
+from materials.kinds import Fluid, IsotropicSolid, Material
 from materials.registry import Registry
 from workbench.diagnosis.campaign import DeviceState, value_of
 from workbench.fitting.parameter import Parameter
-from workbench.physics.term import Admissible, Term
+from workbench.parameter_names import LOSS
+from workbench.physics.softening import DRIVE_SQUARED
+from workbench.physics.term import Admissible, Free, Term
 
 #: Rims that may lack something begin at these shares of the radius, one in the other: a sharp edge lies between two.
 RIMS = (0.5, 0.7, 0.84, 0.92, 0.96, 0.985, 0.995)
 
 #: How far a real coefficient may lie from what is stated.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
-
-#: Gives a state's terms of a hypothesis, and the values that those need.
-Make = Callable[[DeviceState], tuple[tuple[Term, ...], Mapping[str, complex]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,33 +79,62 @@ class Device:
         return found
 
 
-def is_liquid(material: Material) -> bool:
+def is_liquid(material: Material | None) -> bool:
     return isinstance(material, Fluid) and material.density > 100.0
 
 
-def new_parameter(name: str, admissible: Admissible, start: float = 0.0) -> Parameter:
-    """A parameter of a hypothesis: anywhere within what is admissible, without a prior."""
-    return Parameter(name, start, admissible.lowest, admissible.highest, None, admissible.unit)
+def is_polymer(material: Material | None) -> bool:
+    """Whether it is a solid as soft as a polymer."""
+    return isinstance(material, IsotropicSolid) and abs(material.shear_modulus) <= 1e10
 
 
-def terms_by_state(
-    states: Iterable[DeviceState], make: Make
-) -> tuple[dict[str, tuple[Term, ...]], dict[str, Mapping[str, complex]]]:
-    """The terms that `make` gives every state, and the values that these need, by the state's name."""
-    terms, values = {}, {}
-    for state in states:
-        terms[state.name], values[state.name] = make(state)
-    return terms, values
+def filled_with(state: DeviceState, material: str) -> list[str]:
+    """The regions that the material of that name fills in a state."""
+    return [region for region, found in state.materials.items() if found.name == material]
+
+
+def neighbours(state: DeviceState, region: str) -> tuple[str, str]:
+    """The layers below and above one, "" where there is none."""
+    order = ["", *(layer.region for layer in state.chip.layers), ""]
+    at = order.index(region)
+    return order[at - 1], order[at + 1]
 
 
 def with_terms(
-    label: str, region: str, kind: str, about: str, states: Iterable[DeviceState], make: Make,
-    limits: Mapping[str, Admissible], starts: Mapping[str, float] | None = None,
+    label: str, region: str, kind: str, about: str, states: Sequence[DeviceState],
+    terms: Callable[[DeviceState], Iterable[Term]], values: Callable[[DeviceState], Mapping[str, float]] = lambda _: {},
+    *, free: tuple[Free, ...] | None = None,
 ) -> Effect:
-    """The hypothesis that brings terms of its own into `states`, its parameters at nothing or where they start."""
-    terms, values = terms_by_state(states, make)
-    parameters = tuple(new_parameter(name, limit, (starts or {}).get(name, 0.0)) for name, limit in limits.items())
-    return Effect(label, region, kind, about, parameters, admissible=limits, terms=terms, values=values)
+    """The hypothesis that brings `terms` into `states`: nothing yet, all numbers where they are neutral.
+
+    `values` are what the terms need beyond what they state themselves and what a state does (its lengths, its drive);
+    `free` stands in place of what the terms say is free of them. States to which no term is given are left out.
+    """
+    held = {state.name: made for state in states if (made := tuple(terms(state)))}
+    numbers = {each.name: each for made in held.values() for term in made for each in term.free()}
+    if free is not None:
+        numbers = {each.name: each for each in free}
+    own = {state.name: {
+        **{each.name: each.neutral for each in numbers.values() if not each.name.endswith(LOSS)},
+        **{name: value for term in held[state.name] for name, value in term.fixed().items()},
+        **_stated(state, held[state.name]), **values(state)} for state in states if state.name in held}
+    return Effect(label, region, kind, about, tuple(as_parameter(each) for each in numbers.values()),
+                  admissible={name: each.admissible for name, each in numbers.items()}, terms=held, values=own)
+
+
+def _stated(state: DeviceState, terms: Iterable[Term]) -> dict[str, float]:
+    """Those numbers of a state that terms need: lengths of its chip (m), and the square of its drive (V^2)."""
+    known = {name: length.value for name, length in state.chip.dimensions().items()}
+    if state.drive is not None:
+        known[DRIVE_SQUARED] = state.drive**2
+    needed = {name for term in terms for integral in term.integrals() for name in integral.coefficient.parameters}
+    return {name: value for name, value in known.items() if name in needed}
+
+
+def as_parameter(free: Free) -> Parameter:
+    """A number as a parameter without a prior: anywhere within what is admissible, the neutral value included."""
+    limit, start = free.admissible, free.neutral
+    return Parameter(free.name, start, min(limit.lowest, start), max(limit.highest, start), None, limit.unit)
 
 
 def around(value: float, share: float, unit: str) -> Admissible:
@@ -115,21 +143,17 @@ def around(value: float, share: float, unit: str) -> Admissible:
                       f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")
 
 
-def propose_value(
-    device: Device, label: str, region: str, kind: str, name: str, limit: Admissible, about: str, *,
-    relative: bool = False, start: float | None = None,
-) -> Iterator[Effect]:
-    """The hypothesis that a parameter the model has already is not what is known of it."""
-    if name in device.known:
-        yield Effect(label, region, kind, about, releases=(name,), admissible={name: limit})
-        return
-    if relative:
-        parameter = Parameter(name, 1.0, limit.lowest, limit.highest, None, "1", relative=True)
-    else:
-        value = value_of(name, device.states) if start is None else start
-        parameter = Parameter(name, float(min(max(value, limit.lowest), limit.highest)), limit.lowest, limit.highest,
-                              None, limit.unit)
-    yield Effect(label, region, kind, about, (parameter,), admissible={name: limit})
+def other_than_stated(
+    device: Device, label: str, region: str, kind: str, about: str, limits: Mapping[str, Admissible], *,
+    relative: bool = False,
+) -> Effect:
+    """The hypothesis that numbers the model has already are not what is stated, or known, of them."""
+    parameters = []
+    for name, limit in limits.items():
+        start = 1.0 if relative else float(min(max(value_of(name, device.states), limit.lowest), limit.highest))
+        if name not in device.known:
+            parameters.append(Parameter(name, start, limit.lowest, limit.highest, None, limit.unit, relative=relative))
+    return Effect(label, region, kind, about, tuple(parameters), tuple(n for n in limits if n in device.known), limits)
 
 
 def rims_of(region: str) -> dict[str, float]:

@@ -104,8 +104,11 @@ class Objective:
         self._moved = [sorted(((column, p, key) for column, p in own if (key := _moves(p, r)) is not None),
                               key=lambda each: each[1].offset)
                        for r, own in zip(self.recordings, acting, strict=True)]
+        #: Of every recording, the columns that scale values of its problem, which, and by what power.
+        self._scaled = [[(column, key, power) for column, p in own for key, power in p.powers
+                         if key in r.problem.values] for r, own in zip(self.recordings, acting, strict=True)]
         #: Of every recording, the values that parameters move.
-        self.moved = [tuple(dict.fromkeys(key for _, _, key in moved)) for moved in self._moved]
+        self.moved = [_keys(*both) for both in zip(self._moved, self._scaled, strict=True)]
         self.predictors = _shared(self.recordings, self.moved, tolerance)
         #: Why steps of searches could not be taken, one entry for each; shared by all that are made of this.
         self.refusals: list[str] = []
@@ -193,6 +196,10 @@ class Objective:
                 size = reach[p.name] * (abs(problem.values[key]) if p.relative else 1.0)
                 before = parts.get((key, p.is_loss), 0.0)
                 parts[key, p.is_loss] = before + size if p.offset else max(before, size)
+        for column, key, power in self._scaled[index]:
+            size = abs(power * problem.values[key]) * reach.get(self.parameters[column].name, 0.0)
+            if size:
+                parts[key, False] = max(parts.get((key, False), 0.0), size)
         return {key: max(parts.get((key, False), 0.0), parts.get((key, True), 0.0)) for key, _ in parts}
 
     def of(self, names: Collection[str]) -> Objective:
@@ -202,7 +209,7 @@ class Objective:
         other.recordings = tuple(self.recordings[k] for k in kept)
         other.predictors = tuple(self.predictors[k] for k in kept)
         other._moved, other._bench = [self._moved[k] for k in kept], [self._bench[k] for k in kept]
-        other.moved = [self.moved[k] for k in kept]
+        other.moved, other._scaled = [self.moved[k] for k in kept], [self._scaled[k] for k in kept]
         return other
 
     def narrowed(self, points: Sequence[Real]) -> Objective:
@@ -254,7 +261,13 @@ class Objective:
         for column, p in self._bench[index]:
             # What is ideal is zero, so what all recordings have and an offset of one add up.
             bench[p.parsed.key] = bench.get(p.parsed.key, 0.0) + float(x[column])
+        result = {key: value * self._scale(x, index, key) for key, value in result.items()}
         return result, bench
+
+    def _scale(self, x: Real, index: int, key: str) -> float:
+        """What all that scale a value of a recording's problem multiply it by."""
+        powers = [(1.0 + x[column]) ** power for column, own, power in self._scaled[index] if own == key]
+        return float(np.prod(powers))
 
     def predict(
         self, x: Real, index: int, free: Collection[int] | None = None
@@ -265,7 +278,8 @@ class Objective:
         """
         problem, predictor = self.recordings[index].problem, self.predictors[index]
         moved = [each for each in self._moved[index] if free is None or each[0] in free]
-        keys = tuple(dict.fromkeys(key for _, _, key in moved))
+        scaled = [each for each in self._scaled[index] if free is None or each[0] in free]
+        keys = _keys(moved, scaled)
         values, bench = self.settings(x, index)
         prediction = predictor({**problem.values, **values})
         omega = prediction.solution.omega
@@ -280,10 +294,13 @@ class Objective:
             # A clock that is off shows the slopes, too, at other frequencies (`through_bench`).
             slopes = slopes + clock * np.gradient(slopes, np.log(omega), axis=0)
         for column, p, key in moved:
-            slope = slopes[:, keys.index(key)]
+            slope = slopes[:, keys.index(key)] * self._scale(x, index, key)
             # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
             factor = part(problem.values, p.name) if p.relative else 1.0
             gradient[:, column] = device * factor * (-1j * slope if p.is_loss else slope)
+        for column, key, power in scaled:
+            by_number = power * np.conj(values[key]) / (1.0 + float(x[column]))
+            gradient[:, column] += device * slopes[:, keys.index(key)] * by_number
         return seen, gradient, prediction
 
     def __call__(
@@ -354,6 +371,11 @@ def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: 
     like = known[key]
     return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
                                               values={**like.values, **problem.values}))
+
+
+def _keys(moved: Sequence[tuple[int, Parameter, str]], scaled: Sequence[tuple[int, str, float]]) -> tuple[str, ...]:
+    """The values that are moved or scaled, each once."""
+    return tuple(dict.fromkeys([*(key for _, _, key in moved), *(key for _, key, _ in scaled)]))
 
 
 def _moves(parameter: Parameter, recording: Recording) -> str | None:

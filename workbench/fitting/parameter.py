@@ -87,7 +87,8 @@ class Parameter:
     the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. An ``offset``
     is added to what the other parameters of the value, or its problem, give: to the factor where both are relative.
     ``beyond`` tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with
-    this one since they are as long.
+    this one since they are as long. ``powers`` are values, by their keys, that the number x scales together: each by
+    (1 + x)**power, after all others have been set.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Parameter:
     beyond: str = ""
     tied: tuple[str, ...] = ()
     offset: bool = False
+    powers: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:

@@ -1,10 +1,18 @@
-"""Absorption of sound in the bulk of a fluid, by viscosity and heat conduction: known constants, nothing to fit."""
+"""Absorption of sound in the bulk of a fluid, by viscosity and heat conduction, or by what it holds."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Integral, Monomial, Product, Term
+from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
+
+#: What a liquid can absorb.
+ADMISSIBLE: Mapping[str, Admissible] = {
+    "diffusivity_of_sound": Admissible(
+        0.0, 3e-2, "m^2/s",
+        "from a pure liquid (water: 4e-6) to a loss factor of 0.1 at 1 MHz, a suspension or a gel"),
+}
 
 
 @dataclass(frozen=True)
@@ -15,11 +23,14 @@ class BulkAbsorption(Term):
 
     so that the wavenumber is w / c + i w^2 delta / (2 c^3) to first order (Pierce, Acoustics, 1989, section 10-2).
     In water it is a loss factor of 1e-5 at 1 MHz. In a gas-filled cavity it keeps the resonances finite. Parameters:
-    ``<material>.density``, ``.sound_speed`` and ``.diffusivity_of_sound`` (m^2/s).
+    ``<material>.density``, ``.sound_speed`` and ``.diffusivity_of_sound`` (m^2/s; see :data:`ADMISSIBLE`).
     """
 
     region: str
     material: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.material, ADMISSIBLE, {"diffusivity_of_sound": 0.0})
 
     def integrals(self) -> tuple[Integral, ...]:
         factors = ((f"{self.material}.diffusivity_of_sound", 1), (f"{self.material}.density", -1),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Integral, Monomial, Product, Term, Values
+from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, Values, free_of
 
 Complex = NDArray[np.complex128]
 
@@ -49,6 +49,12 @@ class WoodBubbles(Term):
     material: str
     bubbles: str
 
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.bubbles, ADMISSIBLE, {"void_fraction": 0.0})
+
+    def fixed(self) -> Mapping[str, float]:
+        return {f"{self.bubbles}.{key}": AIR_IN_WATER[key] for key in ("ambient_pressure", "heat_capacity_ratio")}
+
     def integrals(self) -> tuple[Integral, ...]:
         fraction = (f"{self.bubbles}.void_fraction", 1.0)
         gas = ((f"{self.bubbles}.ambient_pressure", -1.0), (f"{self.bubbles}.heat_capacity_ratio", -1.0))
@@ -74,6 +80,12 @@ class ResonantBubbles(Term):
     region: str
     material: str
     bubbles: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.bubbles, ADMISSIBLE, {"void_fraction": 0.0, "radius": 4e-6})
+
+    def fixed(self) -> Mapping[str, float]:
+        return {f"{self.bubbles}.{key}": value for key, value in AIR_IN_WATER.items()}
 
     def integrals(self) -> tuple[Integral, ...]:
         return (Integral(BubbleCompressibility(self.material, self.bubbles), self.region, (Product("p", "p"),)),)

@@ -13,7 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Dispersion, DispersiveLaw, Integral, Monomial, Product, Term
+from workbench.physics.term import (
+    Admissible,
+    Dispersion,
+    DispersiveLaw,
+    Free,
+    Integral,
+    Monomial,
+    Product,
+    Term,
+    free_of,
+)
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -61,6 +71,12 @@ class CouplantShear(Term):
     upper: str
     below: str
     above: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.material, ADMISSIBLE, {"gel_viscosity_root": 0.0})
+
+    def fixed(self) -> Mapping[str, float]:
+        return {f"{self.material}.gel_shear_modulus": 0.0}
 
     def integrals(self) -> tuple[Integral, ...]:
         symbols = (("root", f"{self.material}.gel_viscosity_root"), ("G", f"{self.material}.gel_shear_modulus"),

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
+from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
 
 #: What the poling of a rim can be.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -37,6 +37,12 @@ class DepoledRim(Term):
     material: str
     beyond: float
     rim: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.rim, ADMISSIBLE, {"depoled_fraction": 0.0})
+
+    def fixed(self) -> Mapping[str, float]:
+        return {f"{self.rim}.permittivity_excess": 0.0}
 
     def integrals(self) -> tuple[Integral, ...]:
         def of(amplitude: str, constant: str, scale: float, product: Product) -> Integral:

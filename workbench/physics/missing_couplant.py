@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Formula, Integral, Product, Term
+from workbench.physics.term import Admissible, Formula, Free, Integral, Product, Term, free_of
 
 #: What can be missing of the couplant in the ring.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -38,6 +38,9 @@ class MissingCouplant(Term):
     gas: str
     beyond: float
     ring: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.ring, ADMISSIBLE, {"missing_fraction": 0.0})
 
     def integrals(self) -> tuple[Integral, ...]:
         densities = (("f", f"{self.ring}.missing_fraction"), ("rho", f"{self.material}.density"),

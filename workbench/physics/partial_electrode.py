@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.physics.term import Admissible, Formula, Integral, Product, Term
+from workbench.physics.term import Admissible, Formula, Free, Integral, Product, Term, free_of
 
 #: Share of the transducer's thickness, below the electrode, that cuts it off: thin beside a ring that shows.
 SKIN = 0.01
@@ -46,6 +46,9 @@ class PartialElectrode(Term):
     beyond: tuple[float, ...]
     rings: tuple[str, ...]
     upper: bool
+
+    def free(self) -> tuple[Free, ...]:
+        return tuple(each for ring in self.rings for each in free_of(ring, ADMISSIBLE, {"bare_fraction": 0.0}))
 
     def integrals(self) -> tuple[Integral, ...]:
         bare = tuple((f"f{k}", f"{ring}.bare_fraction") for k, ring in enumerate(self.rings))

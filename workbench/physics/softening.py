@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
+from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
 
 #: Relative change of c33 per squared volt (amplitude) at the electrodes.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -33,6 +33,9 @@ class Softening(Term):
 
     region: str
     material: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.material, ADMISSIBLE, {"softening": 0.0, "drive_loss": 0.0})
 
     def integrals(self) -> tuple[Integral, ...]:
         return tuple(

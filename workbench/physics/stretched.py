@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +122,7 @@ class _OfColumn:
 
     column: Column
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         return tuple(each.parameter for each in (self.column.inner, self.column.outer) if each.parameter)
 

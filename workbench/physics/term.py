@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -174,7 +175,7 @@ class Formula:
     symbols: tuple[tuple[str, str], ...]
     omega_power: float = 0
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for _, name in self.symbols))
 
@@ -203,7 +204,7 @@ class Dispersion:
     law: DispersiveLaw
     symbols: tuple[tuple[str, str], ...]
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for _, name in self.symbols))
 
@@ -241,7 +242,7 @@ class Times:
     first: Coefficient
     second: Constant
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys((*self.first.parameters, *self.second.parameters)))
 
@@ -276,6 +277,24 @@ class Admissible:
     highest: float
     unit: str
     source: str
+
+
+@dataclass(frozen=True)
+class Free:
+    """A number that a term brings in and a recording may determine, by its full name, and what it can be.
+
+    ``neutral`` is its value in a model without the effect. Of several numbers of a term it is enough that one makes it
+    vanish; what is neutral of the others is a usual value.
+    """
+
+    name: str
+    neutral: float
+    admissible: Admissible
+
+
+def free_of(owner: str, limits: Mapping[str, Admissible], neutral: Mapping[str, float]) -> tuple[Free, ...]:
+    """The numbers ``<owner>.<key>`` for the keys of `neutral`, each within what `limits` has under its key."""
+    return tuple(Free(f"{owner}.{key}", value, limits[key]) for key, value in neutral.items())
 
 
 @dataclass(frozen=True)
@@ -361,3 +380,11 @@ class Term:
     def conditions(self) -> tuple[Condition, ...]:
         """Its essential conditions."""
         return ()
+
+    def free(self) -> tuple[Free, ...]:
+        """What a recording may determine of it, where it stands for something that may be missing from a model."""
+        return ()
+
+    def fixed(self) -> Mapping[str, float]:
+        """Values of what else it needs, by name, that belongs to no material and no dimension and stays as it is."""
+        return {}

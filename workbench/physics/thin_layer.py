@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, ConstantLaw, Formula, Integral, Product, Term
+from workbench.physics.term import Admissible, ConstantLaw, Formula, Free, Integral, Product, Term, free_of
 
 _SPRING = (
     "from a perfect bond to a hundred times the compliance of 0.1 mm of the epoxy of Acevedo-Espinosa et al. "
@@ -48,6 +48,9 @@ class ImperfectBond(Term):
     material: str
     name: str
     upper: bool
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.name, ADMISSIBLE, dict.fromkeys(ADMISSIBLE, 0.0))
 
     def integrals(self) -> tuple[Integral, ...]:
         moduli = (("K", f"{self.material}.bulk_modulus"), ("G", f"{self.material}.shear_modulus"))

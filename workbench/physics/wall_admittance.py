@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
+from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
 
 #: Real parts, averaged over the wall.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -38,6 +38,9 @@ class WallAdmittance(Term):
     solid: str
     fluid: str
     name: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.name, ADMISSIBLE, dict.fromkeys(ADMISSIBLE, 0.0))
 
     def integrals(self) -> tuple[Integral, ...]:
         return tuple(

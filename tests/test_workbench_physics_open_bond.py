@@ -1,0 +1,197 @@
+"""A bond open in a ring against chips whose bond ends there, and against a bond of less material."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from materials.kinds import IsotropicSolid, Material
+from workbench.operators import assemble
+from workbench.physics import open_bond
+from workbench.physics.open_bond import HALFWAY, LEFT, SKIN, OpenBond, Ring
+from workbench.problem import Problem, problem
+from workbench.solve import solve_full
+
+RADIUS, HOLE, BAND = 3.5e-3, 1.5e-3, (300e3, 700e3)
+FREQUENCY = np.linspace(310e3, 690e3, 9)
+
+
+def opened(base: Problem, *rings: Ring, skin: float = 0.0, **fractions: complex) -> Problem:
+    """`base` with a bond, or the lower face of a superstrate, that is open in rings by these shares."""
+    region, material = ("superstrate", "glass") if skin else ("bond", "epoxy")
+    return base.with_terms((OpenBond(region, material, rings, skin),),
+                           {f"{name}.open_fraction": share for name, share in fractions.items()})
+
+
+def impedance(model: Problem, frequency: NDArray[np.float64] = FREQUENCY) -> NDArray[np.complex128]:
+    return solve_full(assemble(model.mesh, model.terms), frequency, model.values).impedance
+
+
+@pytest.fixture(scope="module")
+def empty(
+    stacked: Callable[..., Chip], meshed: Callable[..., Problem], filled_materials: dict[str, Material]
+) -> Callable[..., Problem]:
+    """The small chip without water, its bond from a hole to a radius (m), or with the superstrate on the sidewall."""
+    materials = {region: material for region, material in filled_materials.items() if region != "cavity"}
+
+    def made(hole: float = HOLE, radius: float = RADIUS, skin: float | None = None) -> Problem:
+        layers: list[tuple[str, float, float, float | None]] = [
+            ("transducer", 2e-3, 3e-3, None), ("couplant", 50e-6, 3e-3, None), ("substrate", 0.85e-3, RADIUS, None),
+            ("sidewall", 0.72e-3, RADIUS, HOLE)]
+        if skin is None:
+            layers += [("bond", 0.1e-3, radius, hole), ("superstrate", 1e-3, RADIUS, None)]
+        else:
+            # What is left of a skin at the lower face, where it has an edge.
+            layers += [("layer", skin * 1e-3, radius, None)] if radius < RADIUS else []
+            layers += [("superstrate", 1e-3 if radius == RADIUS else (1.0 - skin) * 1e-3, RADIUS, None)]
+        there = {**materials, "layer": materials["superstrate"]}
+        roles = {role for role, *_ in layers}
+        return meshed(stacked(layers, band=BAND), {region: there[region] for region in there if region in roles},
+                      elements_per_wavelength=8.0, skins={"superstrate": SKIN} if skin and radius == RADIUS else None)
+
+    return made
+
+
+def edge_of(base: Problem, about: float, way: str) -> tuple[float, float]:
+    """A radius near one (m): that of an element, or the middle between two; and the next of an element."""
+    radii = np.unique(base.mesh.mesh.p[0])
+    inner, after = radii[np.flatnonzero(radii >= about)[0] + np.array([0, 1])]
+    return (float(inner) if way == "at the edge of an element" else float(0.5 * (inner + after))), float(after)
+
+
+@pytest.mark.parametrize("way", ["at the edge of an element", "within an element"])
+@pytest.mark.parametrize(("side", "about"), [("rim", 2.9e-3), ("rim", 2.2e-3), ("cavity", 1.8e-3), ("cavity", 2.5e-3)])
+def test_an_open_ring_is_a_bond_that_ends_there(
+    side: str, about: float, way: str, empty: Callable[..., Problem]
+) -> None:
+    base = empty()
+    edge, _ = edge_of(base, about, way)
+    ring = Ring("ring", edge / RADIUS) if side == "rim" else Ring("ring", HOLE / RADIUS, edge / RADIUS)
+    resolved = empty(radius=edge) if side == "rim" else empty(hole=edge)
+    full, expected, found = impedance(base), impedance(resolved), impedance(opened(base, ring, ring=1.0))
+    effect, miss = np.abs(expected - full).max(), np.abs(found - expected).max()
+    print(f"open at the {side}, {edge * 1e3:.2f} mm, {way}: {effect / np.abs(full).max():.2g} of Z, "
+          f"off by {miss / effect:.2g}")
+    assert np.abs(expected / full - 1.0).max() > 0.03
+    # At an edge: what is left in the gap. Elsewhere elements, here of order two and as wide as three thicknesses of the
+    # bond, have no kink where the stress has one.
+    assert miss < {"at the edge of an element": 1e-5, "within an element": 0.03}[way] * effect
+
+
+@pytest.mark.parametrize("about", [2.9e-3, 2.2e-3])
+def test_without_a_layer_a_skin_of_the_superstrate_opens(about: float, empty: Callable[..., Problem]) -> None:
+    base = empty(skin=SKIN)
+    edge, _ = edge_of(base, about, "at the edge of an element")
+    full, expected = impedance(base), impedance(empty(skin=SKIN, radius=edge))
+    found = impedance(opened(base, Ring("ring", edge / RADIUS), skin=-SKIN, ring=1.0))
+    effect, miss = np.abs(expected - full).max(), np.abs(found - expected).max()
+    print(f"superstrate on the sidewall, open at the rim, {edge * 1e3:.2f} mm: off by {miss / effect:.2g}")
+    assert np.abs(expected / full - 1.0).max() > 0.03
+    assert miss < 5e-3 * effect  # two meshes through the skin, at the tip of a crack
+
+
+def test_the_thickness_of_the_skin_hardly_matters(empty: Callable[..., Problem]) -> None:
+    full = impedance(empty(skin=SKIN))
+    thin, thick = (impedance(empty(skin=share, radius=2.2e-3)) for share in (0.5 * SKIN, SKIN))
+    assert np.abs(thin - thick).max() < 0.02 * np.abs(thick - full).max()
+
+
+def test_a_share_of_a_ring_says_where_the_edge_is(empty: Callable[..., Problem]) -> None:
+    base = empty()
+    edge, after = edge_of(base, 2.2e-3, "within an element")
+    inner = 2.0 * edge - after
+    share = (after**2 - edge**2) / (after**2 - inner**2)
+    rings = Ring("wide", inner / RADIUS), Ring("narrow", after / RADIUS)
+    full, expected = impedance(base), impedance(empty(radius=edge))
+    found = impedance(opened(base, *rings, wide=share, narrow=1.0))
+    miss = np.abs(found - expected).max() / np.abs(expected - full).max()
+    print(f"open beyond {edge * 1e3:.2f} mm by a share of a ring: off by {miss:.2g}")
+    # Spread evenly over a ring, what is left holds the superstrate elsewhere than at the edge.
+    assert miss < 0.15
+
+
+@pytest.mark.parametrize("share", [0.5, 0.99])
+def test_a_ring_all_over_is_a_bond_of_so_much_less_stiffness_and_mass(filled: Problem, share: float) -> None:
+    frequency = np.linspace(310e3, 390e3, 5)
+    epoxy = filled.materials["bond"]
+    assert isinstance(epoxy, IsotropicSolid)
+    held = LEFT + (1.0 - LEFT) * HALFWAY * (1.0 - share) / (1.0 - (1.0 - HALFWAY) * (1.0 - share))
+    less = replace(epoxy, density=held * epoxy.density, bulk_modulus=held * epoxy.bulk_modulus,
+                   shear_modulus=held * epoxy.shear_modulus)
+    expected = impedance(problem(filled.mesh, {**filled.materials, "bond": less}, filled.band), frequency)
+    assert np.abs(expected / impedance(filled, frequency) - 1.0).max() > 0.01
+    assert np.abs(impedance(opened(filled, Ring("all", 0.0), all=share), frequency) / expected - 1.0).max() < 1e-9
+
+
+def test_what_is_open_is_not_opened_twice(filled: Problem) -> None:
+    frequency = np.linspace(310e3, 390e3, 3)
+    both = opened(filled, Ring("all", 0.0), Ring("part", 0.8), all=1.0, part=0.7)
+    alone = opened(filled, Ring("all", 0.0), all=1.0)
+    inside = opened(filled, Ring("all", 0.0), Ring("part", 0.0, 0.8), all=1.0, part=0.7)
+    expected = impedance(alone, frequency)
+    assert np.abs(impedance(both, frequency) / expected - 1.0).max() < 1e-9
+    assert np.abs(impedance(inside, frequency) / expected - 1.0).max() < 1e-9
+
+
+def test_what_is_left_in_the_gap_does_not_matter(
+    empty: Callable[..., Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base = empty()
+    model = opened(base, Ring("ring", 0.8), ring=1.0)
+    full, found = impedance(base), impedance(model)
+    monkeypatch.setattr(open_bond, "LEFT", 10.0 * LEFT)
+    changed = np.abs(impedance(model) - found).max() / np.abs(found - full).max()
+    print(f"left, ten times: off by {changed:.2g}")
+    assert 0.0 < changed < 1e-4
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# What every effect has to be
+
+RINGS = (Ring("wide", 0.5), Ring("narrow", 0.7), Ring("inside", 0.7, 0.9))
+NAMES = [f"{ring.name}.open_fraction" for ring in RINGS]
+
+
+def test_a_bond_that_holds_changes_nothing_and_the_tangent_is_the_change(filled: Problem) -> None:
+    model = opened(filled, *RINGS, wide=0.0, narrow=0.0, inside=0.0)
+    frequency = np.array([310e3, 350e3, 395e3])
+    operators = assemble(model.mesh, model.terms)
+    at = solve_full(operators, frequency, model.values)
+    assert np.abs(at.impedance / impedance(filled, frequency) - 1.0).max() < 1e-11
+    slopes = at.parameter_gradient(model.values, tuple(NAMES)).T
+    for name, slope in zip(NAMES, slopes, strict=True):
+        step = 1e-6  # rounding of Z, 1e-11, against a change of 1e-6
+        below, above = (solve_full(operators, frequency, {**model.values, name: s}).impedance for s in (-step, step))
+        assert np.abs((above - below) / (2.0 * step) / slope - 1.0).max() < 1e-4, name
+
+
+@pytest.mark.parametrize("name", [*NAMES, "epoxy.bulk_modulus", "epoxy.shear_modulus", "epoxy.density"])
+def test_derivatives_are_those_of_the_coefficients(filled: Problem, name: str) -> None:
+    values = opened(filled, *RINGS, wide=0.3, narrow=0.6, inside=0.2).values
+    step, omega = 1e-5 * values[name], np.array([1e6])
+    moved = 0
+    for integral in OpenBond("bond", "epoxy", RINGS).integrals():
+        g = integral.coefficient
+        found = (g(omega, {**values, name: values[name] + step}) - g(omega, {**values, name: values[name] - step}))
+        exact = g.derivative(omega, values, name) if name in g.parameters else np.zeros(1, dtype=complex)
+        assert found / (2.0 * step) == pytest.approx(exact, rel=1e-8, abs=1e-9 * np.abs(exact).max())
+        moved += int(np.abs(exact).max() > 0.0)
+    assert moved
+
+
+def test_an_open_bond_is_passive_and_closes_the_balance_of_power(filled: Problem) -> None:
+    frequency = np.linspace(300e3, 400e3, 5)
+    lossy = {"epoxy.bulk_modulus", "epoxy.shear_modulus"}
+    alone = filled.with_values({name: value if name in lossy else complex(value.real)
+                                for name, value in filled.values.items()})
+    for wide, narrow, inside in ((0.3, 0.0, 0.0), (0.5, 0.5, 0.5), (0.0, 1.0, 0.0), (1.0, 1.0, 1.0)):
+        model = opened(alone, *RINGS[:2], Ring("inside", 0.8), wide=wide, narrow=narrow, inside=inside)
+        solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
+        taken = solution.dissipation()[:, [i.place == "bond" for i in solution.operators.integrals]].sum(axis=1)
+        assert (taken > 0.0).all()
+        assert np.abs(taken / solution.input_power() - 1.0).max() < 1e-7  # nothing else takes any

@@ -1,0 +1,75 @@
+"""Ports of a cavity as short necks: plugs of liquid in openings of its side wall, which swing with its pressure.
+
+They let the cavity's pressure out and take energy; in the filled state alone. A neck is stiff by its inertia, so that
+the more of the wall is open and the shorter the necks, the more they do. Where the chip's own mode stands across the
+cavity they hardly show: in a chip of 25 mm, 5 % of the wall open in necks of 0.5 mm are -0.1 % of Z_min, 20 % in necks
+of 0.2 mm -1 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.physics.term import Admissible, Dispersion, Free, Integral, Product, Term, free_of
+
+Complex = NDArray[np.complex128]
+
+#: What the openings of a side wall can be.
+ADMISSIBLE: Mapping[str, Admissible] = {
+    "share": Admissible(
+        0.0, 0.25, "1", "of the wall's area: from none to four bores of 1 mm in a cavity of 1 mm by 2 mm of radius"),
+    "length": Admissible(
+        5e-5, 5e-3, "m",
+        "from the end corrections alone of a hole of 60 um, 16 a / (3 pi), to a bore through 5 mm of wall; Kinsler et "
+        "al., Fundamentals of Acoustics, 2000, section 10.8"),
+    "resistance": Admissible(
+        0.0, 1.5e6, "Pa s/m", "from a plug of liquid without friction to a long tube of water behind it, rho c"),
+}
+
+
+@dataclass(frozen=True)
+class PortNecks(Term):
+    """Openings on a share s of a wall, whose liquid, of mass rho l per area, moves as one, e^{-i w t}.
+
+        - s / (K - w^2 rho l - i w R) p q        over the wall
+
+    next to `fluid.Fluid`: the displacement into the wall per pressure (Kinsler et al., Fundamentals of Acoustics, 2000,
+    section 10.8, the neck of a Helmholtz resonator). l is the length with both end corrections, R the resistance of
+    friction and of what the neck feeds, K the stiffness of what is behind, V / A of a volume V behind an area A being
+    rho c^2 A / V. It holds for necks that are short and narrow against the wavelength; the kept rotational symmetry
+    spreads them around the axis. What a solid wall does there by itself remains. `name` tells walls apart: parameters
+    ``<name>.share`` s, ``.length`` l (m), ``.resistance`` R (Pa s/m; see :data:`ADMISSIBLE`), ``.stiffness`` K (Pa/m)
+    and ``<material>.density``.
+    """
+
+    boundary: str
+    solid: str
+    fluid: str
+    material: str
+    name: str
+
+    def free(self) -> tuple[Free, ...]:
+        return free_of(self.name, ADMISSIBLE, {"share": 0.0, "length": 5e-4, "resistance": 3e5})
+
+    def fixed(self) -> Mapping[str, float]:
+        # Open tubing, as full of liquid as the cavity.
+        return {f"{self.name}.stiffness": 0.0}
+
+    def integrals(self) -> tuple[Integral, ...]:
+        own = {"s": "share", "l": "length", "R": "resistance", "K": "stiffness"}
+        symbols = (*((symbol, f"{self.name}.{name}") for symbol, name in own.items()),
+                   ("rho", f"{self.material}.density"))
+        return (Integral(Dispersion(_yielding, symbols), self.boundary, (Product("p", "p"),), self.solid, self.fluid),)
+
+
+def _yielding(omega: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
+    """-s / (K - w^2 rho l - i w R) and its derivatives."""
+    moving = np.asarray(v["K"] - omega**2 * v["rho"] * v["l"] - 1j * omega * v["R"], dtype=np.complex128)
+    by_moving = v["s"] / moving**2
+    inertia = -by_moving * omega**2
+    return -v["s"] / moving, {"s": -1.0 / moving, "K": by_moving, "l": inertia * v["rho"], "rho": inertia * v["l"],
+                              "R": -1j * omega * by_moving}
