@@ -8,13 +8,14 @@ everywhere, and every optimum on the way begins a descent (:func:`basins`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
+from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import NO_END, Optimum, Search
 
 Real = NDArray[np.float64]
@@ -24,6 +25,9 @@ LEVELS = (0.05, 0.01)
 
 #: Where along a multimodal parameter the cost is looked at, in its standard uncertainties.
 SCANNED = np.linspace(-2.4, 2.4, 9)
+
+#: The ratio of neighbouring places where it is looked at over all that a length may be.
+RATIO = 1.3
 
 #: Steps of a look at one place of the scan, and of the descent from an optimum of it.
 LOOK, DESCENT = 3, 8
@@ -64,34 +68,54 @@ def multimodal(likelihood: Likelihood, x: Real) -> list[int]:
     return [i for bent, i in sorted(found, reverse=True) if bent > CURVED][:SCANS]
 
 
-def basins(likelihood: Likelihood, search: Search, end: Optimum, along: Sequence[int]) -> list[Optimum]:
-    """The optima at little weight that the parameters of the indices `along` lead to from `end`, best first."""
+def basins(likelihood: Likelihood, search: Search, end: Optimum, along: Mapping[int, Real]) -> list[Optimum]:
+    """The optima at little weight on the way along some parameters from `end`, best first.
+
+    Args:
+        along: places (k,), rising, at which the parameter of each index is held.
+    """
     found, level = [end], LEVELS[0]
-    for i in along:
-        parameter = likelihood.model.parameters[i]
-        assert parameter.prior is not None
-        centre = (search.centre[i] + SCANNED * parameter.prior).clip(search.low[i] + 1e-9, search.high[i] - 1e-9)
-        costs, places = np.full(SCANNED.size, np.inf), [end.x] * SCANNED.size
-        nearest = int(np.argmin(np.abs(centre - end.x[i])))
+    for i, places in along.items():
+        costs, ends = np.full(places.size, np.inf), [end.x] * places.size
+        nearest = int(np.argmin(np.abs(places - end.x[i])))
         # From where the end is to either side, each place from the optimum of its neighbour.
-        for order in (range(nearest, SCANNED.size), range(nearest - 1, -1, -1)):
+        for order in (range(nearest, places.size), range(nearest - 1, -1, -1)):
             y = end.x
             for k in order:
                 y = y.copy()
-                y[i] = centre[k]
+                y[i] = places[k]
                 try:
                     held = likelihood.tempered(search, y, level, limit=LOOK, fixed=(i,))
                 except NO_END:
                     break
-                costs[k], places[k], y = held.cost, held.x, held.x
-        lowest = [k for k in range(SCANNED.size) if np.isfinite(costs[k])
-                  and costs[k] <= min(costs[max(k - 1, 0):k + 2])]
+                costs[k], ends[k], y = held.cost, held.x, held.x
+        lowest = [k for k in range(places.size)
+                  if np.isfinite(costs[k]) and costs[k] <= min(costs[max(k - 1, 0):k + 2])]
         for k in lowest:
             try:
-                found.append(likelihood.tempered(search, places[k], level, limit=DESCENT))
+                found.append(likelihood.tempered(search, ends[k], level, limit=DESCENT))
             except NO_END:
                 continue
     return distinct(likelihood, found)
+
+
+def within_knowledge(parameter: Parameter) -> Real:
+    """Where along a parameter to look for optima within what is known of it, (k,)."""
+    assert parameter.prior is not None
+    return _inside(parameter, parameter.start + SCANNED * parameter.prior)
+
+
+def within_range(parameter: Parameter) -> Real:
+    """Where along a parameter to look for optima within all that it may be, (k,)."""
+    low, high = parameter.low, parameter.high
+    if low > 0.0:
+        return _inside(parameter, np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(RATIO))))
+    return _inside(parameter, np.linspace(low, high, SCANNED.size))
+
+
+def _inside(parameter: Parameter, values: Real) -> Real:
+    margin = 1e-4 * (parameter.high - parameter.low)
+    return np.unique(np.clip(values, parameter.low + margin, parameter.high - margin))
 
 
 def distinct(likelihood: Likelihood, ends: Sequence[Optimum]) -> list[Optimum]:

@@ -9,12 +9,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.descent import LEVELS, Candidate, basins, followed, multimodal
+from workbench.diagnosis.descent import (
+    LEVELS,
+    Candidate,
+    basins,
+    followed,
+    multimodal,
+    within_knowledge,
+    within_range,
+)
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.fitting.objective import Objective
+from workbench.fitting.search import Optimum
 
 Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -92,36 +101,41 @@ class Search:
         if scores[0].evidence < WORTH and base.accuracy < 4e-3:
             return Found(base, (base,), (), tuple(scores), own)
         along = multimodal(bare, first.x)
-        ends = basins(bare, search, first, along)[:BASINS]
+        ends = basins(bare, search, first, {i: within_knowledge(model.parameters[i]) for i in along})[:BASINS]
         self.say("basins", [model.parameters[i].name for i in along], [round(e.cost, 1) for e in ends])
         places = [(end.x, ranked(bare, end.x, level=LEVELS[0])) for end in ends]
         seen = [*places, (second.x, ranked(bare, second.x, level=LEVELS[1])), (base.x, scores)]
         chosen: dict[str, Effect] = {}
         for _, scored in seen:
+            self.say("    ", [(round(s.evidence, 1), s.effect.name) for s in scored[:4]])
             for each in scored[:TRIED]:
                 if each.evidence > max(WORTH, SHARE * scored[0].evidence):
                     chosen.setdefault(each.effect.name, each.effect)
+        for i in along:
+            for effect in model.effects:
+                if model.parameters[i].name in effect.names:
+                    chosen.setdefault(effect.name, effect)
         self.say("candidates", list(chosen))
         candidates = [none]
         if len(ends) > 1:
             again = followed(self.likelihood, nothing, [end.x for end in ends])
             candidates += [again] if again is not None else []
+        plain = max(candidates, key=lambda c: c.log_evidence)
         for effect in chosen.values():
             starts = [self.start(effect, x, next(s for s in scored if s.effect is effect)) for x, scored in places]
-            found = self.explain(Hypothesis((effect,)), centre, starts)
+            found = self.explain(Hypothesis((effect,)), centre, starts, [i for i in along if model.parameters[i].name in effect.names], ends[0])
             if found is not None:
                 candidates.append(found)
                 self.say("  ", found.hypothesis.name, found.log_evidence - worth)
-        for region in dict.fromkeys(self.likelihood.anything.regions):
-            there = max(candidates[:2], key=lambda c: c.log_evidence)
+        for region in dict.fromkeys(self.likelihood.anything.regions if self.likelihood.anything else ()):
             hypothesis = Hypothesis((), region)
-            candidates.append(Candidate(hypothesis, there.x, *self.likelihood.weighed(hypothesis, there.x, LEVELS[1])))
+            candidates.append(Candidate(hypothesis, plain.x, *self.likelihood.weighed(hypothesis, plain.x, LEVELS[1])))
             self.say("  ", hypothesis.name, candidates[-1].log_evidence - worth)
         candidates.sort(key=lambda c: -c.log_evidence)
         final = []
-        for each in candidates[:4]:
-            if candidates[0].log_evidence - each.log_evidence < CLOSE and each is not none:
-                made, own = self.settled(each)
+        for leading in candidates[:4]:
+            if candidates[0].log_evidence - leading.log_evidence < CLOSE and leading is not none:
+                made, own = self.settled(leading)
                 self.say("settled", made.hypothesis.name, made.log_evidence, made.accuracy, made.size,
                          float(np.mean(made.residual.vector**2)), made.residual.error)
                 final.append(made)
@@ -140,13 +154,28 @@ class Search:
         y[own] = np.clip(x[own] + asked, low + INSIDE * (high - low), high - INSIDE * (high - low))
         return y
 
-    def explain(self, hypothesis: Hypothesis, centre: Real, starts: Sequence[Real]) -> Candidate | None:
-        own = [self.model.index(n) for effect in hypothesis.effects for n in effect.names]
+    def explain(
+        self, hypothesis: Hypothesis, centre: Real, starts: Sequence[Real], along: Sequence[int], end: Optimum
+    ) -> Candidate | None:
+        """Where a hypothesis leads from some starts (p,), and from the optima along some of its own parameters."""
+        model = self.model
+        own = [model.index(n) for effect in hypothesis.effects for n in effect.names]
         corner = centre.copy()
         corner[own] = max(starts, key=lambda y: float(np.abs(y[own] - centre[own]).sum()))[own]
-        wider = self.wide.widened(centre, [corner], WIDE)
-        self.say("   widened", [p.model.basis.shape[1] for p in dict.fromkeys(wider.predictors) if p.model])
-        return followed(self.likelihood.on(wider), hypothesis, starts)
+        corners = [corner]
+        scans = {i: within_range(model.parameters[i]) for i in along}
+        for i, values in scans.items():
+            for value in values[::3]:
+                corner = centre.copy()
+                corner[i] = value
+                corners.append(corner)
+        likelihood = self.likelihood.on(self.wide.widened(centre, corners, WIDE))
+        self.say("   widened", [p.model.basis.shape[1] for p in dict.fromkeys(likelihood.objective.predictors) if p.model])
+        if scans:
+            found = basins(likelihood, likelihood.search(hypothesis), end, scans)
+            self.say("   scanned", [(round(e.cost, 1), float(e.x[own[0]])) for e in found[:6]])
+            starts = [*starts, *(each.x for each in found[:BASINS])]
+        return followed(likelihood, hypothesis, starts)
 
     def settled(self, candidate: Candidate) -> tuple[Explanation, Likelihood]:
         """The explanation that a candidate leads to, on models and with patterns of its own place."""
