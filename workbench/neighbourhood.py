@@ -74,6 +74,23 @@ class Neighbourhood:
         wider = replace(model, operators=replace(model.operators, matrices=matrices), basis=whole, sketch=sketch)
         return replace(self, model=wider)
 
+    def of(self, operators: FullOperators) -> Neighbourhood:
+        """The same of other integrals of the same unknowns, those that are new being nothing here."""
+        model = self.model
+        known = {id(integral): form for integral, form in zip(model.full.integrals, model.operators.forms, strict=True)}
+        first = np.unique(operators.forms, return_index=True)[1]
+        there = np.array([known.get(id(operators.integrals[q]), -1) for q in first])
+        new = np.flatnonzero(there < 0)
+        rank = model.basis.shape[1]
+        matrices, sketch = np.empty((first.size, rank, rank)), np.empty((first.size, model.test.shape[1], rank))
+        matrices[there >= 0], sketch[there >= 0] = (each[there[there >= 0]]
+                                                    for each in (model.operators.matrices, model.sketch))
+        if new.size:
+            # In the order in which these forms are met.
+            matrices[new], sketch[new] = projected_on(operators.of(first[new]), model.basis, model.test)
+        inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
+        return replace(self, model=replace(model, full=operators, operators=inner, sketch=sketch))
+
     def _terms(self, node: Node, corner: Values) -> Complex:
         """The first terms (size, TERMS) of the series of the state at a corner, over the root of the charge."""
         operators, omega = self.model.full, np.array([2.0 * np.pi * node.frequency])

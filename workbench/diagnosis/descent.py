@@ -36,6 +36,9 @@ LOOK, DESCENT = 3, 8
 #: deviations more than the tangent says; at most so many are scanned.
 CURVED, SCANS = 10.0, 2
 
+#: Of the ends of one hypothesis so many are followed, of a cost within this of the best: odds of 3000.
+KEPT, WINDOW = 3, 8.0
+
 #: Two optima are one where their parameters differ by less than so many uncertainties.
 ALIKE = 0.3
 
@@ -131,39 +134,42 @@ def distinct(likelihood: Likelihood, ends: Sequence[Optimum]) -> list[Optimum]:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A hypothesis where it leads with the data weighing little: ``x`` (p,), the log evidence and errors (p,) there."""
+    """A hypothesis where it leads with the data weighing little.
+
+    ``places`` the ends (p,) that are left, best first; ``log_evidence`` and ``errors`` (p,) at the first of them, and
+    ``doubt`` the estimated relative error of Z there.
+    """
 
     hypothesis: Hypothesis
-    x: Real
+    places: tuple[Real, ...]
     log_evidence: float
     errors: Real
+    doubt: float
+
+    @property
+    def x(self) -> Real:
+        return self.places[0]
 
 
-def followed(
-    likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], *, window: float = 8.0, kept: int = 2
-) -> Candidate | None:
-    """The best optimum with the weight of the last of :data:`LEVELS` that leads from any of the `starts` (p,).
+def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], level: float) -> Candidate | None:
+    """The ends (:data:`KEPT`) that the `starts` (p,) lead to where points have a further deviation of `level`.
 
-    Of every level, so many ends are followed whose cost is within `window` of the best. None if nothing can be
-    predicted.
+    None if nothing can be predicted.
     """
     search = likelihood.search(hypothesis)
-    places = list(starts)
     for i in (likelihood.model.index(name) for effect in hypothesis.effects for name in effect.names):
         # What is admissible may be a million times what is there.
-        moved = max(abs(float(place[i]) - search.centre[i]) for place in places)
+        moved = max(abs(float(start[i]) - search.centre[i]) for start in starts)
         search.scale[i] = moved or search.scale[i]
-    for level in LEVELS:
-        ends = []
-        for place in places:
-            try:
-                ends.append(likelihood.tempered(search, place, level, limit=DESCENT))
-            except NO_END:
-                continue
-        if not ends:
-            return None
-        best = min(end.cost for end in ends)
-        places = [end.x for end in distinct(likelihood, ends) if end.cost < best + window][:kept]
-    weighed = [(place, *likelihood.weighed(hypothesis, place, LEVELS[-1])) for place in places]
-    x, worth, errors = max(weighed, key=lambda each: each[1])
-    return Candidate(hypothesis, x, worth, errors)
+    ends = []
+    for start in starts:
+        try:
+            ends.append(likelihood.tempered(search, start, level, limit=DESCENT))
+        except NO_END:
+            continue
+    if not ends:
+        return None
+    ends = distinct(likelihood, ends)
+    kept = [end for end in ends if end.cost < ends[0].cost + WINDOW][:KEPT]
+    worth, errors = likelihood.weighed(hypothesis, kept[0].x, level)
+    return Candidate(hypothesis, tuple(end.x for end in kept), worth, errors, kept[0].residual.data.error)

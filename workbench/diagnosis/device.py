@@ -49,14 +49,15 @@ class Model:
     """All parameters of a campaign, the first ``known`` of them what is known to be uncertain, and its objectives.
 
     Known are the numbers that all states share, then what one state adds to them; all of these have a prior.
-    ``fitted`` and ``held_out`` are the objectives over the states of either kind (None without states held out);
-    ``effects`` the hypotheses, whose parameters follow the known ones.
+    ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those over either kind (None without states
+    held out); ``effects`` the hypotheses, whose parameters follow the known ones.
     """
 
     campaign: Campaign
     parameters: tuple[Parameter, ...]
     known: int
     effects: tuple[Effect, ...]
+    whole: Objective
     fitted: Objective
     held_out: Objective | None
 
@@ -126,7 +127,7 @@ def model(
     # Models grow where they are told to (`Objective.cover`), not on the way.
     whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
-    return Model(campaign, parameters, len(known), hypotheses, whole.of(fitted),
+    return Model(campaign, parameters, len(known), hypotheses, whole, whole.of(fitted),
                  whole.of(held_out) if held_out else None)
 
 

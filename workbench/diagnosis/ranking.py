@@ -15,8 +15,7 @@ from scipy.optimize import lsq_linear
 
 from workbench.diagnosis.evidence import occam_factor
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.likelihood import Likelihood
-from workbench.fitting.covariance import Covariance
+from workbench.diagnosis.likelihood import Explanation, Likelihood
 
 Real = NDArray[np.float64]
 
@@ -40,25 +39,24 @@ class Score:
 
 
 def ranked(
-    likelihood: Likelihood, x: Real, *, accuracy: float = 0.0, level: float = 0.0,
-    effects: Sequence[Effect] | None = None, beside: Sequence[Effect] = (),
+    likelihood: Likelihood, x: Real, level: float, beside: Explanation | None = None
 ) -> list[Score]:
-    """The scores at x (p,) of all hypotheses, or of `effects`, best first.
+    """The scores at x (p,) of all hypotheses, best first, where points have a further deviation of `level`.
 
-    Args:
-        accuracy: of the model, as in :class:`Likelihood`.
-        level: a further deviation of every point, which lets the data weigh less.
-        beside: effects that are there already; their parameters are nuisances.
+    Where something explains the data already, `beside` that: of those that move nothing which it does.
     """
     model = likelihood.model
+    there = () if beside is None else beside.hypothesis.effects
+    taken = {name for effect in there for name in effect.names}
     search = likelihood.search_of_all()
-    data = likelihood.objective(x, deviation=likelihood.spreads(level))
-    noise = np.sqrt(likelihood.noise**2 + level**2)
-    whiten = Covariance.of(likelihood.columns * accuracy / noise[:, None]).whitened
-    tangents, residual = whiten(data.jacobian), whiten(data.vector)
-    nuisances = sorted({*range(model.known), *(model.index(n) for effect in beside for n in effect.names)})
+    data = likelihood.objective.with_every(x)(x, deviation=likelihood.spreads(level))
+    tangents, residual = data.jacobian, data.vector
+    if beside is not None:
+        whiten = likelihood.whitening(beside).whitened
+        tangents, residual = whiten(tangents), whiten(residual)
+    nuisances = sorted({*range(model.known), *(model.index(name) for name in taken)})
     found = []
-    for effect in model.effects if effects is None else effects:
+    for effect in (each for each in model.effects if not taken & set(each.names)):
         own = np.array([model.index(name) for name in effect.names])
         others = np.array([i for i in nuisances if i not in own])
         precision = np.zeros((others.size, others.size))

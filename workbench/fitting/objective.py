@@ -128,19 +128,40 @@ class Objective:
             others = [self.settings(corner, indices[0])[0] for corner in corners]
             predictor.cover(values, moves, tolerance, [other for other in others if other != values])
 
-    def near(self, x: Real, reach: Mapping[str, float], tolerance: float) -> Objective:
+    def near(
+        self, x: Real, reach: Mapping[str, float], tolerance: float, *, only: Collection[int] | None = None
+    ) -> Objective:
         """The same on models for the neighbourhood of x (p,), where parameters move by so much, by name.
 
-        See `neighbourhood.neighbourhood`. Models do not grow, and nothing is taken over from those there are.
+        See `neighbourhood.neighbourhood`. Models do not grow, and nothing is taken over from those there are. Where
+        nothing but the parameters of the indices `only` is going to move, models hold no more than that takes, and say
+        nothing of what others would change.
         """
         def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
             return neighbourhood(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
                                  self._moves_about(x, indices, reach), tolerance=tolerance)
 
-        return self._placed(place)
+        return (self if only is None else self._acting(x, only))._placed(place)
 
-    def widened(self, x: Real, corners: Sequence[Real], tolerance: float) -> Objective:
-        """The same, of :meth:`near`, on models that also hold the states on the way from x to `corners` (p,)."""
+    def _acting(self, x: Real, only: Collection[int]) -> Objective:
+        """The same without what is nothing at x (p,) and stays so while no others move."""
+        moving = sorted(only)
+        # Anywhere else: what vanishes there too vanishes everywhere.
+        scales = np.array([self.parameters[i].scale for i in moving])
+        y = x.copy()
+        y[moving] += 0.01 * scales * np.random.default_rng(0).uniform(0.5, 1.0, len(moving))
+        other, made = copy.copy(self), {}
+        for predictor, indices in self._sharing().items():
+            there = {key: value for index in indices for key, value in self.settings(y, index)[0].items()}
+            made[predictor] = predictor.of_acting(self._values(x, indices[0]), there)
+        other.predictors = tuple(made[predictor] for predictor in self.predictors)
+        return other
+
+    def widened(self, x: Real, corners: Sequence[Real], tolerance: float, *, only: Collection[int]) -> Objective:
+        """The same, of :meth:`near`, on models that also hold the states on the way from x to `corners` (p,).
+
+        Nothing but the parameters of the indices `only` is going to move.
+        """
         def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
             assert predictor.place is not None  # one of `near`
             here, own = self._values(x, indices[0]), predictor.place.values
@@ -150,7 +171,15 @@ class Objective:
                      if values != here]
             return predictor.place.widened(moved, tolerance)
 
-        return self._placed(place)
+        return self._acting(x, only)._placed(place)
+
+    def with_every(self, x: Real) -> Objective:
+        """The same at x (p,) alone, on models that say what every parameter would change there."""
+        other = copy.copy(self)
+        made = {predictor: predictor.with_every([self.settings(x, index)[0] for index in indices])
+                for predictor, indices in self._sharing().items()}
+        other.predictors = tuple(made[predictor] for predictor in self.predictors)
+        return other
 
     def _values(self, x: Real, index: int) -> dict[str, complex]:
         """All values of the problem of the recording of that index at x (p,)."""

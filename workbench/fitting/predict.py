@@ -20,7 +20,9 @@ from workbench.coefficients import Groups
 from workbench.neighbourhood import Neighbourhood
 from workbench.operators import FullOperators, assemble
 from workbench.problem import Problem
-from workbench.reduction import ReducedModel, covering, narrowed, reduced
+from workbench.reduced_basis import needed
+from workbench.reduced_operators import ReducedOperators
+from workbench.reduction import ReducedModel, covering, narrowed, projected_on, reduced
 from workbench.solve import Solution, solve_full, solve_groups
 
 Real = NDArray[np.float64]
@@ -94,7 +96,9 @@ class Predictor:
     ) -> None:
         self.problem, self.frequencies = problem, np.asarray(frequencies, dtype=float)
         self.tangents, self.tolerance = tangents, tolerance
-        self.operators = assemble(problem.mesh, problem.terms)
+        #: All that the problem holds, and what of it the model does.
+        self.every = assemble(problem.mesh, problem.terms)
+        self.operators = self.every
         self.solves = 0
         self.model: ReducedModel | None = None
         #: Where the model is for, if it was made for one neighbourhood.
@@ -135,6 +139,32 @@ class Predictor:
         other = copy.copy(self)
         other.place, other.model, other.solves = place, place.model, place.model.solves
         other.tolerance, other._latest = math.inf, None
+        return other
+
+    def of_acting(self, values: Mapping[str, complex], moved: Mapping[str, complex]) -> Predictor:
+        """The same of those integrals alone that are something at these values, or where those `moved` are others."""
+        here = {**self.problem.values, **values}
+        omega = 2.0 * np.pi * self.frequencies[[0, -1]]
+        acting = [self.every.coefficients(omega, each).any(axis=0) for each in (here, {**here, **moved})]
+        other = copy.copy(self)
+        other.operators = self.every.of(np.flatnonzero(acting[0] | acting[1]))
+        if self.place is not None:
+            return other.placed(self.place.of(other.operators))
+        other.model = other._latest = None
+        return other
+
+    def with_every(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
+        """The same of all integrals, on no more of the basis than the spectra at these values need."""
+        assert self.model is not None
+        states = np.concatenate([self.model.solve(self.frequencies, {**self.problem.values, **each}).states
+                                 for each in settings], axis=1)
+        part = needed(states, NEGLIGIBLE)
+        basis = self.model.basis @ part
+        matrices, sketch = projected_on(self.every, basis, self.model.test)
+        inner = ReducedOperators(self.every.integrals, self.every.coefficients, matrices, self.every.forms)
+        other = copy.copy(self)
+        other.operators, other.place, other._latest, other.tolerance = self.every, None, None, math.inf
+        other.model = replace(self.model, full=self.every, operators=inner, basis=basis, sketch=sketch)
         return other
 
     def elsewhere(self, frequencies: Real, tolerance: float, values: Mapping[str, complex]) -> Prediction:
