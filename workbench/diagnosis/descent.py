@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.fitting.parameter import Parameter
-from workbench.fitting.search import NO_END, Optimum, Search
+from workbench.fitting.search import NO_END, Optimum
 
 Real = NDArray[np.float64]
 
@@ -71,13 +71,15 @@ def multimodal(likelihood: Likelihood, x: Real) -> list[int]:
     return [i for bent, i in sorted(found, reverse=True) if bent > CURVED][:SCANS]
 
 
-def basins(likelihood: Likelihood, search: Search, end: Optimum, along: Mapping[int, Real]) -> list[Optimum]:
-    """The optima at little weight on the way along some parameters from `end`, best first.
+def basins(likelihood: Likelihood, hypothesis: Hypothesis, x: Real, along: Mapping[int, Real]) -> list[Optimum]:
+    """The optima at little weight near x (p,) and on the way along some parameters from there, best first.
 
     Args:
         along: places (k,), rising, at which the parameter of each index is held.
     """
-    found, level = [end], LEVELS[0]
+    search, level = likelihood.search(hypothesis), LEVELS[0]
+    end = likelihood.tempered(search, x, level)
+    found = [end]
     for i, places in along.items():
         costs, ends = np.full(places.size, np.inf), [end.x] * places.size
         nearest = int(np.argmin(np.abs(places - end.x[i])))

@@ -11,11 +11,13 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.descent import (
     LEVELS,
     Candidate,
@@ -25,10 +27,12 @@ from workbench.diagnosis.descent import (
     within_knowledge,
     within_range,
 )
-from workbench.diagnosis.device import Model
+from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.ranking import Score, ranked
+from workbench.diagnosis.workers import Task, Workers
+from workbench.discretisation import Discretisation
 from workbench.fitting.objective import Objective
 from workbench.fitting.search import NO_END, Optimum
 
@@ -72,14 +76,14 @@ INSIDE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """An explanation at its own place with the likelihood there, and how well it predicts what was held out.
+    """An explanation at its own place, what else would be worth adding, and how well it predicts what was held out.
 
-    ``held_out`` the log of the predictive density of the states held out, up to what all hypotheses share; ``seen``
-    their impedances (n,) ohm.
+    ``scores`` of what moves nothing that it does, best first; ``held_out`` the log of the predictive density of the
+    states held out, up to what all hypotheses share; ``seen`` their impedances (n,) ohm.
     """
 
     explanation: Explanation
-    likelihood: Likelihood
+    scores: tuple[Score, ...]
     held_out: float
     seen: tuple[NDArray[np.complex128], ...]
 
@@ -89,24 +93,30 @@ class Found:
     """What a search found.
 
     ``base`` that nothing is wrong; ``final`` all explanations at their own places, best first, the base among them;
-    ``candidates`` how far the others came; ``scores`` at the base; ``undone`` what there was no time for.
+    ``candidates`` how far the others came; ``undone`` what there was no time for.
     """
 
     base: Settled
     final: tuple[Settled, ...]
     candidates: tuple[Candidate, ...]
-    scores: tuple[Score, ...]
     undone: tuple[str, ...] = ()
 
 
 @dataclass(eq=False)
 class Search:
-    """A search as it goes on; :meth:`run` is all of it."""
+    """A search as it goes on; :meth:`run` is all of it, with `workers` that each have one of their own."""
 
     model: Model
-    progress: Progress
+    progress: Progress = lambda _text, _share: None
     trace: bool = False
     started: float = field(default_factory=time.perf_counter)
+
+    @classmethod
+    def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation, cache: Path | None) -> Search:
+        """A search for a worker, with its first models."""
+        made = cls(model(campaign, accuracy=accuracy, cache=cache))
+        _ = made.wide
+        return made
 
     def say(self, *words: object) -> None:
         if self.trace:
@@ -126,60 +136,78 @@ class Search:
         """The recordings predicted all over what is known."""
         return self.model.fitted.near(self.centre, self.known_reach, WIDE, only=range(self.model.known))
 
-    def run(self) -> Found:
+    def bare(self) -> Likelihood:
+        """Of noise alone, all over what is known."""
+        return Likelihood.bare(self.model, self.wide)
+
+    def likelihood(self, x: Real) -> Likelihood:
+        """All over what is known, with what the model does not get right at x (p,)."""
+        key = x.tobytes()
+        if key not in self._likelihoods:
+            self._likelihoods = {key: self.bare().with_patterns(x)}
+        return self._likelihoods[key]
+
+    _likelihoods: dict[bytes, Likelihood] = field(default_factory=dict)
+
+    def run(self, workers: Workers | None = None) -> Found:
+        """The explanations of the recordings.
+
+        Raises:
+            NotEnriched, MeshError: the device as it is stated cannot be predicted.
+        """
+        def work(tasks: Sequence[Task]) -> list[Any]:
+            if workers is None:
+                return [getattr(self, name)(*given) for name, given in tasks]
+            return workers.map(self, tasks)
+
         nothing, model = Hypothesis(), self.model
-        bare = Likelihood.bare(model, self.wide)
+        bare = self.bare()
         self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.wide.predictors) if p.model])
         search = bare.search(nothing)
         first = bare.tempered(search, self.centre, LEVELS[0])
         second = bare.tempered(search, first.x, LEVELS[1])
-        likelihood = bare.with_patterns(second.x)
-        worth, errors = likelihood.weighed(nothing, second.x, LEVELS[1])
+        worth, errors = self.likelihood(second.x).weighed(nothing, second.x, LEVELS[1])
         plain = Candidate(nothing, (second.x,), worth, errors, second.residual.data.error)
         self.say("levels", first.cost, second.cost, worth, self.excess(second))
-        base, scores = None, list[Score]()
+        base = None
         if self.excess(second) < EXCESS:
-            base = self.settled(plain)
-            scores = self.further(base)
-            if scores[0].evidence < WORTH and base.explanation.accuracy < 4e-3:
-                return Found(base, (base,), (), tuple(scores))
+            base = self.settled(plain, False, True)
+            if base.scores[0].evidence < WORTH and base.explanation.accuracy < 4e-3:
+                return Found(base, (base,), ())
         along = multimodal(bare, first.x)
-        ends = basins(bare, search, first, {i: within_knowledge(model.parameters[i]) for i in along})[:BASINS]
+        ends = basins(bare, nothing, first.x, {i: within_knowledge(model.parameters[i]) for i in along})[:BASINS]
         self.say("basins", [model.parameters[i].name for i in along], [round(e.cost, 1) for e in ends])
         if len(ends) > 1:
-            again = self.onward(likelihood, followed(likelihood, nothing, [e.x for e in ends], LEVELS[1]), LEVELS[1])
+            again = self.onward(followed(self.likelihood(plain.x), nothing, [e.x for e in ends], LEVELS[1]), plain.x)
             if again is not None and again.log_evidence > plain.log_evidence + 1.0:
                 plain, base = again, None
-                likelihood = bare.with_patterns(plain.x)
-        places = [(end.x, ranked(bare, end.x, LEVELS[0])) for end in ends]
-        seen = [*(scored for _, scored in places), ranked(bare, plain.x, LEVELS[1])]
-        chosen = self.chosen([*seen, scores] if scores else seen, along)
+        at = plain.x
+        *places, last = work([*(("scored", (end.x, LEVELS[0])) for end in ends), ("scored", (at, LEVELS[1]))])
+        chosen = self.chosen([*places, last, *([base.scores] if base else [])], along)
         self.say("chosen", [effect.name for effect in chosen])
-        little = []
-        for effect in chosen:
-            starts = [self.start(effect, x, next(s for s in scored if s.effect is effect)) for x, scored in places]
-            own = [i for i in along if model.parameters[i].name in effect.names]
-            found = self.explain(likelihood, Hypothesis((effect,)), starts, own, ends[0])
-            if found is not None:
-                little.append(found)
-                self.say("   little", found[1].hypothesis.name, found[1].log_evidence, found[1].doubt)
-        more = [plain]
-        for wider, candidate in _best(little, GO_ON[0], lambda each: each[1].log_evidence):
-            found_ = self.onward(wider, candidate, LEVELS[1])
-            if found_ is not None:
-                more.append(found_)
-                self.say("   more", found_.hypothesis.name, found_.log_evidence - plain.log_evidence, found_.doubt)
-        more += self.outside(likelihood, plain)
+        little = work([("explain", (effect.name, at, first.x, along, [
+            self.start(effect, end.x, next(s for s in scored if s.effect.name == effect.name))
+            for end, scored in zip(ends, places, strict=True)])) for effect in chosen])
+        promising = _best([found for found in little if found is not None], GO_ON[0], lambda each: each.log_evidence)
+        more = [plain, *(found for found in work([("onward", (candidate, at)) for candidate in promising])
+                         if found is not None)]
+        for candidate in more:
+            self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence, candidate.doubt)
+        more += self.outside(plain)
         leading = _best(more, GO_ON[1], lambda each: each.log_evidence)
-        if base is None:
-            base = self.settled(plain, hurried=plain not in leading)
-        final = [base, *(self.settled(candidate) for candidate in leading if candidate is not plain)]
-        final.sort(key=lambda each: -each.explanation.log_evidence)
-        final += self.pairs(final)
-        final.sort(key=lambda each: -each.explanation.log_evidence)
-        return Found(base, tuple(final), tuple(more), tuple(scores))
+        asked = [("settled", (candidate, False, candidate is leading[0])) for candidate in leading
+                 if base is None or candidate is not plain]
+        if base is None and plain not in leading:
+            asked.append(("settled", (plain, True, False)))
+        final = work(asked)
+        base = base or next(each for each in final if each.explanation.hypothesis.name == nothing.name)
+        final = sorted({id(each): each for each in (base, *final)}.values(), key=_worth)
+        final = sorted([*final, *work(self.pairs(final))], key=_worth)
+        return Found(base, tuple(final), tuple(more))
 
-    # ----------------------------------------------------------------------------------------------------------------
+    def scored(self, x: Real, level: float) -> list[Score]:
+        """The scores of all hypotheses at x (p,)."""
+        return ranked(self.bare(), x, level)
 
     def excess(self, end: Optimum) -> float:
         """What an end leaves where the data weigh more, relative to what noise would leave there."""
@@ -212,37 +240,53 @@ class Search:
         return y
 
     def explain(
-        self, likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], along: Sequence[int], end: Optimum
-    ) -> tuple[Likelihood, Candidate] | None:
-        """Where a hypothesis leads from some starts (p,), and from the optima along some of its own parameters."""
-        model, centre = self.model, self.centre
-        own = [model.index(name) for effect in hypothesis.effects for name in effect.names]
-        scans = {i: within_range(model.parameters[i]) for i in along}
-        largest = max(starts, key=lambda y: float(np.abs(y[own] - centre[own]).sum()))
-        corners = [_replaced(centre, own, largest[own]),
-                   *(_replaced(centre, [i], value) for i, values in scans.items() for value in values[::3])]
-        wider = likelihood.on(self.wide.widened(centre, corners, WIDE, only=self.moving(hypothesis)))
+        self, name: str, at: Real, x: Real, along: Sequence[int], starts: Sequence[Real]
+    ) -> Candidate | None:
+        """Where a hypothesis leads from some `starts` (p,), and from optima along those of its own parameters that are
+        multimodal; the model's inaccuracy is that `at` a place (p,), and x (p,) the end without the hypothesis."""
+        model = self.model
+        effect = next(each for each in model.effects if each.name == name)
+        hypothesis = Hypothesis((effect,))
+        own = [model.index(each) for each in effect.names]
+        scans = {i: within_range(model.parameters[i]) for i in along if i in own}
+        largest = max(starts, key=lambda y: float(np.abs(y[own] - self.centre[own]).sum()))
+        on_the_way = [_replaced(self.centre, [i], value) for i, values in scans.items() for value in values[::3]]
+        wider = self.likelihood(at).on(self.wider(hypothesis, [largest, *on_the_way]))
         if scans:
-            found = basins(wider, wider.search(hypothesis), end, scans)
+            found = basins(wider, hypothesis, x, scans)
             self.say("   scanned", [(round(e.cost, 1), float(e.x[own[0]])) for e in found[:6]])
             starts = [*starts, *(each.x for each in found[:BASINS])]
         candidate = followed(wider, hypothesis, starts, LEVELS[0])
-        return None if candidate is None else (wider, candidate)
+        if candidate is not None:
+            self.say("   little", hypothesis.name, candidate.log_evidence, candidate.doubt)
+        return candidate
 
-    def onward(self, likelihood: Likelihood, candidate: Candidate | None, level: float) -> Candidate | None:
-        """Where a candidate leads with the data weighing more, on models made again where these are in doubt."""
+    def onward(self, candidate: Candidate | None, at: Real) -> Candidate | None:
+        """Where a candidate leads with the data weighing more, on models made again where these are in doubt.
+
+        The model's inaccuracy is that `at` a place (p,).
+        """
         if candidate is None:
             return None
+        hypothesis, likelihood = candidate.hypothesis, self.likelihood(at)
+        if hypothesis.effects and candidate.doubt < DOUBTED:
+            likelihood = likelihood.on(self.wider(hypothesis, [candidate.x]))
         for _ in range(PLACES):
             if candidate.doubt < DOUBTED:
                 break
             likelihood = self.about(likelihood, candidate)
-            again = followed(likelihood, candidate.hypothesis, candidate.places[:1], LEVELS[0])
+            again = followed(likelihood, hypothesis, candidate.places[:1], LEVELS[0])
             if again is None:
                 return None
-            self.say("      renewed", candidate.hypothesis.name, candidate.doubt, again.doubt, again.log_evidence)
+            self.say("      renewed", hypothesis.name, candidate.doubt, again.doubt, again.log_evidence)
             candidate = again
-        return followed(likelihood, candidate.hypothesis, candidate.places, level)
+        return followed(likelihood, hypothesis, candidate.places, LEVELS[1])
+
+    def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
+        """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
+        own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
+        corners = [_replaced(self.centre, own, place[own]) for place in places]
+        return self.wide.widened(self.centre, corners, WIDE, only=self.moving(hypothesis))
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of what moves under a hypothesis."""
@@ -257,8 +301,9 @@ class Search:
                 reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
         return likelihood.on(self.model.fitted.near(candidate.x, reach, WIDE, only=self.moving(candidate.hypothesis)))
 
-    def outside(self, likelihood: Likelihood, plain: Candidate) -> list[Candidate]:
+    def outside(self, plain: Candidate) -> list[Candidate]:
         """What is outside the catalogue, at the end of nothing being wrong: something in a region, or modes."""
+        likelihood = self.likelihood(plain.x)
         regions = dict.fromkeys(likelihood.anything.regions) if likelihood.anything is not None else {}
         every = [Hypothesis((), region) for region in regions]
         modes = likelihood.strongest_modes(plain.x, 1e-3)
@@ -272,10 +317,10 @@ class Search:
             self.say("   more", hypothesis.name, worth - plain.log_evidence)
         return found
 
-    def settled(self, candidate: Candidate, *, hurried: bool = False) -> Settled:
+    def settled(self, candidate: Candidate, hurried: bool = False, scored: bool = False) -> Settled:
         """The explanation that a candidate leads to, on models and with patterns of its own place.
 
-        One that is far behind others is `hurried`: how far is all the same.
+        One that is far behind others is `hurried`: how far is all the same. What may be added to it is `scored`.
         """
         x, errors = candidate.x, candidate.errors
         fitted, held = ([state.name for state in states]
@@ -297,35 +342,30 @@ class Search:
         self.say("settled", e.hypothesis.name, e.log_evidence, "accuracy", e.accuracy, "size", e.size, "chi",
                  float(np.mean(e.residual.vector**2)), "doubt", e.doubt)
         density, seen = likelihood.predictive(found, whole.of(held)) if held else (0.0, ())
-        return Settled(found, likelihood, density, seen)
+        scores = tuple(ranked(likelihood, found.x, 0.0, found)) if scored else ()
+        self.say("   beside", e.hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
+        return Settled(found, scores, density, seen)
 
-    def further(self, settled: Settled) -> list[Score]:
-        """The scores at an explanation of the effects that move nothing which its own do."""
-        found = settled.explanation
-        scores = ranked(settled.likelihood, found.x, 0.0, found)
-        self.say("   further", found.hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
-        return scores
-
-    def pairs(self, final: Sequence[Settled]) -> list[Settled]:
-        """The best explanation by one effect together with what promises most beside it."""
+    def pairs(self, final: Sequence[Settled]) -> list[Task]:
+        """To settle: the best explanation by one effect together with what promises most beside it."""
         singles = [each for each in final if len(each.explanation.hypothesis.effects) == 1]
         if not singles:
             return []
-        best = singles[0]
-        found = []
-        for score in self.further(best)[:PAIRED]:
+        best = singles[0].explanation
+        tasks: list[Task] = []
+        for score in singles[0].scores[:PAIRED]:
             if score.evidence > MORE:
-                effects = (*best.explanation.hypothesis.effects, score.effect)
-                begin = self.start(score.effect, best.explanation.x, score)
-                errors = best.explanation.spread(begin.size)
+                begin, errors = self.start(score.effect, best.x, score), best.spread(best.x.size)
                 for name, error in zip(score.effect.names, score.error, strict=True):
                     i = self.model.index(name)
-                    errors[i] = max(abs(begin[i] - best.explanation.x[i]), error if np.isfinite(error) else 0.0)
-                try:
-                    found.append(self.settled(Candidate(Hypothesis(effects), (begin,), 0.0, errors, 0.0)))
-                except NO_END:
-                    continue
-        return found
+                    errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
+                effects = (*best.hypothesis.effects, score.effect)
+                tasks.append(("settled", (Candidate(Hypothesis(effects), (begin,), 0.0, errors, 0.0),)))
+        return tasks
+
+
+def _worth(settled: Settled) -> float:
+    return -settled.explanation.log_evidence
 
 
 def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:

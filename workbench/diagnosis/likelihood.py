@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +75,8 @@ class Explanation:
 
     ``x`` (p,) all parameters; ``free`` the indices of those that move and ``covariance`` of them; ``log_evidence`` up
     to what all hypotheses share; ``accuracy`` of the model and ``size`` of the changes in its region, both of the
-    largest evidence; ``residual`` the data there, in units of the noise; ``occam`` the share of ranges in the evidence; ``doubt`` the
-    estimated relative error of Z.
+    largest evidence; ``residual`` the data there, in units of the noise; ``occam`` what the ranges of its parameters
+    cost of the evidence; ``doubt`` the estimated relative error of Z.
     """
 
     hypothesis: Hypothesis
@@ -145,7 +146,7 @@ class Likelihood:
     def places(self) -> list[slice]:
         """Where each recording is among the data."""
         ends = np.cumsum([0, *(2 * each.frequency.size for each in self.measured)]).tolist()
-        return [slice(low, high) for low, high in zip(ends, ends[1:], strict=False)]
+        return [slice(low, high) for low, high in pairwise(ends)]
 
     def strongest_modes(self, x: Real, accuracy: float) -> tuple[Mode, ...]:
         """The modes that the model seems to lack at x (p,), one at most in every body that was recorded."""

@@ -6,7 +6,6 @@ compared with the residual (Rao 1948, Proc. Camb. Phil. Soc. 44, 50). It ranks h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,25 +53,43 @@ def ranked(
     if beside is not None:
         whiten = likelihood.whitening(beside).whitened
         tangents, residual = whiten(tangents), whiten(residual)
-    nuisances = sorted({*range(model.known), *(model.index(name) for name in taken)})
+    nuisances = np.array(sorted({*range(model.known), *(model.index(name) for name in taken)}))
+    offset = (x - search.centre) * search.precision
+    everything = _Imitated.by(tangents, residual, nuisances, search.precision, offset)
+    # What the known parameters leave where nothing is wrong besides.
+    least = float(everything.left @ everything.left)
     found = []
     for effect in (each for each in model.effects if not taken & set(each.names)):
         own = np.array([model.index(name) for name in effect.names])
-        others = np.array([i for i in nuisances if i not in own])
-        precision = np.zeros((others.size, others.size))
-        np.fill_diagonal(precision, search.precision[others])
-        basis, _ = np.linalg.qr(np.vstack([tangents[:, others], precision]))
-        rows = np.zeros((others.size, own.size))
-        raw = np.vstack([tangents[:, own], rows])
-        left = np.concatenate([residual, (x - search.centre)[others] * search.precision[others]])
-        left = left - basis @ (basis.T @ left)
-        found.append(_score(effect, raw, raw - basis @ (basis.T @ raw), left,
-                            np.array([(model.parameters[i].low - x[i], model.parameters[i].high - x[i]) for i in own])))
+        bounds = np.array([(model.parameters[i].low - x[i], model.parameters[i].high - x[i]) for i in own])
+        imitated = everything if not effect.releases else _Imitated.by(
+            tangents, residual, np.setdiff1d(nuisances, own), search.precision, offset)
+        found.append(_score(effect, tangents[:, own], imitated, least, bounds))
     return sorted(found, key=lambda score: -score.evidence)
 
 
-def _score(effect: Effect, whole: Real, apart: Real, left: Real, bounds: Real) -> Score:
-    """From the tangents (m, k) of a hypothesis, what known parameters leave of them, and of the residual (m,)."""
+@dataclass(frozen=True, eq=False)
+class _Imitated:
+    """What nuisances can imitate: an orthonormal ``basis`` (m + k, k), and what they leave of the residual (m + k,)."""
+
+    basis: Real
+    left: Real
+
+    @classmethod
+    def by(
+        cls, tangents: Real, residual: Real, nuisances: NDArray[np.int64], precision: Real, offset: Real
+    ) -> _Imitated:
+        rows = np.diag(precision[nuisances])
+        basis, _ = np.linalg.qr(np.vstack([tangents[:, nuisances], rows]))
+        whole = np.concatenate([residual, offset[nuisances]])
+        return cls(basis, whole - basis @ (basis.T @ whole))
+
+
+def _score(effect: Effect, tangents: Real, imitated: _Imitated, least: float, bounds: Real) -> Score:
+    """From the tangents (m, k) of a hypothesis, and the `least` chi-square without it."""
+    basis, left = imitated.basis, imitated.left
+    whole = np.vstack([tangents, np.zeros((left.size - tangents.shape[0], tangents.shape[1]))])
+    apart = whole - basis @ (basis.T @ whole)
     size = np.linalg.norm(apart, axis=0)
     seen = size > UNSEEN * np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
     amplitude, error = np.zeros(size.size), np.full(size.size, np.inf)
@@ -82,7 +99,7 @@ def _score(effect: Effect, whole: Real, apart: Real, left: Real, bounds: Real) -
     low, high = bounds[seen].T * size[seen]
     best = lsq_linear(unit, -left, (np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12))
     amplitude[seen] = best.x / size[seen]
-    gain = float(left @ left - np.sum((left + unit @ best.x) ** 2))
+    gain = least - float(np.sum((left + unit @ best.x) ** 2))
     covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[seen], size[seen])
     error[seen] = np.sqrt(np.diag(covariance))
     cost = occam_factor(covariance, (bounds[:, 1] - bounds[:, 0])[seen])
