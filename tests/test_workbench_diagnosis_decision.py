@@ -1,0 +1,121 @@
+"""The decision, without a solver: tables of evidences and the verdicts they come to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from workbench.diagnosis.decision import (
+    AMBIGUOUS,
+    EXPLAINED,
+    HINT,
+    MISSING,
+    NO_MISMATCH,
+    UNEXPLAINED,
+    Decision,
+    Evidence,
+    decide,
+)
+from workbench.diagnosis.odds import Criteria
+
+NOTHING = Evidence("nothing", -1000.0)
+#: Of fifty hypotheses each has a hundredth of the probability: ln 50 = 3.9 to be made up for against nothing.
+COUNT, SHARE = 50, math.log(50.0)
+
+
+def effect(name: str, gained: float, **away: float) -> Evidence:
+    """One effect whose evidence is that much better than that of nothing."""
+    return Evidence(name, NOTHING.log_evidence + gained, (name,), away=away)
+
+
+def verdict(*others: Evidence, stated: bool = False, criteria: Criteria | None = None) -> Decision:
+    return decide((NOTHING, *others), COUNT, stated_explains=stated, criteria=criteria)
+
+
+def test_nothing_wrong_is_no_mismatch_or_what_known_parameters_explain() -> None:
+    weak = effect("leads", 1.0)
+    assert verdict(weak, stated=True).verdict == NO_MISMATCH
+    found = verdict(weak)
+    assert (found.verdict, found.chosen, found.rivals) == (EXPLAINED, NOTHING, ())
+    assert verdict().verdict == EXPLAINED
+
+
+def test_odds_are_what_the_evidence_gains_less_the_share_of_the_hypothesis() -> None:
+    found = verdict(effect("leads", 7.0))
+    assert found.log_odds == {"nothing": 0.0, "leads": pytest.approx(7.0 - SHARE, rel=1e-12)}
+
+
+@pytest.mark.parametrize(("odds", "expected"), [(21.0, MISSING), (19.0, HINT), (1.1, HINT), (0.9, EXPLAINED)])
+def test_one_effect_is_said_hinted_at_or_neither_by_its_odds(odds: float, expected: str) -> None:
+    assert verdict(effect("leads", SHARE + math.log(odds))).verdict == expected
+
+
+def test_many_weak_ones_together_say_that_something_is_wrong() -> None:
+    each = [effect(f"effect {k}", SHARE + math.log(6.0)) for k in range(4)]
+    found = verdict(*each)
+    assert found.verdict == AMBIGUOUS
+    assert len(found.rivals) == 4  # three of them, and nothing: odds of six rule nothing out
+
+
+def test_a_rival_is_what_the_odds_cannot_rule_out() -> None:
+    best, close, far = effect("leads", 40.0), effect("gain", 40.0 - math.log(19.0)), effect("glass", 36.9)
+    found = verdict(far, close, best)
+    assert (found.verdict, found.chosen, found.rivals) == (AMBIGUOUS, best, (close,))
+    assert verdict(far, best).verdict == MISSING
+
+
+def test_what_adds_only_spare_parameters_is_no_rival() -> None:
+    best = effect("dielectric loss", 40.0, eps33=8.0)
+    more = effect("complex piezoelectric constant", 39.0, eps33=7.0, e33=0.4)
+    assert verdict(best, more).verdict == MISSING
+    # Its own parameter is not consistent with nothing: it says something else.
+    assert verdict(best, replace(more, away={"eps33": 7.0, "e33": 3.0})).verdict == AMBIGUOUS
+    assert verdict(best, effect("leads", 39.0, resistance=0.1)).verdict == AMBIGUOUS
+
+
+def test_two_effects_have_to_earn_a_share_each() -> None:
+    single = effect("leads", 40.0, resistance=9.0)
+    pair = Evidence("leads and gain", NOTHING.log_evidence + 40.0, ("leads", "gain"),
+                    away={"resistance": 9.0, "gain": 5.0})
+    both = verdict(single, replace(pair, log_evidence=single.log_evidence + SHARE + math.log(2.0) + math.log(21.0)))
+    assert (both.verdict, both.chosen.effects) == (MISSING, ("leads", "gain"))
+    assert verdict(single, replace(pair, log_evidence=single.log_evidence + 1.0)).chosen == single
+
+
+def test_what_the_catalogue_does_not_have_is_unexplained() -> None:
+    outside = Evidence("something in the substrate", NOTHING.log_evidence + 60.0, outside=True)
+    found = verdict(effect("leads", 50.0), outside)
+    assert (found.verdict, found.chosen) == (UNEXPLAINED, outside)
+    # It is a rival of an effect like any other.
+    assert verdict(effect("leads", 61.0), outside).verdict == AMBIGUOUS
+    assert verdict(effect("leads", 70.0), outside).verdict == MISSING
+
+
+@pytest.mark.parametrize(("changed", "others", "before", "after"), [
+    (Criteria(accepted=100.0), (effect("leads", SHARE + math.log(50.0)),), MISSING, HINT),
+    (Criteria(hinted=10.0), (effect("leads", SHARE + math.log(5.0)),), HINT, EXPLAINED),
+    (Criteria(rival=2.0), (effect("leads", 40.0), effect("gain", 39.0)), AMBIGUOUS, MISSING),
+    (Criteria(nothing_wrong=0.99), (effect("leads", SHARE + math.log(50.0)),), MISSING, EXPLAINED),
+    (Criteria(spare=0.5), (effect("a", 40.0, x=9.0), effect("b", 39.0, x=9.0, y=1.0)), MISSING, AMBIGUOUS),
+])
+def test_every_criterion_changes_a_verdict(
+    changed: Criteria, others: tuple[Evidence, ...], before: str, after: str
+) -> None:
+    assert verdict(*others).verdict == before
+    assert verdict(*others, criteria=changed).verdict == after
+
+
+@pytest.mark.parametrize("wrong", [
+    {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"spare": 0.0}])
+def test_criteria_that_decide_nothing_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"odds above zero|between 0 and 1"):
+        Criteria(**wrong)
+
+
+def test_evidences_without_the_one_that_nothing_is_wrong_are_refused() -> None:
+    with pytest.raises(ValueError, match="received 0 evidences that nothing is wrong"):
+        decide((effect("leads", 1.0),), COUNT, stated_explains=False)
+    with pytest.raises(ValueError, match="2 of single hypotheses; expected one, and at most 1"):
+        decide((NOTHING, effect("leads", 1.0), effect("gain", 1.0)), 1, stated_explains=False)

@@ -1,0 +1,87 @@
+"""The evidence of a linearised problem against what it is an approximation of: averages over all parameters."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from workbench.diagnosis.evidence import Linearised, occam_factor, over_scales
+
+Real = NDArray[np.float64]
+
+
+def problem(below: float = 3.0, above: float = 5.0, slope: float = 1.0) -> tuple[Linearised, dict[str, Real]]:
+    """One parameter with a prior of deviation 0.5, one anywhere between -below and above, and two deviations."""
+    random = np.random.default_rng(4)
+    tangents = random.standard_normal((30, 2)) * [1.0, slope]
+    residual = random.standard_normal(30) + 0.4 * tangents[:, 0] - 0.3 * tangents[:, 1]
+    deviations = random.standard_normal((30, 2))
+    made = Linearised.of(tangents, residual, deviations, precision=np.diag([4.0, 0.0]), offset=np.array([0.1, 0.0]),
+                         widths=np.array([np.nan, below + above]), below=np.array([9.0, below]),
+                         above=np.array([9.0, above]))
+    return made, {"tangents": tangents, "residual": residual, "deviations": deviations}
+
+
+def averaged_by_brute_force(data: dict[str, Real], scales: Real, below: float, above: float) -> float:
+    """The same on a grid: ln of the likelihood averaged over the prior of one parameter and the range of the other.
+
+    Relative to the normalisation of white noise of unit size, as :class:`Linearised` is.
+    """
+    covariance = np.eye(30) + data["deviations"] @ np.diag(scales**2) @ data["deviations"].T
+    inverse, log_determinant = np.linalg.inv(covariance), np.linalg.slogdet(covariance)[1]
+    # Steps from x; the first parameter's prior has its centre 0.1 below.
+    first, second = np.linspace(-3.0, 3.0, 1201), np.linspace(-below, above, 4001)
+    prior = -0.5 * (2.0 * (first + 0.1)) ** 2 + math.log(2.0 / math.sqrt(2.0 * math.pi))
+    tangents = data["tangents"]
+    gram, along = tangents.T @ inverse @ tangents, tangents.T @ inverse @ data["residual"]
+    square = (data["residual"] @ inverse @ data["residual"] + 2.0 * (first[:, None] * along[0] + second * along[1])
+              + gram[0, 0] * first[:, None] ** 2 + 2.0 * gram[0, 1] * first[:, None] * second + gram[1, 1] * second**2)
+    weights = math.log(first[1] - first[0]) + math.log((second[1] - second[0]) / (below + above))
+    return float(logsumexp(-0.5 * (square + log_determinant) + prior[:, None]) + weights)
+
+
+@pytest.mark.parametrize("scales", [[0.0, 0.0], [0.3, 0.0], [1.0, 2.0]])
+def test_a_linear_problem_is_averaged_exactly(scales: list[float]) -> None:
+    made, data = problem()
+    found = made.averaged(np.array(scales))
+    # The range is many standard deviations to both sides: the grid alone is off, by less than 1e-4.
+    assert found.log_evidence == pytest.approx(averaged_by_brute_force(data, np.array(scales), 3.0, 5.0), abs=1e-3)
+
+
+def test_a_range_that_ends_at_the_optimum_is_cut_off_there() -> None:
+    """The optimum lies beyond the bound, which is as close as ten thousandths."""
+    made, data = problem(below=5.0, above=1e-4)
+    step = made.averaged(np.zeros(2)).step
+    assert step[1] == 0.0  # it would be +0.3: held
+    assert made.averaged(np.zeros(2)).log_evidence == pytest.approx(
+        averaged_by_brute_force(data, np.zeros(2), 5.0, 1e-4), abs=0.02)
+
+
+def test_a_parameter_that_the_data_do_not_see_costs_nothing() -> None:
+    made, data = problem(slope=1e-3)
+    assert made.averaged(np.zeros(2)).log_evidence == pytest.approx(
+        averaged_by_brute_force(data, np.zeros(2), 3.0, 5.0), abs=0.05)
+
+
+def test_scales_are_averaged_over_and_the_best_is_told() -> None:
+    made, data = problem()
+    settings = [np.array([scale, 0.0]) for scale in (0.01, 0.3, 10.0)]
+    worth, best, average = over_scales(made, settings)
+    each = [averaged_by_brute_force(data, setting, 3.0, 5.0) for setting in settings]
+    assert worth == pytest.approx(float(logsumexp(each) - math.log(3.0)), abs=1e-3)
+    assert best == int(np.argmax(each))
+    assert average.log_evidence == pytest.approx(max(each), abs=1e-3)
+
+
+def test_the_occam_factor_is_that_of_a_gaussian_in_a_box() -> None:
+    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
+    widths = np.array([10.0, 20.0])
+    # The volume of the box over that of the posterior: 1 over its density's peak times the box.
+    peak = multivariate_normal(cov=covariance).logpdf([0.0, 0.0])
+    assert occam_factor(covariance, widths) == pytest.approx(2.0 * (peak + math.log(200.0)), rel=1e-12)
+    assert occam_factor(1e6 * covariance, widths) == pytest.approx(0.0)

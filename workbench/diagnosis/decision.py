@@ -1,0 +1,98 @@
+"""One decision: from the evidence of every hypothesis to a verdict, by posterior odds alone.
+
+Before the recordings, nothing is wrong with the probability that the criteria state; the rest is shared equally among
+the single hypotheses, of the catalogue and outside of it, and two effects at once have the product of their shares.
+States held out enter as data do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from scipy.special import logsumexp
+
+from workbench.diagnosis.odds import Criteria
+
+#: The verdicts.
+NO_MISMATCH, EXPLAINED, HINT = "no_mismatch", "parameters_explain", "below_detection"
+MISSING, AMBIGUOUS, UNEXPLAINED = "missing_physics", "ambiguous", "unexplained"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the recordings say of one hypothesis.
+
+    ``effects`` of the catalogue that it has, none where nothing is wrong; ``outside`` whether it says that the
+    catalogue does not have it; ``log_evidence`` natural, of all recordings, up to what all hypotheses share; ``away``
+    how many standard deviations each parameter that it moves is from where nothing is wrong, by name.
+    """
+
+    name: str
+    log_evidence: float
+    effects: tuple[str, ...] = ()
+    outside: bool = False
+    away: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def is_nothing(self) -> bool:
+        return not self.effects and not self.outside
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A verdict, the hypothesis it names (that nothing is wrong, if none), and what cannot be ruled out.
+
+    ``rivals`` best first; ``log_odds`` posterior, of every hypothesis against nothing being wrong, by name.
+    """
+
+    verdict: str
+    chosen: Evidence
+    rivals: tuple[Evidence, ...]
+    log_odds: Mapping[str, float]
+
+
+def decide(
+    evidences: Sequence[Evidence], hypotheses: int, *, stated_explains: bool, criteria: Criteria | None = None
+) -> Decision:
+    """The verdict on some evidences, of which one is that nothing is wrong.
+
+    Args:
+        hypotheses: how many single hypotheses there are, whether or not they are among the `evidences`.
+        stated_explains: whether what is stated leaves nothing but noise, with no known parameter moved.
+
+    Raises:
+        ValueError: nothing being wrong is not among them once, or there are more single ones than `hypotheses`.
+    """
+    criteria = criteria or Criteria()
+    nothing = [each for each in evidences if each.is_nothing]
+    single = [each for each in evidences if not each.is_nothing and len(each.effects) < 2]
+    if len(nothing) != 1 or len(single) > hypotheses:
+        raise ValueError(f"received {len(nothing)} evidences that nothing is wrong and {len(single)} of single "
+                         f"hypotheses; expected one, and at most {hypotheses}")
+    share = math.log1p(-criteria.nothing_wrong) - math.log(max(hypotheses, 1))
+    none = math.log(criteria.nothing_wrong) + nothing[0].log_evidence
+    log_odds = {each.name: (0.0 if each.is_nothing else
+                            share * max(len(each.effects), 1) + each.log_evidence - none) for each in evidences}
+    others = sorted((each for each in evidences if not each.is_nothing), key=lambda each: -log_odds[each.name])
+    together = float(logsumexp([log_odds[each.name] for each in others])) if others else -math.inf
+    if together < math.log(criteria.accepted):
+        hint = together > math.log(criteria.hinted)
+        verdict = HINT if hint else NO_MISMATCH if stated_explains else EXPLAINED
+        return Decision(verdict, nothing[0], (), log_odds)
+    best = others[0]
+    rivals = tuple(each for each in (*others[1:], nothing[0])
+                   if log_odds[best.name] - log_odds[each.name] < math.log(criteria.rival)
+                   and not _says_the_same(each, best, criteria.spare))
+    if best.outside:
+        return Decision(UNEXPLAINED, best, rivals, log_odds)
+    return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
+
+
+def _says_the_same(other: Evidence, best: Evidence, spare: float) -> bool:
+    """Whether one explanation is the best one with further parameters that are consistent with nothing."""
+    if not best.away or other.outside or not set(best.away) <= set(other.away):
+        return False
+    return all(abs(other.away[name]) < spare for name in set(other.away) - set(best.away))
