@@ -136,7 +136,7 @@ def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:
         variance = variance * (along[:, None] if axis == 0 else along)
     # The mean of the square of a cosine is a half, of a constant one.
     mean = np.outer(np.where(np.arange(counts[0]) > 0, 0.5, 1.0), np.where(np.arange(counts[1]) > 0, 0.5, 1.0))
-    amplitude = np.sqrt(variance / np.sum(variance * mean))
+    amplitude = np.sqrt(variance / mean / variance.sum())
     kept = variance > LEFT_OUT
     return [((i, j), float(amplitude[i, j])) for i, j in zip(*np.nonzero(kept), strict=True)]
 

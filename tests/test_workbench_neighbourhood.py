@@ -1,0 +1,214 @@
+"""Models for a neighbourhood of parameters, against full solves there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from materials.kinds import Material
+from workbench.diagnosis.inaccuracy import LOSS, MASS, STIFFNESS, cosines, patterns
+from workbench.fitting.objective import Objective, Recording
+from workbench.fitting.parameter import Parameter, parameters
+from workbench.fitting.predict import Predictor
+from workbench.neighbourhood import Neighbourhood, neighbourhood
+from workbench.operators import FullOperators, assemble
+from workbench.physics.surface_load import SurfaceLoad
+from workbench.problem import Problem
+from workbench.solve import solve_full
+from workbench.spectrum import Spectrum
+
+Real = NDArray[np.float64]
+
+PZT, PLA, GEL = "pzt/test", "pla/test", "gel/test"
+GRID = np.linspace(300e3, 450e3, 61)
+CHECKED = GRID[::10]
+#: What is made for, relative to Z.
+TOLERANCE = 1e-5
+MOVES = {f"{PZT}.c33": 2e9, f"{PLA}.shear_modulus": 3e7, f"{PLA}.density": 10.0, f"{GEL}.sound_speed": 20.0}
+
+
+@pytest.fixture(scope="module")
+def chip(stacked: Callable[..., Chip]) -> Chip:
+    return stacked([("transducer", 2e-3, 3e-3, None), ("couplant", 50e-6, 3e-3, None), ("substrate", 1e-3, 3e-3, None)],
+                   band=(300e3, 450e3))
+
+
+@pytest.fixture(scope="module")
+def stack(
+    chip: Chip, reference_materials: Callable[[str], Mapping[str, Material]], meshed: Callable[..., Problem]
+) -> Problem:
+    found = reference_materials("chip_filled")
+    names = {"transducer": PZT, "couplant": GEL, "substrate": PLA}
+    return meshed(chip, {region: replace(found[region], name=name) for region, name in names.items()},
+                  elements_per_wavelength=1.5)
+
+
+@pytest.fixture(scope="module")
+def operators(stack: Problem) -> FullOperators:
+    return assemble(stack.mesh, stack.terms)
+
+
+@pytest.fixture(scope="module")
+def place(stack: Problem, operators: FullOperators) -> Neighbourhood:
+    return neighbourhood(operators, GRID, stack.values, MOVES, tolerance=TOLERANCE)
+
+
+def off(place: Neighbourhood, operators: FullOperators, values: Mapping[str, complex]) -> float:
+    """The largest relative error of Z at the frequencies that are checked."""
+    reduced = place.model.solve(CHECKED, values).impedance
+    return float(np.abs(reduced / solve_full(operators, CHECKED, values).impedance - 1.0).max())
+
+
+def test_the_spectrum_is_that_of_the_full_model(
+    place: Neighbourhood, operators: FullOperators, stack: Problem
+) -> None:
+    """At the centre, and where every parameter has moved to one side or the other.
+
+    There the error is of second order in the moves, a few per cent of a resonance's width each.
+    """
+    assert off(place, operators, stack.values) < TOLERANCE
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), (4, len(MOVES)))
+    for each in signs:
+        moved = {**stack.values, **{name: stack.values[name] + sign * move
+                                    for sign, (name, move) in zip(each, MOVES.items(), strict=True)}}
+        assert off(place, operators, moved) < 100.0 * TOLERANCE
+
+
+def test_less_is_kept_where_less_is_asked_for(operators: FullOperators, stack: Problem, place: Neighbourhood) -> None:
+    coarse = neighbourhood(operators, GRID, stack.values, MOVES, tolerance=1e-3)
+    still = neighbourhood(operators, GRID, stack.values, {}, tolerance=TOLERANCE)
+    assert coarse.model.operators.size < place.model.operators.size
+    assert still.model.operators.size < place.model.operators.size
+    assert TOLERANCE < off(coarse, operators, stack.values) < 1e-3
+
+
+def test_a_corner_is_held_without_a_further_factorisation(
+    place: Neighbourhood, operators: FullOperators, stack: Problem
+) -> None:
+    corner = {**stack.values, f"{GEL}.sound_speed": 0.6 * stack.values[f"{GEL}.sound_speed"],
+              f"{PLA}.shear_modulus": 0.7 * stack.values[f"{PLA}.shear_modulus"]}
+    before = off(place, operators, corner)
+    wider = place.widened([corner], TOLERANCE)
+    assert wider.model.solves == place.model.solves
+    # Three terms of a series that does not converge so far out: what they span does.
+    assert off(wider, operators, corner) < 0.03 * before
+    assert off(wider, operators, stack.values) < TOLERANCE
+
+
+def test_no_corner_no_change(place: Neighbourhood, stack: Problem) -> None:
+    assert place.widened([dict(stack.values)], TOLERANCE) is place
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Objectives on such models
+
+
+NAMES = ("c33", "c33.loss", "couplant.thickness", f"{PLA}.shear_modulus", f"{PLA}.density", "bench.gain")
+
+
+@pytest.fixture(scope="module")
+def wanted(stack: Problem, chip: Chip) -> tuple[Parameter, ...]:
+    return parameters(stack, chip, PZT, NAMES)
+
+
+@pytest.fixture(scope="module")
+def objective(stack: Problem, chip: Chip, wanted: tuple[Parameter, ...]) -> Objective:
+    # A term that is nothing, as hypotheses are.
+    stack = stack.with_terms((SurfaceLoad("electrode_ground", "transducer", "backing"),),
+                             {"backing.normal_impedance": 0.0, "backing.tangential_impedance": 0.0})
+    shifted = {key: 1.02 * value for key, value in stack.values.items()}
+    seen = Spectrum(GRID, Predictor(stack, GRID, tolerance=1e-4)(shifted).impedance)
+    return Objective([Recording("chip", stack, seen, chip)], wanted, tolerance=np.inf)
+
+
+@pytest.fixture(scope="module")
+def x(wanted: tuple[Parameter, ...]) -> Real:
+    return np.array([p.start for p in wanted])
+
+
+def test_only_what_moves_is_held_and_says_the_same(objective: Objective, x: Real) -> None:
+    reach = {p.name: 0.02 * p.scale for p in objective.parameters}
+    only = [0, 1]
+    whole, part = (objective.near(x, reach, TOLERANCE, only=each) for each in (None, only))
+    counts = [len(each.predictors[0].operators.integrals) for each in (whole, part)]
+    assert counts[1] < counts[0]
+    one, other = (each(x, deviation=[0.01], free=only) for each in (whole, part))
+    assert other.vector == pytest.approx(one.vector, rel=1e-7, abs=1e-9)
+    assert other.jacobian[:, only] == pytest.approx(one.jacobian[:, only], rel=1e-6, abs=1e-9 * np.abs(
+        one.jacobian[:, only]).max())
+
+
+def test_every_derivative_is_there_at_one_place(objective: Objective, x: Real) -> None:
+    reach = {p.name: 0.02 * p.scale for p in objective.parameters}
+    whole, part = objective.near(x, reach, TOLERANCE), objective.near(x, reach, TOLERANCE, only=[0])
+    expected = whole(x, deviation=[0.01]).jacobian
+    found = part.with_every(x)(x, deviation=[0.01]).jacobian
+    size = np.abs(expected).max(axis=0)
+    # Quadratic forms of the same states, but for what is left out of them: a millionth.
+    assert (np.abs(found - expected) <= 1e-4 * size).all()
+
+
+def test_a_wider_objective_holds_what_newly_moves(objective: Objective, x: Real) -> None:
+    """A thickness of the couplant that is half of what is stated, of which the models knew nothing."""
+    place = objective.near(x, {}, TOLERANCE, only=[0])
+    corner = x.copy()
+    corner[2] *= 0.5
+    wider = place.widened(x, [corner], TOLERANCE, only=[0, 2])
+    values = wider.settings(corner, 0)[0]
+    full = wider.predictors[0].full(values, CHECKED)
+
+    def error(predicted: Objective) -> float:
+        return float(np.abs(predicted.predict(corner, 0)[2].impedance[::10] / full - 1.0).max())
+
+    # Twice as stiff as the series converges for: 0.7 % beside a sharp resonance.
+    assert error(wider) < min(0.01, 0.1 * error(place))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# What smooth changes within the parts do
+
+
+def test_a_uniform_change_is_that_of_the_constants(objective: Objective, x: Real) -> None:
+    """The first cosine of a region, the same everywhere: all its moduli, or its density, or all its losses at once."""
+    place = objective.near(x, {}, TOLERANCE)
+    found = patterns(place, x)
+    values = {**objective.recordings[0].problem.values, **place.settings(x, 0)[0]}
+    names = tuple(f"{PLA}.{key}" for key in ("bulk_modulus", "shear_modulus", "density"))
+    by = np.conj(place.predict(x, 0)[2].logarithmic_gradient(names) * np.array([values[name] for name in names]))
+    losses = np.conj(place.predict(x, 0)[2].logarithmic_gradient(names[:2])
+                     * np.array([1j * complex(values[name]).imag for name in names[:2]]))
+    weight = cosines(np.array([3e-3, 1e-3]), _length(values))[0][1]
+    for kind, expected in ((STIFFNESS, by[:, :2].sum(axis=1)), (MASS, by[:, 2]), (LOSS, losses.sum(axis=1))):
+        at = list(zip(found.regions, found.kinds, strict=True)).index(("substrate", kind))
+        own = found.columns[: GRID.size, at] + 1j * found.columns[GRID.size :, at]
+        assert own == pytest.approx(weight * expected, abs=1e-6 * np.abs(expected).max())
+
+
+def _length(values: Mapping[str, complex]) -> float:
+    speed = np.sqrt(abs(values[f"{PLA}.shear_modulus"]) / abs(values[f"{PLA}.density"]))
+    return 0.25 * float(speed) / float(np.mean(GRID[[0, -1]]))
+
+
+def test_the_cosines_make_a_field_of_unit_variance_and_that_correlation() -> None:
+    size, length = np.array([5e-3, 1e-3]), 3e-4
+    modes = cosines(size, length)
+    random = np.random.default_rng(0)
+    points = np.array([[2.0e-3, 0.5e-3], [2.3e-3, 0.5e-3], [2.6e-3, 0.5e-3], [4.0e-3, 0.5e-3]])
+    share = points / size
+    shapes = np.array([amplitude * np.cos(np.pi * i * share[:, 0]) * np.cos(np.pi * j * share[:, 1])
+                       for (i, j), amplitude in modes])
+    found = shapes.T @ shapes
+    inside = np.array([amplitude**2 * (0.5 if i else 1.0) * (0.5 if j else 1.0) for (i, j), amplitude in modes])
+    assert inside.sum() == pytest.approx(1.0)
+    # Away from the walls, where a field of cosines has twice the variance; the ripple is that of what is left out.
+    correlation = found / np.sqrt(np.outer(np.diag(found), np.diag(found)))
+    assert correlation[0, 1] == pytest.approx(np.exp(-0.5), abs=0.12)
+    assert correlation[0, 2] == pytest.approx(np.exp(-2.0), abs=0.12)
+    assert abs(correlation[0, 3]) < 0.1
+    samples = random.standard_normal((20_000, len(modes))) @ shapes
+    assert samples.var(axis=0) == pytest.approx(np.diag(found), rel=0.05)
