@@ -108,7 +108,7 @@ class Search:
 
     model: Model
     progress: Progress = lambda _text, _share: None
-    trace: bool = False
+    trace: Callable[[str], None] | None = None
     started: float = field(default_factory=time.perf_counter)
 
     @classmethod
@@ -119,8 +119,8 @@ class Search:
         return made
 
     def say(self, *words: object) -> None:
-        if self.trace:
-            print(f"{time.perf_counter() - self.started:6.1f}", *words, flush=True)
+        if self.trace is not None:
+            self.trace(" ".join([f"{time.perf_counter() - self.started:6.1f}", *map(str, words)]))
 
     @cached_property
     def centre(self) -> Real:

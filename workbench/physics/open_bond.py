@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from operator import mul
 
-from workbench.physics.solid import IsotropicSolid
-from workbench.physics.term import Admissible, Formula, Free, Integral, Term, free_of, times
+from workbench.physics.term import Admissible, Formula, Free, Integral, Term, free_of, isotropic_solid, times
 
 #: Share of the layer's stiffness and mass that stays where it is open, so that there is an equation for what is in the
 #: gap. Of epoxy's 6 GPa air, gamma p_0 = 1.4e5 Pa, would leave 2e-5; ten times as much as here changes nothing.
@@ -70,7 +69,7 @@ class OpenBond(Term):
         edges = sorted({edge for ring in self.rings for edge in (ring.begin, ring.end) if edge < 1.0})
         return tuple(
             replace(integral, coefficient=times(integral.coefficient, self._opened(edge)), beyond=edge, skin=self.skin)
-            for edge in edges for integral in IsotropicSolid(self.region, self.material).integrals()
+            for edge in edges for integral in isotropic_solid(self.region, self.material)
         )
 
     def _opened(self, edge: float) -> Formula:

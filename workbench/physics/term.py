@@ -388,3 +388,22 @@ class Term:
     def fixed(self) -> Mapping[str, float]:
         """Values of what else it needs, by name, that belongs to no material and no dimension and stays as it is."""
         return {}
+
+
+def isotropic_solid(region: str, material: str) -> tuple[Integral, ...]:
+    """The integrals of an isotropic solid in a region: those of its bulk modulus, shear modulus and density."""
+    def of(name: str, *products: Product, scale: float = 1.0, omega_power: int = 0) -> Integral:
+        return Integral(Monomial(scale, omega_power, ((f"{material}.{name}", 1),)), region, products)
+
+    return (
+        of("bulk_modulus", Product("dilatation", "dilatation")),
+        of(
+            "shear_modulus",
+            Product("strain_rr", "strain_rr", 2.0),
+            Product("strain_tt", "strain_tt", 2.0),
+            Product("strain_zz", "strain_zz", 2.0),
+            Product("strain_rz", "strain_rz"),
+            Product("dilatation", "dilatation", -2.0 / 3.0),
+        ),
+        of("density", Product("u_r", "u_r"), Product("u_z", "u_z"), scale=-1.0, omega_power=2),
+    )

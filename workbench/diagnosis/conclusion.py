@@ -1,0 +1,74 @@
+"""From what a search found to its evidences, and the decision on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from workbench.diagnosis.decision import Decision, Evidence, decide
+from workbench.diagnosis.device import Model
+from workbench.diagnosis.inference import Found, Settled
+from workbench.diagnosis.likelihood import Explanation
+
+#: Standard deviations to either side of a 95 % interval.
+DEVIATIONS = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class Conclusion:
+    """A decision, the explanation that it names, and those it cannot rule out."""
+
+    decision: Decision
+    chosen: Settled
+    rivals: tuple[Settled, ...]
+
+
+def conclude(model: Model, found: Found) -> Conclusion:
+    """The decision on what a search found."""
+    evidences = {each.explanation.hypothesis.name: (evidence(model, each), each) for each in found.final}
+    regions = len({region for state in model.campaign.fitted for region in state.materials})
+    decision = decide([both[0] for both in evidences.values()], len(model.effects) + regions + 1,
+                      stated_explains=_is_as_stated(model, found.base.explanation))
+    return Conclusion(decision, evidences[decision.chosen.name][1],
+                      tuple(evidences[each.name][1] for each in decision.rivals))
+
+
+def evidence(model: Model, settled: Settled) -> Evidence:
+    """What the recordings say of an explanation, those held out among them."""
+    found = settled.explanation
+    hypothesis = found.hypothesis
+    away = {}
+    for effect in hypothesis.effects:
+        for name in effect.names:
+            i = model.index(name)
+            error = found.error(i)
+            away[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
+    return Evidence(hypothesis.name, found.log_evidence + settled.held_out,
+                    tuple(effect.name for effect in hypothesis.effects), hypothesis.is_outside, away)
+
+
+def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:
+    """Value, and low and high end of the 95 % interval, of a parameter within what it may be, SI."""
+    i = model.index(name)
+    parameter, value, error = model.parameters[i], float(found.x[i]), found.error(i)
+    return (value, float(max(value - DEVIATIONS * error, parameter.low)),
+            float(min(value + DEVIATIONS * error, parameter.high)))
+
+
+def mismatch(found: Explanation) -> float:
+    """The sum of |ln(Z / Z_measured)|^2 over all fitted states."""
+    return float(sum(np.sum(np.abs(log) ** 2) for log in found.residual.log_ratio))
+
+
+def share(model: Model, base: Explanation, found: Explanation) -> float:
+    """The share of the mismatch that the known parameters leave, beyond noise, that an explanation takes away."""
+    noise = float(sum(2.0 * np.sum(state.noise**2) for state in model.campaign.fitted))
+    before = mismatch(base) - noise
+    return float(np.clip((mismatch(base) - mismatch(found)) / before, 0.0, 1.0)) if before > 0.0 else 0.0
+
+
+def _is_as_stated(model: Model, base: Explanation) -> bool:
+    """Whether no known parameter had to leave what is stated, in units of what is known of it."""
+    moved = [(float(base.x[i]) - p.start) / p.prior for i, p in enumerate(model.parameters[:model.known]) if p.prior]
+    return float(np.sum(np.square(moved))) < 1.0
