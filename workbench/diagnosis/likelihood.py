@@ -214,8 +214,11 @@ class Likelihood:
         return problem, settings, data
 
     def _term(self, hypothesis: Hypothesis, tangents: Real, x: Real) -> Real:
-        """What an error of a hypothesis' own terms does (m, k): of each parameter, along the band, state by state."""
-        own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
+        """What an error of a hypothesis' own terms does (m, k): of each parameter, along the band, state by state.
+
+        What only moves a number that the model has already brings no term, and no error of one.
+        """
+        own = [self.model.index(name) for effect in hypothesis.effects if effect.terms for name in effect.names]
         if not own:
             return np.zeros((self.noise.size, 0))
         moved = x[own] - np.array([self.model.parameters[i].start for i in own])
