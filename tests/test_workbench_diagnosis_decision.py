@@ -75,6 +75,46 @@ def test_what_adds_only_spare_parameters_is_no_rival() -> None:
     assert verdict(best, effect("leads", 39.0, resistance=0.1)).verdict == AMBIGUOUS
 
 
+def test_of_those_that_say_the_same_the_one_that_says_least_is_named() -> None:
+    least, more = effect("leads", 40.0, resistance=8.0), effect("leads and clips", 40.5, resistance=8.0, clips=1.0)
+    found = verdict(more, least)
+    assert (found.verdict, found.chosen, found.rivals) == (MISSING, least, ())
+    # Not where the odds rule it out, and not where the further parameter says something.
+    assert verdict(replace(more, log_evidence=-900.0), least).chosen.name == "leads and clips"
+    assert verdict(replace(more, away={"resistance": 8.0, "clips": 3.0}), least).verdict == AMBIGUOUS
+
+
+def test_two_that_move_the_same_parameters_are_one() -> None:
+    one, other = effect("bond", 40.0, stiffness=8.0), effect("bond again", 40.0, stiffness=8.0)
+    found = verdict(one, other)
+    assert (found.verdict, found.rivals) == (MISSING, ())
+
+
+def test_states_held_out_enter_as_data_do() -> None:
+    one, other = effect("leads", 45.0, resistance=9.0), effect("glass", 40.0, thickness=9.0)
+    assert verdict(one, other).chosen == one
+    predicts = replace(other, held_out=10.0)
+    found = verdict(one, predicts)
+    assert (found.verdict, found.chosen) == (MISSING, predicts)
+    assert found.log_odds["glass"] == pytest.approx(50.0 - SHARE, rel=1e-12)
+    assert verdict(replace(one, held_out=-44.0)).verdict == EXPLAINED
+
+
+def test_a_tie_is_ambiguous_whatever_the_order() -> None:
+    one, other = effect("leads", 40.0, resistance=9.0), effect("glass", 40.0, thickness=9.0)
+    for order in ((one, other), (other, one)):
+        found = verdict(*order)
+        assert (found.verdict, {found.chosen.name, found.rivals[0].name}) == (AMBIGUOUS, {"leads", "glass"})
+
+
+def test_what_needs_a_model_that_is_wrong_is_unexplained_though_nothing_is_named() -> None:
+    left = replace(NOTHING, accuracy=0.03)
+    for gained in (1.0, SHARE + math.log(5.0)):
+        found = decide((left, effect("leads", gained)), COUNT, stated_explains=False)
+        assert (found.verdict, found.chosen, found.rivals) == (UNEXPLAINED, left, ())
+    assert decide((left, effect("leads", 40.0)), COUNT, stated_explains=False).verdict == MISSING
+
+
 def test_two_effects_have_to_earn_a_share_each() -> None:
     single = effect("leads", 40.0, resistance=9.0)
     pair = Evidence("leads and gain", NOTHING.log_evidence + 40.0, ("leads", "gain"),
@@ -107,10 +147,17 @@ def test_every_criterion_changes_a_verdict(
     assert verdict(*others, criteria=changed).verdict == after
 
 
+def test_the_accuracy_a_model_may_have_changes_a_verdict() -> None:
+    left = replace(NOTHING, accuracy=0.03)
+    assert decide((left,), COUNT, stated_explains=False).verdict == UNEXPLAINED
+    assert decide((left,), COUNT, stated_explains=False, criteria=Criteria(inaccurate=0.05)).verdict == EXPLAINED
+
+
 @pytest.mark.parametrize("wrong", [
-    {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"spare": 0.0}])
+    {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"spare": 0.0}, {"inaccurate": 0.0},
+    {"at_odds": 0.0}])
 def test_criteria_that_decide_nothing_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"odds above zero|between 0 and 1"):
+    with pytest.raises(ValueError, match=r"odds above zero|between 0 and 1|uncertainties above zero"):
         Criteria(**wrong)
 
 

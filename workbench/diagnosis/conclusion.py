@@ -10,6 +10,7 @@ from workbench.diagnosis.decision import Decision, Evidence, decide
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.inference import Found, Settled
 from workbench.diagnosis.likelihood import Explanation
+from workbench.diagnosis.odds import Criteria
 
 #: Standard deviations to either side of a 95 % interval.
 DEVIATIONS = 1.96
@@ -24,12 +25,12 @@ class Conclusion:
     rivals: tuple[Settled, ...]
 
 
-def conclude(model: Model, found: Found) -> Conclusion:
+def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Conclusion:
     """The decision on what a search found."""
     evidences = {each.explanation.hypothesis.name: (evidence(model, each), each) for each in found.final}
     regions = len({region for state in model.campaign.fitted for region in state.materials})
     decision = decide([both[0] for both in evidences.values()], len(model.effects) + regions + 1,
-                      stated_explains=_is_as_stated(model, found.base.explanation))
+                      stated_explains=_is_as_stated(model, found.base.explanation), criteria=criteria)
     return Conclusion(decision, evidences[decision.chosen.name][1],
                       tuple(evidences[each.name][1] for each in decision.rivals))
 
@@ -44,8 +45,8 @@ def evidence(model: Model, settled: Settled) -> Evidence:
             i = model.index(name)
             error = found.error(i)
             away[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
-    return Evidence(hypothesis.name, found.log_evidence + settled.held_out,
-                    tuple(effect.name for effect in hypothesis.effects), hypothesis.is_outside, away)
+    return Evidence(hypothesis.name, found.log_evidence, tuple(effect.name for effect in hypothesis.effects),
+                    hypothesis.is_outside, away, settled.held_out, found.accuracy)
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:

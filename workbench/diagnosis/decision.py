@@ -19,6 +19,7 @@ from workbench.diagnosis.odds import Criteria
 #: The verdicts.
 NO_MISMATCH, EXPLAINED, HINT = "no_mismatch", "parameters_explain", "below_detection"
 MISSING, AMBIGUOUS, UNEXPLAINED = "missing_physics", "ambiguous", "unexplained"
+VERDICTS = (NO_MISMATCH, EXPLAINED, HINT, MISSING, AMBIGUOUS, UNEXPLAINED)
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,10 @@ class Evidence:
     """What the recordings say of one hypothesis.
 
     ``effects`` of the catalogue that it has, none where nothing is wrong; ``outside`` whether it says that the
-    catalogue does not have it; ``log_evidence`` natural, of all recordings, up to what all hypotheses share; ``away``
-    how many standard deviations each parameter that it moves is from where nothing is wrong, by name.
+    catalogue does not have it; ``log_evidence`` natural, of the recordings that were fitted, and ``held_out`` the log
+    of the density that it predicted for the others, both up to what all hypotheses share; ``away`` how many standard
+    deviations each parameter that it moves is from where nothing is wrong, by name; ``accuracy`` of the model that it
+    needs, relative.
     """
 
     name: str
@@ -35,6 +38,13 @@ class Evidence:
     effects: tuple[str, ...] = ()
     outside: bool = False
     away: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    held_out: float = 0.0
+    accuracy: float = 0.0
+
+    @property
+    def of_all(self) -> float:
+        """The log evidence of all recordings."""
+        return self.log_evidence + self.held_out
 
     @property
     def is_nothing(self) -> bool:
@@ -73,19 +83,23 @@ def decide(
         raise ValueError(f"received {len(nothing)} evidences that nothing is wrong and {len(single)} of single "
                          f"hypotheses; expected one, and at most {hypotheses}")
     share = math.log1p(-criteria.nothing_wrong) - math.log(max(hypotheses, 1))
-    none = math.log(criteria.nothing_wrong) + nothing[0].log_evidence
+    none = math.log(criteria.nothing_wrong) + nothing[0].of_all
     log_odds = {each.name: (0.0 if each.is_nothing else
-                            share * max(len(each.effects), 1) + each.log_evidence - none) for each in evidences}
+                            share * max(len(each.effects), 1) + each.of_all - none) for each in evidences}
     others = sorted((each for each in evidences if not each.is_nothing), key=lambda each: -log_odds[each.name])
     together = float(logsumexp([log_odds[each.name] for each in others])) if others else -math.inf
     if together < math.log(criteria.accepted):
         hint = together > math.log(criteria.hinted)
         verdict = HINT if hint else NO_MISMATCH if stated_explains else EXPLAINED
+        if nothing[0].accuracy > criteria.inaccurate:
+            verdict = UNEXPLAINED
         return Decision(verdict, nothing[0], (), log_odds)
-    best = others[0]
-    rivals = tuple(each for each in (*others[1:], nothing[0])
-                   if log_odds[best.name] - log_odds[each.name] < math.log(criteria.rival)
-                   and not _says_the_same(each, best, criteria.spare))
+    close = [each for each in (*others, nothing[0])
+             if log_odds[others[0].name] - log_odds[each.name] < math.log(criteria.rival)]
+    # Of those that say the same, the one that says least.
+    best = min((each for each in close if each is others[0] or _says_the_same(others[0], each, criteria.spare)),
+               key=lambda each: len(each.away))
+    rivals = tuple(each for each in close if each is not best and not _says_the_same(each, best, criteria.spare))
     if best.outside:
         return Decision(UNEXPLAINED, best, rivals, log_odds)
     return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)

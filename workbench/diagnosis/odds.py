@@ -1,4 +1,4 @@
-"""The criteria of a verdict: all the numbers that a decision rests on, in odds."""
+"""The criteria of a verdict: all the numbers that a decision rests on, and when a parameter counts as moved."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ class Criteria:
         nothing_wrong: prior probability that nothing is.
         spare: standard deviations from nothing within which a further parameter is spare: an explanation that has the
             best one's parameters, and beside these only spare ones, says the same.
+        inaccurate: accuracy of the model, relative changes of stiffness, mass and loss, beyond which what is left is no
+            inaccuracy: nothing being wrong does not explain it then. No part is a per cent different from place to
+            place. Doubled, mismatches twice as large pass for inaccuracy.
+        at_odds: standard uncertainties from what is known of it beyond which a parameter is at odds with that: of a
+            hundred parameters, one in twenty campaigns. Doubled, mistakes that campaigns state are not mentioned.
     """
 
     accepted: float = 20.0
@@ -25,11 +30,15 @@ class Criteria:
     rival: float = 20.0
     nothing_wrong: float = 0.5
     spare: float = 2.0
+    inaccurate: float = 0.01
+    at_odds: float = 3.5
 
     def __post_init__(self) -> None:
         if not (self.accepted >= self.hinted > 0.0 and self.rival > 1.0 and self.spare > 0.0):
             raise ValueError(f"{self}: odds above zero, of a hint at most those of what is accepted, of a rival above "
                              "1")
+        if not (self.inaccurate > 0.0 and self.at_odds > 0.0):
+            raise ValueError(f"{self}: an accuracy and standard uncertainties above zero")
         if not 0.0 < self.nothing_wrong < 1.0:
             raise ValueError(f"a prior probability of {self.nothing_wrong:g} that nothing is wrong must lie between 0 "
                              "and 1")

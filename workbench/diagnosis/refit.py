@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.score import Score, Tangents, columns, occam_factor
+from workbench.diagnosis.state import StateFit as StateFit
+from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.search import NO_END, Search, Weighted
-from workbench.fitting.uncertainty import DEVIATIONS, correlation_length
+from workbench.fitting.uncertainty import DEVIATIONS
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -61,19 +63,6 @@ SHARES = (1.0, 0.1, 0.0)
 
 #: It begins no closer to the end of its range than this share of it.
 AT_END = 1e-4
-
-@dataclass(frozen=True, eq=False)
-class StateFit:
-    """One state under one hypothesis: reduced chi-square, rms of ln(Z / Z_measured), and how far residuals correlate.
-
-    ``correlation`` is the number of neighbouring points that carry the information of one; ``impedance`` (n,) ohm.
-    """
-
-    name: str
-    reduced: float
-    rms: float
-    correlation: float
-    impedance: Complex
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,11 +331,6 @@ def checked(model: Model, fit: Refit) -> tuple[float, float]:
     off = max(float(np.abs(was.impedance / now.impedance - 1.0).max())
               for was, now in zip(fit.states, there.states, strict=True))
     return there.reduced, off
-
-
-def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> StateFit:
-    return StateFit(name, float(np.mean(np.abs(log / noise) ** 2) / 2.0), float(np.sqrt(np.mean(np.abs(log) ** 2))),
-                    correlation_length(log / noise), impedance)
 
 
 def predicted(model: Model, fit: Refit) -> tuple[StateFit, ...]:

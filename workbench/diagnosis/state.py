@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY, TRANSDUCER
@@ -16,9 +17,13 @@ from materials.registry import Registry
 from workbench.files.errors import InputError
 from workbench.files.tables import Table
 from workbench.fitting.prepare import check_device, in_band
+from workbench.fitting.uncertainty import correlation_length
 from workbench.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
 from workbench.spectrum import Spectrum
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 #: What a campaign says of a state; ``known`` is read with what it says of the others.
 STATE_KEYS = ("chip", "state", "recording", "drive", "temperature", "band", "noise", "held_out", "columns", "known")
@@ -57,6 +62,25 @@ class DeviceState:
         """What fills the cavity, if it is a fluid."""
         found = self.materials.get(CAVITY)
         return found if isinstance(found, Fluid) else None
+
+
+@dataclass(frozen=True, eq=False)
+class StateFit:
+    """One state under one hypothesis: reduced chi-square, rms of ln(Z / Z_measured), and how far residuals correlate.
+
+    ``correlation`` is the number of neighbouring points that carry the information of one; ``impedance`` (n,) ohm.
+    """
+
+    name: str
+    reduced: float
+    rms: float
+    correlation: float
+    impedance: Complex
+
+
+def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> StateFit:
+    return StateFit(name, float(np.mean(np.abs(log / noise) ** 2) / 2.0), float(np.sqrt(np.mean(np.abs(log) ** 2))),
+                    correlation_length(log / noise), impedance)
 
 
 def read_state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceState:

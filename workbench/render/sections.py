@@ -31,6 +31,10 @@ _DOTS_PER_INCH = 160
 #: Points of the raster along each side of a dot, whose mean it is: edges and thin layers are smooth.
 _POINTS = 2
 _OUTLINE = "#303030"
+#: Regions that are pointed at, and all others.
+_MARKED, _UNMARKED = "#d55e00", "#eeeeee"
+#: A region thinner than this share of the section's height is pointed at by an arrow too.
+_THIN = 0.02
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,36 @@ def draw_cells(mesh: NodalMesh, values: FloatArray, path: Path, *, label: str, t
     _show(axes, window, cell_raster(mesh, values, *_raster_points(window)), limits=limits, colours=PLAIN_COLOURS)
     _outline(axes, mesh)
     _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=label)
+    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+
+
+def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: str) -> Path:
+    """The regions in pale grey, those that are `marked` in colour. Writes `path`.
+
+    Raises:
+        ValueError: a marked region is none of the mesh.
+    """
+    from matplotlib.patches import Patch
+
+    for name in marked:
+        if name not in mesh.regions:
+            raise ValueError(f"no region {name!r} to mark; expected one of {', '.join(mesh.regions)}")
+    window = _window(mesh.points)
+    figure, axes, bar = _frame(window, title=title)
+    colours = [_MARKED if name in marked else _UNMARKED for name in mesh.regions]
+    _show(axes, window, cell_raster(mesh, mesh.region, *_raster_points(window)), limits=(0.0, len(colours) - 1.0),
+          colours=colours)
+    _outline(axes, mesh)
+    for name in marked:
+        points = mesh.points[mesh.nodes_of([name])] * 1e3
+        low, high = points[:, 1].min(), points[:, 1].max()
+        if high - low < _THIN * 1e3 * (window.top - window.bottom):
+            axes.annotate(name, (points[:, 0].max(), 0.5 * (low + high)), (-4, 14), textcoords="offset points",
+                          ha="right", fontsize=11, color=_MARKED, arrowprops={"arrowstyle": "->", "color": _MARKED})
+    bar.axis("off")
+    bar.legend(handles=[Patch(facecolor=_MARKED, label=", ".join(marked) or "nothing"),
+                        Patch(facecolor=_UNMARKED, edgecolor=_OUTLINE, linewidth=0.5, label="all else")],
+               loc="center", ncols=2, frameon=False, fontsize=10)
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 

@@ -1,0 +1,228 @@
+"""What a decision comes to in words, shares, a record and a report, without a solver."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from workbench.commands import diagnosis_report
+from workbench.diagnosis.appraisal import established, located
+from workbench.diagnosis.archive import record
+from workbench.diagnosis.conclusion import Conclusion
+from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
+from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.inference import Found, Settled
+from workbench.diagnosis.knowledge import Taken
+from workbench.diagnosis.likelihood import Explanation, Hypothesis
+from workbench.diagnosis.odds import Criteria
+from workbench.diagnosis.outcome import Diagnosis, Established, Estimate, Left, Place
+from workbench.diagnosis.state import state_fit
+from workbench.fitting.parameter import Parameter
+from workbench.physics.term import Admissible
+from workbench.spectrum import Spectrum
+
+FREQUENCY = np.linspace(0.9e6, 1.1e6, 201)
+NOISE = np.full(201, 0.002)
+LEADS = Effect("leads", "bench", "bench", "leads that are longer than stated", (
+    Parameter("bench.series_resistance", 0.0, -0.3, 5.0, None, "ohm"),
+    Parameter("bench.series_inductance", 0.0, -1e-7, 2e-6, None, "H")))
+GLASS = Effect("shear modulus of glass", "superstrate", "stiffness", "another glass", (
+    Parameter("glass.shear_modulus", 26e9, 20e9, 30e9, 1e9, "Pa"),),
+    admissible={"glass.shear_modulus": Admissible(20e9, 30e9, "Pa", "any glass")})
+PARAMETERS = (*LEADS.parameters, *GLASS.parameters)
+NOTHING = Evidence("nothing", 0.0)
+
+
+def impedance(off: float = 0.0) -> Any:
+    """A resonator of Q 100 at 1 MHz, times exp(off)."""
+    detuned = FREQUENCY / 1e6 - 1e6 / FREQUENCY
+    return math.exp(off) * 10.0 * (1.0 + 100j * detuned)
+
+
+def state(name: str) -> Any:
+    return SimpleNamespace(name=name, measured=Spectrum(FREQUENCY, impedance()), noise=NOISE)
+
+
+def explanation(*effects: Effect, off: float = 0.0, region: str = "") -> Explanation:
+    """One that leaves the same `off` of ln Z at every point of the one fitted state."""
+    log = np.full(FREQUENCY.size, off + 0j)
+    residual: Any = SimpleNamespace(log_ratio=(log,), impedance=(impedance(off),), vector=np.full(402, off / 0.002))
+    x = np.array([0.15, 60e-9, 25e9])
+    return Explanation(Hypothesis(effects, region), x, (0, 1, 2), np.diag([0.01, 2e-9, 1e8]) ** 2, 0.0, 0.001, 0.0, 0.0,
+                       residual, 0.0)
+
+
+def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Settled:
+    return Settled(explanation(*effects, off=off, region=region), (), 0.0, (impedance(off),))
+
+
+def campaign() -> Any:
+    return SimpleNamespace(name="device", fitted=(state("empty"),), held_out=(state("filled"),), tied={}, known={},
+                           taken=(Taken("couplant.thickness", 1e-6, "m", "campaign.toml"),))
+
+
+def model() -> Any:
+    return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, whole=SimpleNamespace(solves=7),
+                           index=[p.name for p in PARAMETERS].index,
+                           fitted=SimpleNamespace(refusals=[], recordings=()))
+
+
+def estimate(name: str, value: float, unit: str, stated: float = 0.0, sigmas: float | None = None) -> Estimate:
+    return Estimate(name, value, 0.9 * value, 1.1 * value, unit, stated, sigmas)
+
+
+TOLD = Established(LEADS, (estimate("bench.series_resistance", 0.15, "ohm"),
+                           estimate("bench.series_inductance", 60e-9, "H")), True, 0.97)
+
+
+def diagnosis(verdict: str, chosen: Evidence = NOTHING, rivals: tuple[Evidence, ...] = (), **changed: Any) -> Diagnosis:
+    base = settled(off=0.05)
+    named = settled(LEADS, off=0.003)
+    log_odds = {"nothing": 0.0, "leads": 6.0, **{each.name: 5.0 for each in rivals}, **changed.pop("log_odds", {})}
+    found = Found(base, (named, base), (), changed.pop("undone", ()))
+    told = (TOLD,) if chosen.effects else ()
+    device = model()
+    fits = {key: tuple(state_fit(name, np.log(impedance(off) / impedance()), impedance(off), NOISE)
+                       for name in ("empty", "filled"))
+            for key, off in (("stated", 0.3), ("base", 0.04), ("best", 0.003))}
+    return replace(Diagnosis(
+        device, found, Conclusion(Decision(verdict, chosen, rivals, log_odds), named if told else base,
+                                  (settled(GLASS),) * len(rivals)),
+        Criteria(), fits["stated"], fits["base"], fits["best"] if told else fits["base"], told,
+        Left(0.003, 0.0028, 0.001, 0.0015, ""), (Place("bond", "anything", 1.0, (), 0.5),),
+        (estimate("pla.density", 1180.0, "kg/m^3", 1150.0, 2.5),), (), (), (), 12.0), **changed)
+
+
+def test_the_headline_says_what_is_established_in_shown_units_and_its_share() -> None:
+    assert diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",))).headline == (
+        "Leads: series resistance 0.15 ohm and series inductance 60 nH; this explains 97 % of the mismatch.")
+
+
+def test_the_headline_of_every_other_verdict() -> None:
+    leads, glass = Evidence("leads", 9.0, ("leads",)), Evidence("shear modulus of glass", 8.0, (GLASS.name,))
+    left = ("0.3 % of Z is left (rms); noise is 0.28 %, and changes of 0.1 % within parts, the accuracy of the model, "
+            "may make 0.15 %")
+    said = {
+        "ambiguous": diagnosis("ambiguous", leads, (glass,)),
+        "no_mismatch": diagnosis("no_mismatch"), "parameters_explain": diagnosis("parameters_explain"),
+        "below_detection": diagnosis("below_detection", log_odds={"leads": math.log(5.0)}),
+        "unexplained": diagnosis("unexplained", Evidence("something in the bond", 9.0, outside=True),
+                                 log_odds={"something in the bond": 9.0}),
+    }
+    assert {name: found.headline for name, found in said.items()} == {
+        "ambiguous": "Leads: series resistance 0.15 ohm and series inductance 60 nH; this explains 97 % of the "
+                     "mismatch, but shear modulus of glass would too.",
+        "no_mismatch": f"The model as stated explains the recordings: {left}.",
+        "parameters_explain": f"The known parameters, within what is known of them, explain the recordings: {left}; "
+                              "pla.density moves most, by +2.5 standard uncertainties.",
+        "below_detection": "Something may be missing, leads most likely, at odds of 5: not enough to name a cause.",
+        "unexplained": f"Nothing in the catalogue explains what is left: {left}; it looks like something in the bond.",
+    }
+    assert {*said, "missing_physics"} == set(VERDICTS)
+    assert diagnosis("unexplained").headline.endswith("may make 0.15 %.")
+    with pytest.raises(ValueError, match="verdict 'guilty': expected one of no_mismatch"):
+        _ = diagnosis("guilty").headline
+
+
+def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at() -> None:
+    glass = Evidence("shear modulus of glass", 8.0, (GLASS.name,))
+    found = diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,), undone=("pairs of effects",), known=(
+        estimate("pla.density", 1180.0, "kg/m^3", 1150.0, -3.6), estimate("bond.thickness", 9e-6, "m", 1e-5, 3.4)),
+        established=(replace(TOLD, admissible=False),), left=Left(0.004, 0.0028, 0.001, 0.0015, "bond"))
+    text = "\n".join(found.findings)
+    assert "it looks like something in the bond." in text
+    assert "A parameter of leads lies outside what is admissible" in text
+    assert "The recordings cannot rule out shear modulus of glass: odds of 2.7 against it." in text
+    assert "at odds with what is known: pla.density -3.6." in text
+    assert "filled, held out: a reduced chi-square of 200 by the known parameters, 1.12 with what was found." in text
+    assert text.endswith("Not looked at: pairs of effects.")
+    # Twice as far is asked for: nothing is at odds.
+    assert not replace(found, criteria=Criteria(at_odds=7.0)).at_odds
+
+
+def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
+    base, single, pair = settled(off=0.05), settled(LEADS, off=0.02), settled(LEADS, GLASS, off=0.01)
+    found = established(model(), Found(base, (pair, single, base), ()), pair.explanation)
+    # Of |ln Z|^2 less what noise makes of it, 2 s^2 a point.
+    whole = 0.05**2 - 2 * 0.002**2
+    assert [each.effect.name for each in found] == ["leads", GLASS.name]
+    assert [each.share for each in found] == [pytest.approx((0.05**2 - 0.02**2) / whole, rel=1e-12),
+                                              pytest.approx((0.02**2 - 0.01**2) / whole, rel=1e-12)]
+    assert found[1].estimates[0] == Estimate("glass.shear_modulus", 25e9, pytest.approx(25e9 - 1.96e8),
+                                             pytest.approx(25e9 + 1.96e8), "Pa", 26e9, -1.0)
+    assert found[1].admissible
+    limits = {"glass.shear_modulus": Admissible(26e9, 30e9, "Pa", "this glass")}
+    outside = replace(GLASS, admissible=limits)
+    assert not established(model(), Found(base, (base,), ()), explanation(outside))[0].admissible
+
+
+def test_regions_that_the_search_settled_come_first() -> None:
+    likelihood: Any = SimpleNamespace(
+        weighed=lambda hypothesis, _x, _level: ({"bond": 4.0, "cavity": 9.0}.get(hypothesis.region, 1.0), None),
+        anything=SimpleNamespace(regions=("bond", "cavity", "bond")), strongest_modes=lambda *_of: ())
+    base = settled()
+    assert [(place.region, place.evidence) for place in located(likelihood, base.explanation, Found(base, (base,), ()))
+            ] == [("cavity", 8.0), ("bond", 3.0)]
+    beside = settled(region="bond")
+    found = Found(base, (replace(beside, explanation=replace(beside.explanation, log_evidence=2.0)), base), ())
+    places = located(likelihood, base.explanation, found)
+    told = [(place.region, place.evidence, place.sigmas) for place in places]
+    assert told == [("bond", 2.0, 2.0), ("cavity", 8.0, 4.0)]
+
+
+def test_the_record_keeps_its_keys_and_is_json() -> None:
+    glass = Evidence("shear modulus of glass", 8.0, (GLASS.name,))
+    found = record(diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,)))
+    assert set(found) >= {
+        "campaign", "verdict", "effects", "moved_parameters", "rivals", "location", "before", "known_parameters_only",
+        "after", "held_out", "next_measurement", "detection_limits", "scores", "refits", "findings", "seconds",
+        "full_solves", "left", "taken", "undone", "headline", "accuracy"}
+    again = json.loads(json.dumps(found, allow_nan=False))
+    assert again["effects"][0]["share"] == 0.97
+    assert again["effects"][0]["parameters"]["bench.series_inductance"]["unit"] == "H"
+    assert again["rivals"] == [{"effects": [GLASS.name], "name": GLASS.name, "behind": 1.0, "parameters": {
+        "glass.shear_modulus": [25e9, pytest.approx(25e9 - 1.96e8), pytest.approx(25e9 + 1.96e8)]}}]
+    held = again["held_out"]["filled"]["after"]
+    assert held["reduced_chi_square"] == pytest.approx(0.003**2 / 0.002**2 / 2, rel=1e-9)
+    assert again["before"]["empty"]["rms_log_residual"] == pytest.approx(0.3, rel=1e-9)
+    assert (again["accuracy"], again["taken"][0]["source"]) == (0.001, "campaign.toml")
+
+
+def test_summary_and_dataset_hold_what_was_found() -> None:
+    found = diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",)))
+    rows = {row[0]: row[1] for row in found.summary().rows}
+    assert (rows["verdict"], rows["bench.series_inductance"]) == ("missing physics", "60 (54 to 66) nH")
+    data = found.to_xarray()
+    assert data["rms_log_residual"].sel(stage="effects", state="filled").item() == pytest.approx(0.003, rel=1e-9)
+    assert data.attrs == {"verdict": "missing_physics", "effects": "leads"}
+
+
+@pytest.mark.parametrize("chosen", [NOTHING, Evidence("leads", 9.0, ("leads",))])
+def test_a_diagnosis_is_read_at_80_columns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, chosen: Evidence
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    found = diagnosis("missing_physics" if chosen.effects else "parameters_explain", chosen)
+    diagnosis_report.print_diagnosis(found)
+    said = capsys.readouterr().out
+    assert max(map(len, said.splitlines())) <= 80
+    assert " ".join(said.split()).startswith(found.headline)
+    assert ("0.97" in said or "97 %" in said) == bool(chosen.effects)
+
+
+def test_the_report_begins_with_the_headline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(diagnosis_report, "_pictures", lambda *_of: [])
+    monkeypatch.setattr(diagnosis_report, "origin_table", lambda _origin: "")
+    found = diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",)))
+    page = diagnosis_report.write_diagnosis_report(found, [], tmp_path).read_text()
+    assert page.index(found.headline) < page.index("<table>")
+    # The odds of every hypothesis, from their logarithm, and what was taken as known.
+    assert f"<td>{math.exp(6.0):.3g}</td>" in page
+    assert "<td>couplant.thickness</td><td>0.001</td><td>mm</td><td>campaign.toml</td>" in page

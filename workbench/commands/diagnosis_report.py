@@ -1,0 +1,190 @@
+"""What ``workbench diagnose`` shows of a diagnosis: one page, and a few lines for the terminal."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+from geometry.names import whole
+from workbench.commands.tables import origin_table
+from workbench.commands.terminal import print_line, print_table
+from workbench.diagnosis.archive import Contribution
+from workbench.diagnosis.outcome import Diagnosis, Estimate, spectrum_of
+from workbench.fields import section_nodes
+from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.merit import Figures
+from workbench.report.figures import measured_figures
+from workbench.report.page import Block, Note, Picture, Table, number, write_report
+
+#: Rows of a table of hypotheses, and columns of a terminal whose width is not known.
+LISTED, COLUMNS = 12, 80
+
+
+def print_diagnosis(found: Diagnosis) -> None:
+    """Headline, what is established, what each state leaves, and what to measure next, to standard output."""
+    print_line(_wrapped(found.headline))
+    if found.established:
+        print_table("", established_table(found))
+    print_table("what is left of Z, rms (%)", left_table(found))
+    for text in (*found.findings, found.next_measurement):
+        if text:
+            print_line(_wrapped(text))
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
+
+
+def established_table(found: Diagnosis) -> Table:
+    """Effects with the share they take and their parameters with intervals."""
+    return Table(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(
+        (each.effect.name if k == 0 else "", f"{100.0 * each.share:.3g} %" if k == 0 else "", e.name,
+         number(e.shown[0]), f"{number(e.shown[1])} to {number(e.shown[2])}", shown_unit(e.unit))
+        for each in found.established for k, e in enumerate(each.estimates)))
+
+
+def left_table(found: Diagnosis) -> Table:
+    """Rms of ln(Z / Z_measured) of every state (%): noise, as stated, with the known parameters, with the effects."""
+    held = {state.name for state in found.campaign.held_out}
+    rows = []
+    for state, *fits in zip(found.states, found.stated, found.base, found.best, strict=True):
+        noise = 100.0 * math.sqrt(2.0 * float((state.noise**2).mean()))
+        told = [number(100.0 * fit.rms, 3) for fit in fits]
+        rows.append((state.name + (", held out" if state.name in held else ""), number(noise, 3),
+                     *(told if found.established else told[:2])))
+    columns = ("state", "noise", "as stated", "known parameters", "with what was found")
+    return Table(columns if found.established else columns[:-1], tuple(rows))
+
+
+def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
+    """``report.html``: the headline, what it looks like, what to do next and what was taken as known; then evidence."""
+    first: list[Block] = [Note(found.headline), "\n".join(found.findings)]
+    if found.established:
+        first.append(established_table(found))
+    first += [left_table(found), *_pictures(found, folder)]
+    if found.next_measurement:
+        first.append(Note(f"Next measurement. {found.next_measurement}"))
+    sections: Sequence[tuple[str, Sequence[Block]]] = [
+        ("What was found", first),
+        ("What was taken as known", ["Standard uncertainties, and where they come from; what is not listed is exact.",
+                                     _taken(found)]),
+        ("Odds of the hypotheses", [
+            "Posterior odds against nothing being wrong. Evidences are natural logarithms relative to that.",
+            _odds(found), "What was given up on the way, by its evidence there:", _given_up(found)]),
+        ("Where", ["What anything within one region, or modes that the model does not have, would add to what explains "
+                   "best.", _location(found)]),
+        ("Score test", ["What each hypothesis promises where the known parameters alone explain most; it decides "
+                        "nothing.", _scores(found)]),
+        ("Known parameters", [_known(found.known)]),
+        ("Figures of merit", [_merit(found)]),
+        ("Effects with known constants", [
+            "They are part of the model and never fitted; this is what each changes.",
+            Table(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
+                (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
+                                          for value in (row.f0_change, row.q_change)),
+                 f"{100.0 * row.rms_log_change:.3g}") for row in known))]),
+        ("The recordings", [block for state in found.states
+                            for block in (f"State {state.name}:", origin_table(state.measured.origin))])]
+    return write_report(folder / "report.html", f"Diagnosis: {found.campaign.name}", sections)
+
+
+def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
+    """Every state before and after, a bar of shares, and the section with what is marked on it."""
+    from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
+    from workbench.render.sections import draw_marked
+
+    first, last = ((found.base, found.best) if found.established else (found.stated, found.base))
+    labels = (("known parameters alone", "with what was found") if found.established
+              else ("as stated", "known parameters fitted"))
+    held = {state.name for state in found.campaign.held_out}
+    states = [StatePicture(state.name + (", held out" if state.name in held else ""), state.measured.frequency,
+                           state.measured.impedance, before.impedance, after.impedance, state.noise)
+              for state, before, after in zip(found.states, first, last, strict=True)]
+    pictures: list[Block] = [Picture(draw_states(states, folder / "states.png", before=labels[0], after=labels[1]),
+                                     "Every state as recorded, before and after, and below what is left of it")]
+    if found.established:
+        shares = {each.effect.name: each.share for each in found.established}
+        pictures.append(Picture(draw_shares(shares, folder / "shares.png", title="What explains the mismatch"),
+                                "Of the mismatch that the known parameters leave, beyond noise"))
+    mesh = max((recording.problem.mesh for recording in found.model.fitted.recordings),
+               key=lambda each: each.mesh.t.shape[1])
+    nodes, _ = section_nodes(mesh)
+    marked = [name for name in dict.fromkeys(map(whole, found.where)) if name in nodes.regions]
+    if marked:
+        pictures.append(Picture(draw_marked(nodes, marked, folder / "where.png", title="Where it sits"),
+                                f"The section of the chip, with {' and '.join(marked)} marked"))
+    elif found.where:
+        pictures.append(f"It sits in the {' and the '.join(found.where)}, which the section of the chip does not show.")
+    return pictures
+
+
+def _taken(found: Diagnosis) -> Table:
+    return Table(("parameter", "standard uncertainty", "unit", "from"), tuple(
+        (each.name, number(each.uncertainty * shown_factor(each.unit), 3), shown_unit(each.unit), each.source)
+        for each in found.campaign.taken))
+
+
+def _odds(found: Diagnosis) -> Table:
+    decision, base = found.conclusion.decision, found.found.base
+    rows = []
+    for settled in found.found.final:
+        e = settled.explanation
+        rows.append((decision.log_odds[e.hypothesis.name], (
+            e.hypothesis.name, _power(decision.log_odds[e.hypothesis.name]),
+            f"{e.log_evidence - base.explanation.log_evidence:.1f}", f"{settled.held_out - base.held_out:.1f}",
+            f"{100.0 * e.accuracy:.2g}", "; ".join(f"{p.name} {p.in_words}" for p in found.estimates_of(settled)))))
+    return Table(("hypothesis", "odds", "evidence", "of it by states held out", "accuracy of the model (%)",
+                  "parameters"), tuple(row for _, row in sorted(rows, key=lambda both: -both[0])))
+
+
+def _power(log_odds: float) -> str:
+    """Odds from their natural logarithm."""
+    return f"{math.exp(log_odds):.3g}" if abs(log_odds) < 14.0 else f"10^{log_odds / math.log(10.0):.0f}"
+
+
+def _given_up(found: Diagnosis) -> Table:
+    settled = {each.explanation.hypothesis.name for each in found.found.final}
+    plain = next((each.log_evidence for each in found.found.candidates
+                  if each.hypothesis.name == found.found.base.explanation.hypothesis.name), 0.0)
+    left = [each for each in found.found.candidates if each.hypothesis.name not in settled]
+    return Table(("hypothesis", "evidence"), tuple(
+        (each.hypothesis.name, f"{each.log_evidence - plain:.1f}")
+        for each in sorted(left, key=lambda each: -each.log_evidence)))
+
+
+def _location(found: Diagnosis) -> Table:
+    return Table(("region", "evidence", "sigmas", "where"), tuple(
+        (place.region, f"{place.evidence:.1f}", f"{place.sigmas:.1f}", "; ".join(place.modes))
+        for place in found.location))
+
+
+def _scores(found: Diagnosis) -> Table:
+    return Table(("hypothesis", "where", "kind", "fall of chi-square", "evidence"), tuple(
+        (s.effect.name, s.effect.region, s.effect.kind, f"{s.gain:.1f}", f"{s.evidence:.1f}")
+        for s in found.scores[:LISTED]))
+
+
+def _known(known: Sequence[Estimate]) -> Table:
+    return Table(("known parameter", "stated", "found", "unit", "sigmas"), tuple(
+        (each.name, number(each.shown[3], 5), number(each.shown[0], 5), shown_unit(each.unit),
+         f"{each.sigmas or 0.0:+.2f}") for each in sorted(known, key=lambda each: -abs(each.sigmas or 0.0))))
+
+
+def _merit(found: Diagnosis) -> Table:
+    rows = []
+    for state, stated, base, best in zip(found.states, found.stated, found.base, found.best, strict=True):
+        rows.append((state.name, "measured", *_figures(measured_figures(state.measured)[0]), ""))
+        fits = {"as stated": stated, "known parameters": base}
+        if found.established:
+            fits["with what was found"] = best
+        rows += [(state.name, label, *_figures(measured_figures(spectrum_of(fit, state))[0]), number(fit.reduced, 3))
+                 for label, fit in fits.items()]
+    return Table(("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))
+
+
+def _figures(merit: Figures | None) -> tuple[str, str, str]:
+    if merit is None:
+        return "none", "none", "none"
+    return f"{merit.f0 / 1e3:.3f}", number(merit.z_min), number(merit.q)

@@ -1,0 +1,159 @@
+"""Which measurement would tell the hypotheses that are still alive apart, by the information expected of it.
+
+Hypothesis i, of probability p_i, predicts for n recordings of a state a mean m_i and a covariance C_i: noise, what
+every recording draws anew (clips, gain), how uncertain its parameters are, and what the recordings there are leave open
+of what the model does not get right, or of the region where anything may be. With
+
+    D_ij^2 = (m_i - m_j)^T ((C_i + C_j) / 2)^-1 (m_i - m_j),   I = -sum_i p_i ln sum_j p_j exp(-D_ij^2 / 8),
+
+I is a lower bound of the information about which is true (Kolchinsky and Tracey 2017, Entropy 19, 361), and D_ij^2 / 2
+the logarithm of the odds expected between two. All is linear about what was found.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.diagnosis.device import Model
+from workbench.diagnosis.likelihood import Explanation, Likelihood
+from workbench.diagnosis.modes import columns
+from workbench.fitting.covariance import Covariance
+from workbench.parameter_names import BENCH
+from workbench.physics.softening import DRIVE_SQUARED
+
+Real = NDArray[np.float64]
+
+#: Numbers of recordings that are looked at, and drives, relative to that of a state. More than the last is no plan.
+TIMES, DRIVES = (1, 2, 4, 8, 16, 32, 64), (0.5, 2.0)
+
+#: What open, short and load tell of the bench, as standard uncertainties in SI: clips repeat to 20 mohm, which is 3 nH
+#: at 1 MHz and 0.2 pF against 1 Mohm, and instruments to 0.2 %.
+STANDARDS = {"series_resistance": 0.02, "series_inductance": 3e-9, "parallel_capacitance": 2e-13, "gain": 2e-3,
+             "phase": 2e-3}
+
+#: What takes predictions that a diagnosis does not make.
+NOT_COMPARED = "another temperature of the liquid, a wider band, the states held out"
+
+#: What a hypothesis predicts for so many recordings: a mean (m,), and columns (m, k) of its covariance 1 + C C^T.
+#: Of it, and of what deviates under it.
+Predicted = Callable[[Explanation, Covariance, int], tuple[Real, Real]]
+
+
+@dataclass(frozen=True)
+class Option:
+    """Something to measure: the ``share`` of what is open that doing it once settles, and the ``odds`` expected between
+    the two best hypotheses after ``times`` of it."""
+
+    name: str
+    share: float
+    odds: float
+    times: int
+
+
+def options(likelihood: Likelihood, alive: Sequence[tuple[Explanation, float]], wanted: float) -> list[Option]:
+    """What may be measured, best first, until explanations with their log odds are told apart by odds of `wanted`.
+
+    What the model does not get right is that of a `likelihood`, wherever its place is.
+    """
+    weights = np.exp([odds - max(odds for _, odds in alive) for _, odds in alive])
+    weights /= weights.sum()
+    found = []
+    systematic = [(each, _systematic(likelihood, each)) for each, _ in alive]
+    for name, predicted in _predictions(likelihood, [each for each, _ in alive]):
+        distances = {n: _distances([predicted(*each, n) for each in systematic]) for n in TIMES}
+        settled = weights @ np.log(np.exp(-distances[1] / 8.0) @ weights) / (weights @ np.log(weights))
+        times = next((n for n in TIMES if distances[n][0, 1] > 2.0 * math.log(wanted)), TIMES[-1])
+        odds = math.exp(min(0.5 * float(distances[times][0, 1]), 50.0))
+        found.append(Option(name, max(0.0, float(settled)), odds, times))
+    return sorted(found, key=lambda option: (-option.share, option.times))
+
+
+def in_words(found: Sequence[Option], alive: Sequence[str], wanted: float) -> str:
+    """What to measure next, and what it is expected to tell; empty without options."""
+    if not found:
+        return ""
+    best = found[0]
+    times = "once" if best.times == 1 else f"{best.times} times"
+    short = "" if best.odds >= wanted else f", short of the {wanted:.3g} that would settle it,"
+    odds = f"{best.odds:.3g}" if best.odds < 1e4 else "more than 10000"
+    listed = ", ".join(f"{option.name} {100.0 * option.share:.0f} %" for option in found[:5])
+    return (f"{best.name[0].upper()}{best.name[1:]}, {times}: odds of {odds}{short} are expected between {alive[0]} "
+            f"and {alive[1]}. Of what is open, once settles: {listed}. Not compared: {NOT_COMPARED}.")
+
+
+def _distances(every: Sequence[tuple[Real, Real]]) -> Real:
+    """D_ij^2 (k, k) between predictions."""
+    result = np.zeros((len(every), len(every)))
+    for (i, one), (j, other) in itertools.combinations(enumerate(every), 2):
+        between = Covariance.of(np.column_stack([one[1], other[1]]) / math.sqrt(2.0)).whitened(one[0] - other[0])
+        result[i, j] = result[j, i] = float(between @ between)
+    return result
+
+
+def _systematic(likelihood: Likelihood, found: Explanation) -> Covariance:
+    """What deviates beside the noise under an explanation: within all parts, in its region, and as its modes."""
+    hypothesis, parts = found.hypothesis, [likelihood.columns * found.accuracy]
+    if hypothesis.region and likelihood.anything is not None:
+        parts.append(likelihood.anything.within(hypothesis.region) * found.size)
+    if hypothesis.modes:
+        modes = columns(likelihood.measured, likelihood.places, hypothesis.modes, likelihood.noise.size)
+        parts.append(modes * found.size)
+    return Covariance.of(np.column_stack(parts) / likelihood.noise[:, None])
+
+
+def _predictions(likelihood: Likelihood, alive: Sequence[Explanation]) -> Iterator[tuple[str, Predicted]]:
+    model = likelihood.model
+    for state, rows in zip(model.campaign.fitted, likelihood.places, strict=True):
+        yield f"record {state.name} again", partial(_recorded, model, state.name, rows, 1.0)
+        if state.drive and any(_driven(model, each, state.name) for each in alive):
+            for factor in DRIVES:
+                yield (f"record {state.name} at {2.0 * factor * state.drive:.3g} Vpp",
+                       partial(_recorded, model, state.name, rows, factor))
+    bench = [i for i, p in enumerate(model.parameters) if p.is_bench and not p.offset
+             and p.name.removeprefix(BENCH) in STANDARDS and any(i in each.free for each in alive)]
+    if bench:
+        yield "measure open, short and load of the leads", partial(_bench, model, bench)
+
+
+def _recorded(
+    model: Model, state: str, rows: slice, drive: float, found: Explanation, systematic: Covariance, times: int
+) -> tuple[Real, Real]:
+    """Of a fitted state, its drive times a factor."""
+    tangents, free = found.residual.jacobian[rows], np.array(found.free)
+    is_new = np.array([model.parameters[i].offset and model.parameters[i].recordings == (state,) for i in free])
+    new, own = free[is_new], _driven(model, found, state)
+    # What the recordings there are say of the deviations, and leave open of them.
+    said = systematic.variances / (1.0 + systematic.variances)
+    vector, directions = found.residual.vector, systematic.directions
+    mean = (vector - directions @ (said * (directions.T @ vector)))[rows]
+    # The offsets of the recording there is are not those of the next.
+    mean = mean - tangents[:, new] @ found.x[new]
+    mean = mean + (drive**2 - 1.0) * tangents[:, own] @ (found.x[own] - [model.parameters[i].start for i in own])
+    values, vectors = np.linalg.eigh(found.covariance[np.ix_(~is_new, ~is_new)])
+    uncertain = tangents[:, free[~is_new]] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    same = math.sqrt(times) * np.column_stack([uncertain, directions[rows] * np.sqrt(said)])
+    drawn = tangents[:, new] * np.array([model.parameters[i].prior or 0.0 for i in new])
+    return math.sqrt(times) * mean, np.column_stack([same, drawn])
+
+
+def _driven(model: Model, found: Explanation, state: str) -> list[int]:
+    """Indices of those parameters of an explanation whose effect in a state grows with the square of its drive."""
+    return [model.index(name) for effect in found.hypothesis.effects
+            if any(DRIVE_SQUARED in integral.coefficient.parameters for term in effect.terms.get(state, ())
+                   for integral in term.integrals()) for name in effect.names]
+
+
+def _bench(
+    model: Model, bench: Sequence[int], found: Explanation, _systematic: Covariance, times: int
+) -> tuple[Real, Real]:
+    """Of elements, by their indices, in units of what the standards tell of them."""
+    errors = np.array([STANDARDS[model.parameters[i].name.removeprefix(BENCH)] for i in bench])
+    return (math.sqrt(times) * found.x[list(bench)] / errors,
+            math.sqrt(times) * np.diag([found.error(i) if i in found.free else 0.0 for i in bench]) / errors[:, None])

@@ -1,0 +1,277 @@
+"""What a diagnosis comes to: a verdict, what is established and how much it explains, what is left, what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.conclusion import Conclusion, interval
+from workbench.diagnosis.decision import VERDICTS
+from workbench.diagnosis.device import Model
+from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.inference import Found, Settled
+from workbench.diagnosis.likelihood import Explanation
+from workbench.diagnosis.next_measurement import Option, in_words
+from workbench.diagnosis.odds import Criteria
+from workbench.diagnosis.ranking import Score
+from workbench.diagnosis.state import DeviceState, StateFit
+from workbench.fitting.joint import refused_steps
+from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.notebook import Shown, Summary
+from workbench.spectrum import Origin, Spectrum
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class Estimate(NamedTuple):
+    """A parameter, SI: its ``value``, the ends of its 95 % interval, and what is ``stated``, or was where nothing is
+    wrong; ``sigmas`` it left that by, in standard uncertainties of what is known of it (None if nothing is)."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    stated: float
+    sigmas: float | None
+
+    @property
+    def shown(self) -> tuple[float, float, float, float]:
+        """Value, ends and what is stated in the unit that numbers are shown in."""
+        factor = shown_factor(self.unit)
+        return self.value * factor, self.low * factor, self.high * factor, self.stated * factor
+
+    @property
+    def in_words(self) -> str:
+        """Value and interval in that unit."""
+        value, low, high, _ = self.shown
+        return f"{value:.4g} ({low:.4g} to {high:.4g}) {shown_unit(self.unit)}".strip()
+
+
+@dataclass(frozen=True, eq=False)
+class Established:
+    """An effect, its parameters, whether all of these are ``admissible``, and the ``share`` of the mismatch beyond
+    noise, of what the known parameters leave, that it takes away."""
+
+    effect: Effect
+    estimates: tuple[Estimate, ...]
+    admissible: bool
+    share: float
+
+
+@dataclass(frozen=True)
+class Left:
+    """What an explanation leaves: ``rms`` of ln(Z / Z_measured) over all fitted states, of which ``noise`` is that
+    much; ``accuracy`` of the model, relative changes within parts, which ``allows`` that much; the ``region`` that
+    there is evidence for, empty if for none."""
+
+    rms: float
+    noise: float
+    accuracy: float
+    allows: float
+    region: str
+
+
+class Place(NamedTuple):
+    """A region, or modes, with anything in it: the log ``evidence`` it adds to what explains best, and in sigmas."""
+
+    region: str
+    kind: str
+    sigmas: float
+    modes: tuple[str, ...] = ()
+    evidence: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(Shown):
+    """What was found.
+
+    Of all states, those held out last: ``stated`` as they are stated, ``base`` with the known parameters fitted,
+    ``best`` with what is ``established`` (the base itself if nothing is). ``location`` best first; ``known`` the known
+    parameters, but for those that effects release; ``scores`` of all hypotheses; ``next_options`` what may be measured
+    to tell apart what is ``alive``, best first.
+    """
+
+    model: Model
+    found: Found
+    conclusion: Conclusion
+    criteria: Criteria
+    stated: tuple[StateFit, ...]
+    base: tuple[StateFit, ...]
+    best: tuple[StateFit, ...]
+    established: tuple[Established, ...]
+    left: Left
+    location: tuple[Place, ...]
+    known: tuple[Estimate, ...]
+    scores: tuple[Score, ...]
+    alive: tuple[str, ...]
+    next_options: tuple[Option, ...]
+    seconds: float
+
+    @property
+    def campaign(self) -> Campaign:
+        return self.model.campaign
+
+    @property
+    def verdict(self) -> str:
+        return self.conclusion.decision.verdict
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        return tuple(each.effect for each in self.established)
+
+    @property
+    def share(self) -> float:
+        """The share of the mismatch that all that is established takes away."""
+        return sum(each.share for each in self.established)
+
+    @property
+    def at_odds(self) -> tuple[Estimate, ...]:
+        """The known parameters that left what is known of them, furthest first."""
+        found = [each for each in self.known if abs(each.sigmas or 0.0) > self.criteria.at_odds]
+        return tuple(sorted(found, key=lambda each: -abs(each.sigmas or 0.0)))
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The regions of what is established, or the one that there is evidence for."""
+        found = [name for each in self.effects for name in each.region.split("|")] or [self.left.region]
+        return tuple(dict.fromkeys(filter(None, found)))
+
+    @property
+    def states(self) -> tuple[DeviceState, ...]:
+        return (*self.campaign.fitted, *self.campaign.held_out)
+
+    def estimates_of(self, settled: Settled) -> tuple[Estimate, ...]:
+        """The parameters of an explanation's effects."""
+        effects = settled.explanation.hypothesis.effects
+        return estimates(self.model, settled.explanation, [name for each in effects for name in each.names])
+
+    @property
+    def headline(self) -> str:
+        """The sentence to read first."""
+        decision, left = self.conclusion.decision, self.left
+        match self.verdict:
+            case "missing_physics" | "ambiguous":
+                text = (f"{'; '.join(_in_words(each) for each in self.established)}; this explains "
+                        f"{100.0 * self.share:.3g} % of the mismatch")
+                if decision.rivals:
+                    text += f", but {' or '.join(each.name for each in decision.rivals)} would too"
+            case "no_mismatch":
+                text = f"the model as stated explains the recordings: {_left_in_words(left)}"
+            case "parameters_explain":
+                most = max(self.known, key=lambda each: abs(each.sigmas or 0.0))
+                text = (f"the known parameters, within what is known of them, explain the recordings: "
+                        f"{_left_in_words(left)}; {most.name} moves most, by {most.sigmas:+.1f} standard uncertainties")
+            case "below_detection":
+                name, odds = self._likeliest()
+                text = (f"something may be missing, {name} most likely, at odds of {odds:.2g}: not enough to name a "
+                        "cause")
+            case "unexplained":
+                name = self._likeliest()[0] if decision.chosen.outside else ""
+                text = (f"nothing in the catalogue explains what is left: {_left_in_words(left)}"
+                        + (f"; it looks like {name}" if name else ""))
+            case _:
+                raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
+        return f"{text[0].upper()}{text[1:]}."
+
+    def _likeliest(self) -> tuple[str, float]:
+        """The hypothesis that something is wrong with the best odds against nothing, and these."""
+        others = {name: odds for name, odds in self.conclusion.decision.log_odds.items()
+                  if name != self.found.base.explanation.hypothesis.name}
+        name = max(others, key=lambda each: others[each])
+        return name, math.exp(min(others[name], 50.0))
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What else is to be said, one sentence each."""
+        decision, result = self.conclusion.decision, []
+        if self.established:
+            result.append(f"Beside that, {_left_in_words(self.left)}"
+                          + (f"; it looks like something in the {self.left.region}." if self.left.region else "."))
+        result += [f"{each.effect.name} takes {100.0 * each.share:.3g} % of the mismatch."
+                   for each in self.established if len(self.established) > 1]
+        result += [f"A parameter of {each.effect.name} lies outside what is admissible: the sign of another cause."
+                   for each in self.established if not each.admissible]
+        result += [f"The recordings cannot rule out {each.name}: odds of "
+                   f"{math.exp(decision.log_odds[decision.chosen.name] - decision.log_odds[each.name]):.2g} against it."
+                   for each in decision.rivals]
+        if self.at_odds:
+            told = ", ".join(f"{each.name} {each.sigmas:+.1f}" for each in self.at_odds)
+            result.append(f"In standard uncertainties, at odds with what is known: {told}.")
+        count = len(self.campaign.fitted)
+        result += [f"{after.name}, held out: a reduced chi-square of {before.reduced:.3g} by the known parameters"
+                   + (f", {after.reduced:.3g} with what was found." if self.established else ".")
+                   for before, after in zip(self.base[count:], self.best[count:], strict=True)]
+        result += [f"{name} stands for {' and '.join(others)} too, which are as long."
+                   for name, others in self.campaign.tied.items() if name in self.campaign.known]
+        result += [f"Not looked at: {text}." for text in self.found.undone]
+        return (*result, *refused_steps(self.model.fitted.refusals))
+
+    @property
+    def next_measurement(self) -> str:
+        """What to measure next and what it is expected to tell; empty where nothing is open."""
+        return in_words(self.next_options, self.alive, self.criteria.rival)
+
+    def summary(self) -> Summary:
+        """Headline, effects with their numbers, and findings, for a notebook."""
+        rows = [("verdict", self.verdict.replace("_", " ")), ("", self.headline)]
+        rows += [(each.name, each.in_words) for every in self.established for each in every.estimates]
+        rows += [("finding", text) for text in self.findings]
+        rows += [("next", self.next_measurement)] if self.next_measurement else []
+        measured = {f"{state.name}, measured": state.measured for state in self.campaign.fitted}
+        fitted = {f"{state.name}, fitted": spectrum_of(fit, state)
+                  for fit, state in zip(self.best, self.campaign.fitted, strict=False)}
+        return Summary(f"Diagnosis: {self.campaign.name}", tuple(rows), {**measured, **fitted}, tuple(measured))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """rms of ln(Z / Z_measured) and reduced chi-square over ``state``, those held out last, and ``stage``.
+
+        Stages: as stated, with the known parameters fitted, with the effects that are established.
+        """
+        import xarray
+
+        stages = {"stated": self.stated, "known parameters": self.base, "effects": self.best}
+        both = {name: (("stage", "state"), np.array([[getattr(fit, key) for fit in fits] for fits in stages.values()]))
+                for name, key in (("rms_log_residual", "rms"), ("reduced_chi_square", "reduced"))}
+        return xarray.Dataset(both, {"stage": list(stages), "state": [state.name for state in self.states]},
+                              {"verdict": self.verdict, "effects": ", ".join(each.name for each in self.effects)})
+
+
+def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[Estimate, ...]:
+    """Parameters by their names, as an explanation has them."""
+    of = {name: model.parameters[model.index(name)] for name in names}
+    return tuple(Estimate(name, *interval(model, found, name), p.unit, p.start, None if p.prior is None else
+                          (float(found.x[model.index(name)]) - p.start) / p.prior) for name, p in of.items())
+
+
+def spectrum_of(fit: StateFit, state: DeviceState) -> Spectrum:
+    """The spectrum of a state as it was fitted."""
+    return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
+
+
+def _in_words(found: Established) -> str:
+    """An effect with the values of its parameters."""
+    told = [f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
+            + (f" (stated: {each.shown[3]:.3g})" if each.stated else "") for each in found.estimates]
+    return f"{found.effect.name}: {_listed(told)}"
+
+
+def _short(name: str) -> str:
+    """What of a thing a parameter is, in words."""
+    return name.partition(".")[2].replace(".", " ").replace("_", " ") or name
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _left_in_words(left: Left) -> str:
+    return (f"{100.0 * left.rms:.2g} % of Z is left (rms); noise is {100.0 * left.noise:.2g} %, and changes of "
+            f"{100.0 * left.accuracy:.2g} % within parts, the accuracy of the model, may make "
+            f"{100.0 * left.allows:.2g} %")

@@ -1,0 +1,118 @@
+"""What a diagnosis found, at a glance: every state before and after, and what share of the mismatch each part takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.render.canvas import OTHER_COLOUR, new_figure, save
+from workbench.render.plots import LINE_COLOURS, tidy
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+#: States side by side, and the size of each in inches.
+_ACROSS, _WIDTH, _HEIGHT = 3, 4.4, 3.9
+_AFTER, _BEFORE = LINE_COLOURS[:2]
+
+
+@dataclass(frozen=True, eq=False)
+class StatePicture:
+    """A state as ``measured`` and as explained ``before`` and ``after``: impedances (n,) ohm at ``frequency`` (n,) Hz;
+    ``noise`` (n,) of a point, relative."""
+
+    name: str
+    frequency: NDArray[np.float64]
+    measured: NDArray[np.complex128]
+    before: NDArray[np.complex128]
+    after: NDArray[np.complex128]
+    noise: NDArray[np.float64]
+
+
+def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, after: str) -> Path:
+    """|Z| of every state over what is left of ln Z, both with what `before` and `after` name. Writes `path`.
+
+    Raises:
+        ValueError: no states.
+    """
+    if not states:
+        raise ValueError("no states to draw")
+    across = min(_ACROSS, len(states))
+    down = math.ceil(len(states) / across)
+    figure = new_figure(_WIDTH * across, _HEIGHT * down + 0.5)
+    outer = figure.add_gridspec(down, across, hspace=0.32, wspace=0.22, top=1.0 - 0.85 / (_HEIGHT * down + 0.5),
+                                bottom=0.5 / (_HEIGHT * down + 0.5), left=0.75 / (_WIDTH * across),
+                                right=1.0 - 0.15 / (_WIDTH * across))
+    handles: list[Artist] = []
+    for index, state in enumerate(states):
+        row, column = divmod(index, across)
+        inner = outer[row, column].subgridspec(2, 1, height_ratios=(3, 2), hspace=0.08)
+        upper = figure.add_subplot(inner[0])
+        lower = figure.add_subplot(inner[1], sharex=upper)
+        handles = _draw_state(upper, lower, state)
+        if column == 0:
+            upper.set_ylabel("|Z| (Ω)")
+            lower.set_ylabel("left of Z (%)")
+        if index + across >= len(states):
+            lower.set_xlabel("frequency (MHz)")
+    figure.legend(handles, ["measured", before, after, "noise, two standard deviations"], loc="upper center", ncols=4,
+                  frameon=False)
+    return save(figure, path)
+
+
+def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
+    """One state into axes for |Z| and for what is left; what a legend shows of it."""
+    megahertz = state.frequency / 1e6
+    dots, = upper.plot(megahertz, np.abs(state.measured), linestyle="", marker="o", markersize=2.5, color="#555555",
+                       alpha=0.5, markeredgewidth=0.0)
+    lines = []
+    for impedance, colour, style in ((state.before, _BEFORE, "--"), (state.after, _AFTER, "-")):
+        line, = upper.plot(megahertz, np.abs(impedance), color=colour, linestyle=style, linewidth=1.2)
+        left = 100.0 * np.abs(np.log(impedance / state.measured))
+        lower.plot(megahertz, left, color=colour, linestyle=style, linewidth=0.9)
+        lines.append(line)
+    # Of the two parts of ln Z together, each of that standard deviation.
+    band = lower.fill_between(megahertz, 0.0, 200.0 * math.sqrt(2.0) * state.noise, color="#dddddd")
+    upper.set_yscale("log")
+    upper.set_title(state.name, fontsize=10)
+    upper.tick_params(labelbottom=False)
+    upper.tick_params(which="minor", labelsize=6)
+    lower.set_ylim(bottom=0.0)
+    for axes in (upper, lower):
+        tidy(axes)
+    return [dots, *lines, band]
+
+
+def draw_shares(shares: Mapping[str, float], path: Path, *, title: str) -> Path:
+    """One bar from nothing to all of the mismatch: the share that each name takes, and what is left. Writes `path`.
+
+    Raises:
+        ValueError: a share below zero, or more than all.
+    """
+    if any(share < 0.0 for share in shares.values()) or sum(shares.values()) > 1.0 + 1e-9:
+        raise ValueError(f"shares of {', '.join(f'{name} {share:g}' for name, share in shares.items())}: expected none "
+                         "below 0, and no more than 1 together")
+    parts = {**shares, "not explained": max(1.0 - sum(shares.values()), 0.0)}
+    figure = new_figure(9.0, 1.7)
+    axes = figure.subplots()
+    start = 0.0
+    for index, (name, share) in enumerate(parts.items()):
+        colour = OTHER_COLOUR if name == "not explained" else LINE_COLOURS[index % len(LINE_COLOURS)]
+        axes.barh([0.0], [100.0 * share], left=100.0 * start, color=colour, edgecolor="white", height=0.6,
+                  label=f"{name}: {100.0 * share:.3g} %")
+        start += share
+    axes.set_xlim(0.0, 100.0)
+    axes.set_yticks([])
+    axes.set_xlabel("share of the mismatch beyond noise (%)")
+    axes.set_title(title, fontsize=11)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.72), ncols=2, frameon=False)
+    figure.subplots_adjust(left=0.04, right=0.97, top=0.84, bottom=0.55)
+    return save(figure, path)
