@@ -176,7 +176,7 @@ def test_a_wider_objective_holds_what_newly_moves(objective: Objective, x: Real)
 def test_a_uniform_change_is_that_of_the_constants(objective: Objective, x: Real) -> None:
     """The first cosine of a region, the same everywhere: all its moduli, or its density, or all its losses at once."""
     place = objective.near(x, {}, TOLERANCE)
-    found = patterns(place, x)
+    found, _ = patterns(place, x)
     values = {**objective.recordings[0].problem.values, **place.settings(x, 0)[0]}
     names = tuple(f"{PLA}.{key}" for key in ("bulk_modulus", "shear_modulus", "density"))
     by = np.conj(place.predict(x, 0)[2].logarithmic_gradient(names) * np.array([values[name] for name in names]))

@@ -14,13 +14,13 @@ from workbench.diagnosis.belong import check_assignment
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, share
 from workbench.diagnosis.decision import HINT
+from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.inference import FINE, WIDE, Found, Search, Settled
+from workbench.diagnosis.inference import WIDE, Found, Search, Settled
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Left, Place, estimates
-from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import ACCURACY, Discretisation
@@ -53,21 +53,26 @@ def diagnose(
 
 @one_thread()
 def diagnose_model(
-    model: Model, *, progress: Progress = lambda _text, _share: None, workers: Workers | None = None
+    model: Model, *, progress: Progress = lambda _text, _share: None, workers: Workers | None = None,
+    minutes: float | None = None,
 ) -> Diagnosis:
     """:func:`diagnose` of a model, on one thread: last digits depend on their number."""
     started = time.perf_counter()
-    stated = as_stated(model)
+    search = Search(model, progress, until=None if minutes is None else started + 60.0 * minutes)
+    stated = as_stated(search)
     check_assignment(model.campaign, stated[:len(model.campaign.fitted)])
-    return appraised(model, Search(model, progress).run(workers), stated, started=started)
+    return appraised(model, search.run(workers), stated, criteria=search.criteria, started=started)
 
 
-def as_stated(model: Model) -> tuple[StateFit, ...]:
+def as_stated(search: Search) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
-    whole = model.whole.near(x := np.array([p.start for p in model.parameters]), {}, WIDE, only=())
-    at = {recording.name: index for index, recording in enumerate(whole.recordings)}
-    return tuple(_fit(state, whole.predict(x, at[state.name], ())[0])
-                 for state in (*model.campaign.fitted, *model.campaign.held_out))
+    model, x = search.model, search.centre
+    impedances = search.bare().impedances(x)
+    if model.held_out is not None:
+        held = model.held_out.near(x, {}, WIDE * LEVELS[1], only=())
+        impedances += Likelihood.bare(model, held).impedances(x)
+    return tuple(_fit(state, impedance) for state, impedance in
+                 zip((*model.campaign.fitted, *model.campaign.held_out), impedances, strict=True))
 
 
 def appraised(
@@ -75,20 +80,19 @@ def appraised(
 ) -> Diagnosis:
     """The diagnosis that a search comes to; `stated` as of :func:`as_stated`, `started` (s) when it was begun."""
     criteria = criteria or Criteria()
-    conclusion, base = conclude(model, found, criteria), found.base.explanation
+    conclusion = conclude(model, found, criteria)
     # What is outside the catalogue moves nothing that predicts: the known parameters do.
     settled = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
     best = settled.explanation
-    near = model.fitted.near(best.x, {}, FINE, only=best.free)
-    likelihood = Likelihood.bare(model, near).with_patterns(best.x)
-    location, alive = located(likelihood, best, found), _alive(found, conclusion, criteria)
+    likelihood = Likelihood(model, model.fitted, settled.columns, settled.anything)
+    location, alive = located(settled, found), _alive(found, conclusion, criteria)
     further = options(likelihood, [(each.explanation, odds) for each, odds in alive], criteria.rival) if alive else []
     released = {name for effect in best.hypothesis.effects for name in effect.releases}
     return Diagnosis(
         model, found, conclusion, criteria, stated, _fits(model, found.base), _fits(model, settled),
         established(model, found, best), _left(likelihood, best, location, criteria), location,
         estimates(model, best, [p.name for p in model.parameters[:model.known] if p.name not in released]),
-        found.base.scores or _scores(model, base), tuple(each.explanation.hypothesis.name for each, _ in alive),
+        found.base.scores, tuple(each.explanation.hypothesis.name for each, _ in alive),
         tuple(further), time.perf_counter() - started)
 
 
@@ -107,31 +111,24 @@ def established(model: Model, found: Found, best: Explanation) -> tuple[Establis
     return tuple(result)
 
 
-def located(likelihood: Likelihood, best: Explanation, found: Found) -> tuple[Place, ...]:
+def located(settled: Settled, found: Found) -> tuple[Place, ...]:
     """Regions that may have anything in them, and modes, beside an explanation, by their evidences, best first.
 
-    Those that the search settled come before those that are weighed here.
+    Those that the search settled come before those that were weighed beside it.
     """
-    effects, x = best.hypothesis.effects, best.x
-    none, _ = likelihood.weighed(best.hypothesis, x, 0.0)
-    regions = dict.fromkeys(likelihood.anything.regions) if likelihood.anything is not None else {}
-    every = [Hypothesis(effects, region) for region in regions]
-    if modes := likelihood.strongest_modes(x, best.accuracy):
-        every.append(Hypothesis(effects, modes=modes))
-    worth = {each.name: (each, likelihood.weighed(each, x, 0.0)[0] - none) for each in every}
+    best = settled.explanation
     # What was looked for from a place of its own is known better, and was decided on.
-    settled = {e.hypothesis.name: (e.hypothesis, e.log_evidence - best.log_evidence)
-               for e in (each.explanation for each in found.final)
-               if e.hypothesis.is_outside and e.hypothesis.effects == effects}
-    ordered = [*sorted(settled.items(), key=_evidence),
-               *sorted(((name, each) for name, each in worth.items() if name not in settled), key=_evidence)]
-    return tuple(Place(each.region or "mode", "mode" if each.modes else "anything", math.sqrt(2.0 * max(gained, 0.0)),
-                       tuple(f"{m.frequency / 1e6:.4f} MHz, Q about {m.quality:.0f}" for m in each.modes), gained)
-                 for _, (each, gained) in ordered)
+    first = [(e.hypothesis, e.log_evidence) for e in (each.explanation for each in found.final)
+             if e.hypothesis.is_outside and e.hypothesis.effects == best.hypothesis.effects]
+    names = {each.name for each, _ in first}
+    ordered = [*first, *(each for each in settled.beside if each[0].name not in names)]
+    return tuple(_place(each, worth - best.log_evidence) for each, worth in ordered)
 
 
-def _evidence(entry: tuple[str, tuple[Hypothesis, float]]) -> float:
-    return -entry[1][1]
+def _place(hypothesis: Hypothesis, gained: float) -> Place:
+    modes = tuple(f"{m.frequency / 1e6:.4f} MHz, Q about {m.quality:.0f}" for m in hypothesis.modes)
+    return Place(hypothesis.region or "mode", "mode" if modes else "anything", math.sqrt(2.0 * max(gained, 0.0)), modes,
+                 gained)
 
 
 def _fit(state: DeviceState, impedance: Complex) -> StateFit:
@@ -151,11 +148,6 @@ def _left(likelihood: Likelihood, best: Explanation, location: Sequence[Place], 
                       for each in (likelihood.noise, best.accuracy * likelihood.columns))
     evident = [place.region for place in location[:1] if place.evidence > math.log(criteria.accepted)]
     return Left(math.sqrt(mismatch(best) / count), noise, best.accuracy, allowed, evident[0] if evident else "")
-
-
-def _scores(model: Model, base: Explanation) -> tuple[Score, ...]:
-    near = model.fitted.near(base.x, {}, WIDE, only=base.free)
-    return tuple(ranked(Likelihood.bare(model, near), base.x, base.accuracy))
 
 
 def _alive(found: Found, conclusion: Conclusion, criteria: Criteria) -> list[tuple[Settled, float]]:

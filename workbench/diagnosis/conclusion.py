@@ -28,8 +28,7 @@ class Conclusion:
 def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Conclusion:
     """The decision on what a search found."""
     evidences = {each.explanation.hypothesis.name: (evidence(model, each), each) for each in found.final}
-    regions = len({region for state in model.campaign.fitted for region in state.materials})
-    decision = decide([both[0] for both in evidences.values()], len(model.effects) + regions + 1,
+    decision = decide([both[0] for both in evidences.values()], model.hypotheses,
                       stated_explains=_is_as_stated(model, found.base.explanation), criteria=criteria)
     return Conclusion(decision, evidences[decision.chosen.name][1],
                       tuple(evidences[each.name][1] for each in decision.rivals))

@@ -171,3 +171,5 @@ ACCURACIES = np.logspace(-4.0, -1.5, 11)
 REGION_SIZES = np.logspace(-3.0, 0.0, 7)
 #: A term describes its effect to this share of it.
 TERM = 0.02
+#: An accuracy (relative changes within parts) beyond which what is left is no inaccuracy of the model.
+INACCURATE = 0.005

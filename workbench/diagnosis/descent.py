@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.likelihood import Hypothesis, Likelihood
+from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import NO_END, Optimum
 
@@ -38,6 +38,9 @@ CURVED, SCANS = 10.0, 2
 
 #: Of the ends of one hypothesis so many are followed, of a cost within this of the best: odds of 3000.
 KEPT, WINDOW = 3, 8.0
+
+#: Chi-square relative to noise from which on other basins are looked at.
+EXCESS = 1.5
 
 #: Two optima are one where their parameters differ by less than so many uncertainties.
 ALIKE = 0.3
@@ -138,19 +141,25 @@ def distinct(likelihood: Likelihood, ends: Sequence[Optimum]) -> list[Optimum]:
 class Candidate:
     """A hypothesis where it leads with the data weighing little.
 
-    ``places`` the ends (p,) that are left, best first; ``log_evidence`` and ``errors`` (p,) at the first of them, and
-    ``doubt`` the estimated relative error of Z there.
+    ``places`` the ends (p,) that are left, best first; ``weighed`` at the first of them.
     """
 
     hypothesis: Hypothesis
     places: tuple[Real, ...]
-    log_evidence: float
-    errors: Real
-    doubt: float
+    weighed: Weighed
 
     @property
     def x(self) -> Real:
         return self.places[0]
+
+    @property
+    def log_evidence(self) -> float:
+        return self.weighed.log_evidence
+
+    @property
+    def fits(self) -> bool:
+        """Whether it leaves little more than noise and an accuracy that models have."""
+        return self.weighed.left < EXCESS
 
 
 def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], level: float) -> Candidate | None:
@@ -173,5 +182,4 @@ def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Re
         return None
     ends = distinct(likelihood, ends)
     kept = [end for end in ends if end.cost < ends[0].cost + WINDOW][:KEPT]
-    worth, errors = likelihood.weighed(hypothesis, kept[0].x, level)
-    return Candidate(hypothesis, tuple(end.x for end in kept), worth, errors, kept[0].residual.data.error)
+    return Candidate(hypothesis, tuple(end.x for end in kept), likelihood.weighed(hypothesis, kept[0].x, level))

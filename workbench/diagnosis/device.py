@@ -65,6 +65,11 @@ class Model:
     def _places(self) -> Mapping[str, int]:
         return {p.name: i for i, p in enumerate(self.parameters)}
 
+    @property
+    def hypotheses(self) -> int:
+        """How many single hypotheses there are: of the catalogue, something in any region, and modes."""
+        return len(self.effects) + len({region for state in self.campaign.fitted for region in state.materials}) + 1
+
     def index(self, name: str) -> int:
         """Where the parameter of that name is in :attr:`parameters`."""
         return self._places[name]

@@ -28,13 +28,15 @@ class Average:
     """A linearised problem averaged over its parameters at given scales.
 
     ``log_evidence`` up to what all hypotheses share; ``step`` (p,) to the optimum of the linearised problem;
-    ``covariance`` (p, p) of the posterior; ``occam`` what the ranges of those without a prior cost of it.
+    ``covariance`` (p, p) of the posterior; ``occam`` what the ranges of those without a prior cost of it;
+    ``chi_square`` left there, with what the parameters moved by.
     """
 
     log_evidence: float
     step: Real
     covariance: Real
     occam: float
+    chi_square: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,38 @@ class Linearised:
         square = float(own[p, p] + self.offset @ self.precision @ self.offset)
         return self._integrated(hessian, slope, square, log_determinant)
 
+    def added(self, scales: Real, blocks: Sequence[NDArray[np.int64]], sizes: Real) -> Real:
+        """What each of some `blocks` of further deviations adds to the log evidence at some `sizes`: (blocks, sizes).
+
+        Beside the parameters and the deviations of these `scales` (k,), zero for those of the blocks. A range counts as
+        a normal distribution of its variance.
+        """
+        p = self.offset.size
+        acting = np.flatnonzero(scales)
+        precision = self.precision + np.diag(np.where(np.isnan(self.widths), 0.0, 12.0 / self.widths**2))
+        taken = np.concatenate([np.arange(p), p + 1 + acting])
+        weights = np.concatenate([np.ones(p), scales[acting]])
+        inner = self.gram[np.ix_(taken, taken)] * np.outer(weights, weights)
+        inner[:p, :p] += precision
+        inner[p:, p:] += np.eye(acting.size)
+        unit = 1.0 / np.sqrt(np.diag(inner))
+        factor = np.linalg.cholesky(inner * np.outer(unit, unit))
+        slope = weights * self.gram[taken, p]
+        slope[:p] += self.precision @ self.offset
+        every = p + 1 + np.concatenate([*blocks])
+        right = np.column_stack([weights[:, None] * self.gram[np.ix_(taken, every)], slope])
+        along = scipy.linalg.solve_triangular(factor, unit[:, None] * right, lower=True, check_finite=False)
+        found, start = [], 0
+        for block in blocks:
+            own, rows = along[:, start:start + block.size], p + 1 + block
+            start += block.size
+            gram = self.gram[np.ix_(rows, rows)] - own.T @ own
+            values, vectors = np.linalg.eigh(gram)
+            squares = (vectors.T @ (self.gram[rows, p] - own.T @ along[:, -1])) ** 2
+            ratio = np.outer(sizes**2, np.maximum(values, 0.0))
+            found.append(0.5 * np.sum(np.outer(sizes**2, squares) / (1.0 + ratio) - np.log1p(ratio), axis=1))
+        return np.stack(found)
+
     def _integrated(self, hessian: Real, slope: Real, square: float, log_determinant: float) -> Average:
         ranged = ~np.isnan(self.widths)
         covariance = _inverse(hessian)
@@ -100,7 +134,8 @@ class Linearised:
         known = np.ix_(~ranged, ~ranged)
         learnt = np.linalg.slogdet(hessian[known])[1] - np.linalg.slogdet(self.precision[known])[1]
         chi_square = square + float(slope @ step)
-        return Average(-0.5 * (chi_square + log_determinant + float(learnt)) - occam, step, covariance, occam)
+        worth = -0.5 * (chi_square + log_determinant + float(learnt)) - occam
+        return Average(worth, step, covariance, occam, chi_square)
 
 
 def _inverse(matrix: Real) -> Real:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from geometry.names import whole
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
@@ -32,6 +33,9 @@ Complex = NDArray[np.complex128]
 
 #: What is allowed to differ. A region's own loss differs relative to what it has.
 STIFFNESS, MASS, LOSS = "stiffness", "mass", "loss"
+
+#: Points of a recording that states are made at.
+POINTS = 121
 
 #: Cosines whose amplitude has less than this share of the variance of the first are left out.
 LEFT_OUT = 0.05
@@ -56,9 +60,9 @@ class Patterns:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A recording as predicted: its impedance (n,) ohm, e^{+j w t}, and ``slopes`` (3, cells, n) of :func:`changes`."""
+    """A recording as predicted at n frequencies (Hz): ``slopes`` (3, cells, n) of :func:`changes`."""
 
-    impedance: Complex
+    frequency: Real
     operators: FullOperators
     slopes: Complex
 
@@ -68,41 +72,50 @@ def seen(objective: Objective, x: Real) -> list[Seen]:
     found: list[Seen] = []
     known: list[tuple[Solution, FullOperators, Complex]] = []
     for k in range(len(objective.predictors)):
-        impedance, _, prediction = objective.predict(x, k, ())
+        _, _, prediction = objective.predict(x, k, ())
         same = next((each for each in known if each[0] is prediction.solution), None)
         if same is None:
             operators, states = prediction.full
             same = prediction.solution, operators, changes(operators, states, prediction)
             known.append(same)
-        found.append(Seen(impedance, *same[1:]))
+        found.append(Seen(objective.recordings[k].measured.frequency, *same[1:]))
     return found
 
 
-def patterns(objective: Objective, x: Real, *, absolute_loss: bool = False) -> Patterns:
-    """The :class:`Patterns` at x (p,).
+def patterns(objective: Objective, x: Real) -> tuple[Patterns, Patterns]:
+    """The :class:`Patterns` at x (p,): of what a model does not get right, and of what may be anything.
 
-    Where `absolute_loss`, a loss differs relative to the stiffness: for what may be anything.
+    For these a loss differs relative to the stiffness. States are made at no more than about :data:`POINTS` of the
+    points of a recording, and what lies between follows from a spline.
     """
-    every = seen(objective, x)
-    total = sum(2 * each.impedance.size for each in every)
-    columns: dict[tuple[str, str, int, int], Real] = {}
+    every = seen(objective.thinned(POINTS), x)
+    total = sum(2 * recording.measured.frequency.size for recording in objective.recordings)
+    columns: tuple[dict[tuple[str, str, int, int], Real], ...] = ({}, {})
     start = 0
     for each, recording in zip(every, objective.recordings, strict=True):
-        count = each.impedance.size
-        middle = float(np.mean(recording.measured.frequency[[0, -1]]))
-        for region, kind, mode, slope in _of_recording(each, recording.problem.materials, middle, absolute_loss):
-            column = columns.setdefault((region, kind, *mode), np.zeros(total))
-            column[start:start + count] += slope.real
-            column[start + count:start + 2 * count] += slope.imag
-        start += 2 * count
-    return Patterns(np.stack(list(columns.values()), axis=1), tuple(key[0] for key in columns),
-                    tuple(key[1] for key in columns))
+        frequency = recording.measured.frequency
+        middle = float(np.mean(frequency[[0, -1]]))
+        found = list(_of_recording(each, recording.problem.materials, middle))
+        slopes = np.stack([slope for *_, slope in found], axis=1)
+        if frequency.size > each.frequency.size:
+            slopes = CubicSpline(each.frequency, slopes)(frequency)
+        rows = slice(start, start + 2 * frequency.size)
+        for (region, kind, mode, only, _), slope in zip(found, slopes.T, strict=True):
+            for which, own in enumerate(columns):
+                if only is None or only == bool(which):
+                    column = own.setdefault((region, kind, *mode), np.zeros(total))
+                    column[rows] += np.concatenate([slope.real, slope.imag])
+        start = rows.stop
+    smooth, anything = (Patterns(np.stack(list(own.values()), axis=1), tuple(key[0] for key in own),
+                                 tuple(key[1] for key in own)) for own in columns)
+    return smooth, anything
 
 
 def _of_recording(
-    found: Seen, materials: Mapping[str, Material], frequency: float, absolute_loss: bool
-) -> Iterator[tuple[str, str, tuple[int, int], Complex]]:
-    """Region, kind, number of the cosine and d ln Z (n,) of every pattern of a recording."""
+    found: Seen, materials: Mapping[str, Material], frequency: float
+) -> Iterator[tuple[str, str, tuple[int, int], bool | None, Complex]]:
+    """Region, kind, number of the cosine, whether it belongs to what may be anything (None: to both), and d ln Z (n,)
+    of every pattern of a recording."""
     mesh = found.operators.mesh.mesh
     for region, cells in mesh.subdomains.items():
         # A layer's part of a region, or one that holds nothing in this state.
@@ -117,10 +130,11 @@ def _of_recording(
             shape = weight * np.cos(np.pi * mode[0] * share[0]) * np.cos(np.pi * mode[1] * share[1])
             for number, kind in enumerate((STIFFNESS, MASS, LOSS)):
                 slopes = found.slopes[number, cells]
-                if kind == LOSS and absolute_loss:
-                    slopes = -1j * found.slopes[0, cells]
                 if slopes.any():
-                    yield region, kind, mode, np.conj(shape @ slopes)
+                    slope = np.conj(shape @ slopes)
+                    yield region, kind, mode, False if kind == LOSS else None, slope
+                    if kind == STIFFNESS:
+                        yield region, LOSS, mode, True, 1j * slope
 
 
 def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:

@@ -7,6 +7,7 @@ evidence there is not far behind the best.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.criteria import INACCURATE
 from workbench.diagnosis.descent import (
     LEVELS,
     Candidate,
@@ -29,9 +31,11 @@ from workbench.diagnosis.descent import (
 )
 from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
+from workbench.diagnosis.inaccuracy import Patterns
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
+from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.ranking import Score, ranked
-from workbench.diagnosis.workers import Task, Workers
+from workbench.diagnosis.workers import Workers
 from workbench.discretisation import Discretisation
 from workbench.fitting.objective import Objective
 from workbench.fitting.search import NO_END, Optimum
@@ -41,27 +45,27 @@ T = TypeVar("T")
 Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-#: Error of Z that the first models are made for, within so many uncertainties of what is known, and those about an
-#: optimum, within so many of its standard deviations.
-WIDE, FAR = 3e-4, 1.5
-FINE, NEAR = 3e-5, 2.0
+#: What is done, the name of a method, and what it is given.
+Named = tuple[str, str, tuple[Any, ...]]
+
+#: Error of Z that the first models are made for, and those about an optimum, relative to how far points deviate.
+WIDE, FINE = 0.03, 0.01
+
+#: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
+FAR, NEAR = 1.5, 2.0
 
 #: Of the hypotheses that promise most at any place, so many are tried, if they promise this share of what the best
-#: does, and more than the logarithm of these odds.
-TRIED, SHARE, WORTH = 3, 0.3, 1.0
+#: does.
+TRIED, SHARE = 3, 0.3
 
-#: Descents begin in so many basins.
-BASINS = 4
+#: Descents begin in so many basins, those of a hypothesis at so many of its ends without it.
+BASINS, STARTS = 4, 2
 
 #: Of the hypotheses at one stage so many go on to the next, of log evidences within this of the best: odds of 200000.
 GO_ON, CLOSE = (8, 4), 12.0
 
-#: A further effect is looked for where the best explanation leaves a score of more than this (log odds), and so many
-#: are tried beside it.
-MORE, PAIRED = 3.0, 3
-
-#: What nothing being wrong leaves at more weight, relative to noise, from which on other basins are looked at.
-EXCESS = 1.5
+#: So many are tried beside the best.
+PAIRED = 3
 
 #: Rounds and steps of a fit that is far behind.
 HURRIED = {"rounds": 1, "limit": 8}
@@ -78,14 +82,19 @@ INSIDE = 1e-4
 class Settled:
     """An explanation at its own place, what else would be worth adding, and how well it predicts what was held out.
 
-    ``scores`` of what moves nothing that it does, best first; ``held_out`` the log of the predictive density of the
-    states held out, up to what all hypotheses share; ``seen`` their impedances (n,) ohm.
+    ``scores`` of what moves nothing that it does, best first; ``beside`` what is outside the catalogue beside it, with
+    its log evidence; ``held_out`` the log of the density of the states held out, given the others, up to what all
+    hypotheses share, and ``seen`` their impedances (n,) ohm as predicted from the others alone. ``columns`` (m, k) and
+    ``anything`` as of its likelihood.
     """
 
     explanation: Explanation
     scores: tuple[Score, ...]
+    beside: tuple[tuple[Hypothesis, float], ...]
     held_out: float
     seen: tuple[NDArray[np.complex128], ...]
+    columns: Real
+    anything: Patterns
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,12 +113,20 @@ class Found:
 
 @dataclass(eq=False)
 class Search:
-    """A search as it goes on; :meth:`run` is all of it, with `workers` that each have one of their own."""
+    """A search as it goes on; :meth:`run` is all of it, with workers that each have one of their own.
+
+    It ends early, with what it has by then, where it is interrupted, or `until` (of `time.perf_counter`) has passed.
+    """
 
     model: Model
     progress: Progress = lambda _text, _share: None
     trace: Callable[[str], None] | None = None
+    until: float | None = None
+    criteria: Criteria = field(default_factory=Criteria)
     started: float = field(default_factory=time.perf_counter)
+    interrupted: bool = False
+    undone: list[str] = field(default_factory=list)
+    _workers: Workers | None = None
 
     @classmethod
     def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation, cache: Path | None) -> Search:
@@ -132,9 +149,19 @@ class Search:
         return {p.name: FAR * p.prior for p in self.model.parameters[:self.model.known] if p.prior}
 
     @cached_property
+    def noise(self) -> float:
+        """Relative standard deviation of a point, of the best recording."""
+        return min(float(np.median(state.noise)) for state in self.model.campaign.states)
+
+    @cached_property
+    def least(self) -> float:
+        """Log evidence below which a hypothesis is not worth a look: its odds of being true would be too small."""
+        return math.log(self.criteria.looked_at * self.model.hypotheses)
+
+    @cached_property
     def wide(self) -> Objective:
         """The recordings predicted all over what is known."""
-        return self.model.fitted.near(self.centre, self.known_reach, WIDE, only=range(self.model.known))
+        return self.model.fitted.near(self.centre, self.known_reach, WIDE * LEVELS[1], only=range(self.model.known))
 
     def bare(self) -> Likelihood:
         """Of noise alone, all over what is known."""
@@ -149,71 +176,119 @@ class Search:
 
     _likelihoods: dict[bytes, Likelihood] = field(default_factory=dict)
 
+    @property
+    def is_over(self) -> bool:
+        """Whether there is no time for anything but an end."""
+        return self.interrupted or (self.until is not None and time.perf_counter() > self.until)
+
     def run(self, workers: Workers | None = None) -> Found:
         """The explanations of the recordings.
 
         Raises:
             NotEnriched, MeshError: the device as it is stated cannot be predicted.
         """
-        def work(tasks: Sequence[Task]) -> list[Any]:
-            if workers is None:
-                return [getattr(self, name)(*given) for name, given in tasks]
-            return workers.map(self, tasks)
-
-        nothing, model = Hypothesis(), self.model
-        bare = self.bare()
+        self._workers = workers
+        nothing, bare = Hypothesis(), self.bare()
         self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.wide.predictors) if p.model])
+        self.progress("nothing wrong", 0.1)
         search = bare.search(nothing)
         first = bare.tempered(search, self.centre, LEVELS[0])
         second = bare.tempered(search, first.x, LEVELS[1])
-        worth, errors = self.likelihood(second.x).weighed(nothing, second.x, LEVELS[1])
-        plain = Candidate(nothing, (second.x,), worth, errors, second.residual.data.error)
-        self.say("levels", first.cost, second.cost, worth, self.excess(second))
+        plain = Candidate(nothing, (second.x,), self.likelihood(second.x).weighed(nothing, second.x, LEVELS[1]))
+        self.say("levels", first.cost, second.cost, plain.log_evidence, plain.weighed.accuracy, plain.weighed.left,
+                 plain.weighed.doubt)
         base = None
-        if self.excess(second) < EXCESS:
-            base = self.settled(plain, False, True)
-            if base.scores[0].evidence < WORTH and base.explanation.accuracy < 4e-3:
+        if plain.fits:
+            base = self.settled(plain)
+            if base.scores[0].evidence < self.least and base.explanation.accuracy <= INACCURATE:
                 return Found(base, (base,), ())
+        self.progress("single hypotheses", 0.2)
+        found = self.tried(plain, [first], () if base is None else base.scores)
+        if not any(each.fits for each in (plain, *found)) and not self.is_over:
+            self.progress("other basins", 0.5)
+            plain, further = self.elsewhere(plain, first)
+            found += further
+        best: dict[str, Candidate] = {}
+        for each in sorted(found, key=lambda each: -each.log_evidence):
+            best.setdefault(each.hypothesis.name, each)
+        return self.ended(plain, list(best.values()), base)
+
+    def elsewhere(self, plain: Candidate, first: Optimum) -> tuple[Candidate, list[Candidate]]:
+        """Where nothing being wrong leads from other basins, and the hypotheses from there."""
+        bare = self.bare()
         along = multimodal(bare, first.x)
-        ends = basins(bare, nothing, first.x, {i: within_knowledge(model.parameters[i]) for i in along})[:BASINS]
-        self.say("basins", [model.parameters[i].name for i in along], [round(e.cost, 1) for e in ends])
-        if len(ends) > 1:
-            again = self.onward(followed(self.likelihood(plain.x), nothing, [e.x for e in ends], LEVELS[1]), plain.x)
-            if again is not None and again.log_evidence > plain.log_evidence + 1.0:
-                plain, base = again, None
+        if not along:
+            return plain, []
+        ends = basins(bare, plain.hypothesis, first.x,
+                      {i: within_knowledge(self.model.parameters[i]) for i in along})[:BASINS]
+        self.say("basins", [self.model.parameters[i].name for i in along], [round(e.cost, 1) for e in ends])
+        again = self.onward(followed(self.likelihood(plain.x), plain.hypothesis, [e.x for e in ends], LEVELS[1]),
+                            plain.x)
+        if again is not None and again.log_evidence > plain.log_evidence:
+            plain = again
+        return plain, self.tried(plain, ends, (), along)
+
+    def tried(
+        self, plain: Candidate, ends: Sequence[Optimum], scores: Sequence[Score], along: Sequence[int] = ()
+    ) -> list[Candidate]:
+        """Where those hypotheses lead, with the data weighing more, that promise most at some `ends`, where nothing is
+        wrong, or by other `scores`; and those along whose parameters there are several basins, `along`."""
         at = plain.x
-        *places, last = work([*(("scored", (end.x, LEVELS[0])) for end in ends), ("scored", (at, LEVELS[1]))])
-        chosen = self.chosen([*places, last, *([base.scores] if base else [])], along)
+        *places, last = self.work([*((f"scores {k}", "scored", (end.x, LEVELS[0])) for k, end in enumerate(ends)),
+                                   ("scores", "scored", (at, LEVELS[1]))])
+        chosen = self.chosen([each for each in (*places, last, scores) if each], along)
         self.say("chosen", [effect.name for effect in chosen])
-        little = work([("explain", (effect.name, at, first.x, along, [
-            self.start(effect, end.x, next(s for s in scored if s.effect.name == effect.name))
-            for end, scored in zip(ends, places, strict=True)])) for effect in chosen])
-        promising = _best([found for found in little if found is not None], GO_ON[0], lambda each: each.log_evidence)
-        more = [plain, *(found for found in work([("onward", (candidate, at)) for candidate in promising])
-                         if found is not None)]
+        tasks = [(effect.name, "explain", (effect.name, at, ends[0].x, along, self.starts(effect, ends, places)))
+                 for effect in chosen]
+        *little, outside = self.work([*tasks, ("what is outside the catalogue", "outside", (plain,))])
+        promising = _best([each for each in little if each is not None], GO_ON[0], lambda each: each.log_evidence)
+        more = self.work([(f"{each.hypothesis.name}, further", "onward", (each, at)) for each in promising])
         for candidate in more:
-            self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence, candidate.doubt)
-        more += self.outside(plain)
-        leading = _best(more, GO_ON[1], lambda each: each.log_evidence)
-        asked = [("settled", (candidate, False, candidate is leading[0])) for candidate in leading
-                 if base is None or candidate is not plain]
+            if candidate is not None:
+                self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence,
+                         candidate.weighed.accuracy, candidate.weighed.left, candidate.weighed.doubt)
+        return [each for each in (*more, *(outside or ())) if each is not None]
+
+    def ended(self, plain: Candidate, found: Sequence[Candidate], base: Settled | None) -> Found:
+        """The best of what was found at its own place, alone and with what promises most beside it."""
+        self.progress("the best of them", 0.7)
+        leading = _best([plain, *found], GO_ON[1], lambda each: each.log_evidence)
+        tasks: list[Named] = [(each.hypothesis.name, "settled", (each,)) for each in leading
+                              if each is not plain or base is None]
         if base is None and plain not in leading:
-            asked.append(("settled", (plain, True, False)))
-        final = work(asked)
-        base = base or next(each for each in final if each.explanation.hypothesis.name == nothing.name)
+            tasks.append(("nothing wrong", "settled", (plain, True)))
+        # The first of these are what is said, whatever the time.
+        tasks.sort(key=lambda task: task[2][0] is not leading[0] and task[2][0] is not plain)
+        final = self.work(tasks, must=2)
+        final = [each for each in final if each is not None]
+        base = base or next(each for each in final if each.explanation.hypothesis.name == plain.hypothesis.name)
         final = sorted({id(each): each for each in (base, *final)}.values(), key=_worth)
-        final = sorted([*final, *work(self.pairs(final))], key=_worth)
-        return Found(base, tuple(final), tuple(more))
+        final = sorted([*final, *(each for each in self.work(self.pairs(final)) if each is not None)], key=_worth)
+        return Found(base, tuple(final), (plain, *found), tuple(self.undone))
+
+    def work(self, tasks: Sequence[Named], *, must: int = 0) -> list[Any]:
+        """What every task returns; None for what there was no time for. So many of the first are done in any case."""
+        results: dict[int, Any] = {}
+
+        def is_over(index: int) -> bool:
+            return self.is_over and index >= must
+        try:
+            if self._workers is not None:
+                self._workers.map(self, [task[1:] for task in tasks], results, is_over)
+            else:
+                for index, (_, name, given) in enumerate(tasks):
+                    if not is_over(index):
+                        results[index] = getattr(self, name)(*given)
+        except KeyboardInterrupt:
+            if self.interrupted or must:
+                raise
+            self.interrupted = True
+        self.undone += [task[0] for index, task in enumerate(tasks) if index not in results]
+        return [results.get(index) for index in range(len(tasks))]
 
     def scored(self, x: Real, level: float) -> list[Score]:
         """The scores of all hypotheses at x (p,)."""
         return ranked(self.bare(), x, level)
-
-    def excess(self, end: Optimum) -> float:
-        """What an end leaves where the data weigh more, relative to what noise would leave there."""
-        noise = np.concatenate([np.tile(state.noise, 2) for state in self.model.campaign.fitted])
-        expected = 0.5 * float(np.sum(noise**2 / (noise**2 + LEVELS[1] ** 2)))
-        return end.cost / expected * noise.size / (2 * sum(len(log) for log in end.residual.data.log_ratio))
 
     def chosen(self, scores: Sequence[Sequence[Score]], along: Sequence[int]) -> list[Effect]:
         """The hypotheses that promise most anywhere, and those about a multimodal parameter."""
@@ -221,11 +296,20 @@ class Search:
         for scored in scores:
             self.say("   ", [(round(s.evidence, 1), s.effect.name) for s in scored[:4]])
             for each in scored[:TRIED]:
-                if each.evidence > max(WORTH, SHARE * scored[0].evidence):
+                if each.evidence > max(self.least, SHARE * scored[0].evidence):
                     found.setdefault(each.effect.name, each.effect)
         names = {self.model.parameters[i].name for i in along}
         return [*found.values(), *(effect for effect in self.model.effects
                                    if names & set(effect.names) and effect.name not in found)]
+
+    def starts(self, effect: Effect, ends: Sequence[Optimum], scores: Sequence[Sequence[Score] | None]) -> list[Real]:
+        """Where a hypothesis begins: at those ends where its score promises most, all told."""
+        found = []
+        for end, scored in zip(ends, scores, strict=True):
+            own = next((each for each in scored or () if each.effect.name == effect.name), None)
+            if own is not None:
+                found.append((own.evidence - end.cost, self.start(effect, end.x, own)))
+        return [x for _, x in sorted(found, key=lambda both: -both[0])[:STARTS]]
 
     def start(self, effect: Effect, x: Real, score: Score) -> Real:
         """Where a hypothesis begins at x (p,): with what its score asks for, or its error where that is larger."""
@@ -249,6 +333,8 @@ class Search:
         hypothesis = Hypothesis((effect,))
         own = [model.index(each) for each in effect.names]
         scans = {i: within_range(model.parameters[i]) for i in along if i in own}
+        if not starts:
+            return None
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.centre[own]).sum()))
         on_the_way = [_replaced(self.centre, [i], value) for i, values in scans.items() for value in values[::3]]
         wider = self.likelihood(at).on(self.wider(hypothesis, [largest, *on_the_way]))
@@ -258,7 +344,7 @@ class Search:
             starts = [*starts, *(each.x for each in found[:BASINS])]
         candidate = followed(wider, hypothesis, starts, LEVELS[0])
         if candidate is not None:
-            self.say("   little", hypothesis.name, candidate.log_evidence, candidate.doubt)
+            self.say("   little", hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
         return candidate
 
     def onward(self, candidate: Candidate | None, at: Real) -> Candidate | None:
@@ -269,16 +355,16 @@ class Search:
         if candidate is None:
             return None
         hypothesis, likelihood = candidate.hypothesis, self.likelihood(at)
-        if hypothesis.effects and candidate.doubt < DOUBTED:
+        if hypothesis.effects and candidate.weighed.doubt < DOUBTED:
             likelihood = likelihood.on(self.wider(hypothesis, [candidate.x]))
         for _ in range(PLACES):
-            if candidate.doubt < DOUBTED:
+            if candidate.weighed.doubt < DOUBTED:
                 break
             likelihood = self.about(likelihood, candidate)
             again = followed(likelihood, hypothesis, candidate.places[:1], LEVELS[0])
             if again is None:
                 return None
-            self.say("      renewed", hypothesis.name, candidate.doubt, again.doubt, again.log_evidence)
+            self.say("      renewed", hypothesis.name, candidate.weighed.doubt, again.weighed.doubt)
             candidate = again
         return followed(likelihood, hypothesis, candidate.places, LEVELS[1])
 
@@ -286,7 +372,7 @@ class Search:
         """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
         corners = [_replaced(self.centre, own, place[own]) for place in places]
-        return self.wide.widened(self.centre, corners, WIDE, only=self.moving(hypothesis))
+        return self.wide.widened(self.centre, corners, WIDE * LEVELS[1], only=self.moving(hypothesis))
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of what moves under a hypothesis."""
@@ -299,68 +385,76 @@ class Search:
             for name in effect.names:
                 i = self.model.index(name)
                 reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
-        return likelihood.on(self.model.fitted.near(candidate.x, reach, WIDE, only=self.moving(candidate.hypothesis)))
+        return likelihood.on(self.model.fitted.near(candidate.x, reach, WIDE * LEVELS[1],
+                                                    only=self.moving(candidate.hypothesis)))
 
     def outside(self, plain: Candidate) -> list[Candidate]:
         """What is outside the catalogue, at the end of nothing being wrong: something in a region, or modes."""
-        likelihood = self.likelihood(plain.x)
-        regions = dict.fromkeys(likelihood.anything.regions) if likelihood.anything is not None else {}
-        every = [Hypothesis((), region) for region in regions]
-        modes = likelihood.strongest_modes(plain.x, 1e-3)
-        if modes:
-            every.append(Hypothesis(modes=modes))
-        found = []
-        data = likelihood.data(plain.hypothesis, plain.x, LEVELS[1])
-        for hypothesis in every:
-            worth, errors = likelihood.weighed(hypothesis, plain.x, LEVELS[1], data)
-            found.append(Candidate(hypothesis, plain.places, worth, errors, plain.doubt))
-            self.say("   more", hypothesis.name, worth - plain.log_evidence)
-        return found
+        every = self.likelihood(plain.x).beside(plain.hypothesis, plain.x, LEVELS[1], plain.weighed.accuracy)
+        self.say("   outside", [(round(worth - plain.log_evidence, 1), each.name) for each, worth in every[:4]])
+        return [Candidate(each, plain.places, plain.weighed._replace(log_evidence=worth, left=math.inf))
+                for each, worth in every]
 
-    def settled(self, candidate: Candidate, hurried: bool = False, scored: bool = False) -> Settled:
+    def settled(self, candidate: Candidate, hurried: bool = False) -> Settled:
         """The explanation that a candidate leads to, on models and with patterns of its own place.
 
-        One that is far behind others is `hurried`: how far is all the same. What may be added to it is `scored`.
+        One that is far behind others is `hurried`: how far is all the same.
         """
-        x, errors = candidate.x, candidate.errors
-        fitted, held = ([state.name for state in states]
-                        for states in (self.model.campaign.fitted, self.model.campaign.held_out))
+        hypothesis, x, weighed = candidate.hypothesis, candidate.x, candidate.weighed
+        likelihood, errors = self.bare(), weighed.errors
+        if hypothesis.effects:
+            likelihood = likelihood.on(self.wider(hypothesis, [x]))
+        doubt = weighed.doubt
         for _ in range(1 if hurried else PLACES):
-            reach = {p.name: NEAR * float(error)
-                     for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
-            whole = self.model.whole.near(x, reach, FINE, only=self.moving(candidate.hypothesis))
-            likelihood = Likelihood.bare(self.model, whole.of(fitted)).with_patterns(x)
+            if doubt > TRUSTED:
+                likelihood = likelihood.on(self.near(self.model.fitted, hypothesis, x, errors))
+            likelihood = likelihood.with_patterns(x)
             try:
-                found = likelihood.settled(candidate.hypothesis, x, **(HURRIED if hurried else {}))
+                found = likelihood.settled(hypothesis, x, **(HURRIED if hurried else {}))
             except NO_END:
-                self.say("   NO END", candidate.hypothesis.name)
+                self.say("   NO END", hypothesis.name)
                 raise
             if found.doubt < TRUSTED:
                 break
-            x, errors = found.x, found.spread(x.size)
-        e = found
-        self.say("settled", e.hypothesis.name, e.log_evidence, "accuracy", e.accuracy, "size", e.size, "chi",
-                 float(np.mean(e.residual.vector**2)), "doubt", e.doubt)
-        density, seen = likelihood.predictive(found, whole.of(held)) if held else (0.0, ())
-        scores = tuple(ranked(likelihood, found.x, 0.0, found)) if scored else ()
-        self.say("   beside", e.hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
-        return Settled(found, scores, density, seen)
+            x, errors, doubt = found.x, found.spread(x.size), found.doubt
+        self.say("settled", hypothesis.name, found.log_evidence, *found.scales, "chi",
+                 float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
+        density, seen = 0.0, tuple[NDArray[np.complex128], ...]()
+        if self.model.held_out is not None:
+            held = self.near(self.model.held_out, hypothesis, found.x, found.spread(x.size))
+            seen = tuple(Likelihood.bare(self.model, held).impedances(found.x))
+            # What they add to the evidence, with the optimum of all.
+            whole = Likelihood.bare(self.model, likelihood.objective.joined(held)).with_patterns(found.x)
+            every = whole.settled(hypothesis, found.x, **HURRIED)
+            density = every.log_evidence - found.log_evidence
+            self.say("   with all", density, *every.scales, "doubt", every.doubt)
+        scores = tuple(ranked(likelihood, found.x, 0.0, found)) if len(hypothesis.effects) < 2 else ()
+        self.say("   beside", hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
+        beside = () if hypothesis.is_outside else tuple(likelihood.beside(hypothesis, found.x, 0.0, found.accuracy))
+        assert likelihood.anything is not None
+        return Settled(found, scores, beside, density, seen, likelihood.columns, likelihood.anything)
 
-    def pairs(self, final: Sequence[Settled]) -> list[Task]:
+    def near(self, recordings: Objective, hypothesis: Hypothesis, x: Real, errors: Real) -> Objective:
+        """Recordings predicted about an optimum x (p,) of those standard deviations (p,)."""
+        reach = {p.name: NEAR * float(error)
+                 for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
+        return recordings.near(x, reach, FINE * self.noise, only=self.moving(hypothesis))
+
+    def pairs(self, final: Sequence[Settled]) -> list[Named]:
         """To settle: the best explanation by one effect together with what promises most beside it."""
         singles = [each for each in final if len(each.explanation.hypothesis.effects) == 1]
         if not singles:
             return []
         best = singles[0].explanation
-        tasks: list[Task] = []
+        tasks = []
         for score in singles[0].scores[:PAIRED]:
-            if score.evidence > MORE:
+            if score.evidence > self.least:
                 begin, errors = self.start(score.effect, best.x, score), best.spread(best.x.size)
                 for name, error in zip(score.effect.names, score.error, strict=True):
                     i = self.model.index(name)
                     errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
-                effects = (*best.hypothesis.effects, score.effect)
-                tasks.append(("settled", (Candidate(Hypothesis(effects), (begin,), 0.0, errors, 0.0),)))
+                both = Hypothesis((*best.hypothesis.effects, score.effect))
+                tasks.append((both.name, "settled", (Candidate(both, (begin,), Weighed(0.0, errors, 0.0, 1.0, 0.0)),)))
         return tasks
 
 

@@ -11,21 +11,25 @@ of its own term, whose parameter is right to :data:`~workbench.diagnosis.criteri
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from workbench.diagnosis.criteria import ACCURACIES, REGION_SIZES, TERM
+from workbench.diagnosis.criteria import ACCURACIES, INACCURATE, REGION_SIZES, TERM
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import Average, Linearised, over_scales
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns, patterns
 from workbench.diagnosis.modes import Mode, columns, strongest
+from workbench.diagnosis.state import DeviceState
 from workbench.fitting.covariance import Covariance, principal
 from workbench.fitting.objective import Objective, Residual
 from workbench.fitting.search import Optimum, Search
@@ -69,14 +73,68 @@ class Hypothesis:
         return bool(self.region or self.modes)
 
 
+class Scales(NamedTuple):
+    """How large what deviates beside the noise is: the ``accuracy`` of the model, the ``size`` of what is outside the
+    catalogue, and whether a hypothesis' ``term`` is right to :data:`TERM` only (1), or exact (0)."""
+
+    accuracy: float
+    size: float
+    term: float
+
+
+@dataclass(frozen=True, eq=False)
+class Local:
+    """A problem that is linear near a place: its ``data`` there, the ``settings`` that are averaged over, and the
+    ``counts`` of columns that deviate: of the parts, of what is outside the catalogue, of the term, and further ones.
+    """
+
+    problem: Linearised
+    settings: tuple[Scales, ...]
+    counts: tuple[int, ...]
+    data: Residual
+
+    def _expanded(self, scales: Scales) -> Real:
+        return np.repeat([*scales, 0.0], self.counts)
+
+    def averaged(self, scales: Scales) -> Average:
+        """Over the parameters."""
+        return self.problem.averaged(self._expanded(scales))
+
+    def over_scales(self) -> tuple[float, Scales, Average]:
+        """ln of the mean evidence over all settings, the best of these and what it gives."""
+        worth, best, average = over_scales(self.problem, [self._expanded(each) for each in self.settings])
+        return worth, self.settings[best], average
+
+    def over_blocks(self, blocks: Sequence[NDArray[np.int64]], sizes: Real) -> Real:
+        """The same with each of some blocks of the further columns, of any of these `sizes`: (blocks,)."""
+        every = []
+        for each in self.settings:
+            scales = self._expanded(each)
+            every.append(self.problem.averaged(scales).log_evidence + self.problem.added(scales, blocks, sizes))
+        whole = np.stack(every)
+        return np.asarray(logsumexp(whole, axis=(0, 2)) - math.log(whole.shape[0] * whole.shape[2]))
+
+
+class Weighed(NamedTuple):
+    """What data are worth at a place: ``log_evidence``, the standard deviations ``errors`` (p,), the ``accuracy`` of
+    the model there; chi-square relative to what noise would leave (``left``), with no more than :data:`INACCURATE`; the
+    estimated relative error of Z (``doubt``)."""
+
+    log_evidence: float
+    errors: Real
+    accuracy: float
+    left: float
+    doubt: float
+
+
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """A hypothesis at its optimum.
 
     ``x`` (p,) all parameters; ``free`` the indices of those that move and ``covariance`` of them; ``log_evidence`` up
-    to what all hypotheses share; ``accuracy`` of the model and ``size`` of the changes in its region, both of the
-    largest evidence; ``residual`` the data there, in units of the noise; ``occam`` what the ranges of its parameters
-    cost of the evidence; ``doubt`` the estimated relative error of Z.
+    to what all hypotheses share; ``scales`` of what deviates, of the largest evidence; ``residual`` the data there, in
+    units of the noise; ``occam`` what the ranges of its parameters cost of the evidence; ``doubt`` the estimated
+    relative error of Z.
     """
 
     hypothesis: Hypothesis
@@ -84,11 +142,15 @@ class Explanation:
     free: tuple[int, ...]
     covariance: Real
     log_evidence: float
-    accuracy: float
-    size: float
+    scales: Scales
     occam: float
     residual: Residual
     doubt: float
+
+    @property
+    def accuracy(self) -> float:
+        """Of the model, relative."""
+        return self.scales.accuracy
 
     def error(self, index: int) -> float:
         """Standard deviation of the parameter of that index."""
@@ -118,7 +180,7 @@ class Likelihood:
     @classmethod
     def bare(cls, model: Model, objective: Objective) -> Likelihood:
         """Of noise alone."""
-        return cls(model, objective, np.zeros((sum(2 * s.noise.size for s in model.campaign.fitted), 0)))
+        return cls(model, objective, np.zeros((sum(2 * r.measured.frequency.size for r in objective.recordings), 0)))
 
     def on(self, objective: Objective) -> Likelihood:
         """The same, predicted by other models."""
@@ -126,16 +188,28 @@ class Likelihood:
 
     def with_patterns(self, x: Real) -> Likelihood:
         """The same with what the model does not get right at x (p,)."""
-        whole = patterns(self.objective, x)
+        whole, anything = patterns(self.objective, x)
         sizes = self.noise[:, None] / ACCURACIES[-1]
         directions, lengths = principal(whole.columns / sizes, NEGLIGIBLE)
-        return replace(self, columns=directions * lengths * sizes,
-                       anything=patterns(self.objective, x, absolute_loss=True))
+        return replace(self, columns=directions * lengths * sizes, anything=anything)
+
+    def of(self, names: Sequence[str]) -> Likelihood:
+        """The same of some of the recordings alone."""
+        rows = np.concatenate([np.arange(place.start, place.stop) for place, recording in
+                               zip(self.places, self.objective.recordings, strict=True) if recording.name in names])
+        anything = None if self.anything is None else replace(self.anything, columns=self.anything.columns[rows])
+        return replace(self, objective=self.objective.of(names), columns=self.columns[rows], anything=anything)
+
+    @cached_property
+    def states(self) -> tuple[DeviceState, ...]:
+        """What was recorded."""
+        of = {state.name: state for state in self.model.campaign.states}
+        return tuple(of[recording.name] for recording in self.objective.recordings)
 
     @cached_property
     def noise(self) -> Real:
         """Standard deviation of every datum (m,)."""
-        return np.concatenate([np.tile(state.noise, 2) for state in self.model.campaign.fitted])
+        return np.concatenate([np.tile(state.noise, 2) for state in self.states])
 
     @cached_property
     def measured(self) -> list[Spectrum]:
@@ -148,30 +222,34 @@ class Likelihood:
         ends = np.cumsum([0, *(2 * each.frequency.size for each in self.measured)]).tolist()
         return [slice(low, high) for low, high in pairwise(ends)]
 
-    def strongest_modes(self, x: Real, accuracy: float) -> tuple[Mode, ...]:
-        """The modes that the model seems to lack at x (p,), one at most in every body that was recorded."""
-        search = self.search(Hypothesis())
+    def strongest_modes(self, hypothesis: Hypothesis, x: Real, accuracy: float) -> tuple[Mode, ...]:
+        """The modes that the model seems to lack beside a hypothesis at x (p,), one at most in every body recorded."""
+        search = self.search(hypothesis)
         data = self.objective(x, deviation=self.spreads(), free=frozenset(map(int, search.free)))
         whiten = Covariance.of(self.columns / self.noise[:, None] * accuracy).whitened
         precision = np.diag(search.precision[search.free])
+        # A parameter that nothing is known of may be anything.
         nuisances, _ = np.linalg.qr(np.vstack([whiten(data.jacobian[:, search.free]), precision]))
-        # Whitened, and without what known parameters imitate; the rows of the priors are nothing to a mode.
-        basis = whiten(np.eye(self.noise.size))
-        projected = np.vstack([basis, np.zeros((precision.shape[0], basis.shape[1]))])
-        projected = projected - nuisances @ (nuisances[: self.noise.size].T @ basis)
+        padding = np.zeros((precision.shape[0], 1))
+
+        def project(columns: Real) -> Real:
+            """Whitened, and without what known parameters imitate; the rows of the priors are nothing to a mode."""
+            whole = np.vstack([whiten(columns), np.tile(padding, columns.shape[1])])
+            return np.asarray(whole - nuisances @ (nuisances.T @ whole))
+
         residual = np.concatenate([whiten(data.vector), (x - search.centre)[search.free] * np.diag(precision)])
         residual = residual - nuisances @ (nuisances.T @ residual)
         bodies: dict[object, list[int]] = {}
         for index, predictor in enumerate(self.objective.predictors):
             bodies.setdefault(predictor, []).append(index)
-        return strongest(self.measured, self.places, list(bodies.values()), self.noise, projected.T, residual,
+        return strongest(self.measured, self.places, list(bodies.values()), self.noise, project, residual,
                          REGION_SIZES)
 
     def spreads(self, level: float = 0.0, every: Sequence[int] | None = None) -> list[Real]:
         """Deviations (n,) of every recording's points that weigh less by a further deviation `level`."""
         steps = every or [1] * len(self.objective.recordings)
         return [np.sqrt(state.noise[::step] ** 2 + level**2)
-                for state, step in zip(self.model.campaign.fitted, steps, strict=True)]
+                for state, step in zip(self.states, steps, strict=True)]
 
     def search(self, hypothesis: Hypothesis) -> Search:
         """The least-squares problem under a hypothesis, with noise alone."""
@@ -191,27 +269,27 @@ class Likelihood:
         return search.on(thin).minimise(x, self.spreads(level, every), limit=limit, tolerance=0.01, fixed=fixed)
 
     def linearised(
-        self, hypothesis: Hypothesis, search: Search, x: Real, level: float = 0.0, data: Residual | None = None
-    ) -> tuple[Linearised, list[Real], Residual]:
-        """The problem at x (p,), the settings of the scales that are averaged over, and the `data` there."""
+        self, hypothesis: Hypothesis, search: Search, x: Real, level: float = 0.0, further: Real | None = None
+    ) -> Local:
+        """The problem at x (p,); `further` columns (m, k) that deviate may be there, at a scale of nothing."""
         free = search.free
-        if data is None:
-            data = self.data(hypothesis, x, level)
+        data = self.data(hypothesis, x, level)
         parameters = [self.model.parameters[i] for i in free]
-        general, region, term = self._deviations(hypothesis, data, x, level)
+        deviations = list(self._deviations(hypothesis, data, x, level))
+        deviations += [np.zeros((self.noise.size, 0)) if further is None else further]
         problem = Linearised.of(
-            data.jacobian[:, free], data.vector, np.column_stack([general, region, term]),
+            data.jacobian[:, free], data.vector, np.column_stack(deviations),
             precision=np.diag(search.precision[free] ** 2), offset=(x - search.centre)[free],
             widths=np.array([np.nan if search.precision[i] > 0.0 else p.high - p.low
                              for i, p in zip(free, parameters, strict=True)]),
             below=np.array([x[i] - p.low for i, p in zip(free, parameters, strict=True)]),
             above=np.array([p.high - x[i] for i, p in zip(free, parameters, strict=True)]))
         stated = self.model.campaign.model_accuracy
-        taus = ACCURACIES if stated is None else np.array([stated])
-        sizes = REGION_SIZES if hypothesis.is_outside else np.zeros(1)
-        settings = [np.concatenate([np.full(general.shape[1], tau), np.full(region.shape[1], size),
-                                    np.ones(term.shape[1])]) for tau in taus for size in sizes]
-        return problem, settings, data
+        counts = tuple(each.shape[1] for each in deviations)
+        settings = itertools.product(
+            ACCURACIES if stated is None else (stated,), REGION_SIZES if hypothesis.is_outside else (0.0,),
+            (0.0, 1.0) if counts[2] else (0.0,))
+        return Local(problem, tuple(Scales(*map(float, each)) for each in settings), counts, data)
 
     def _term(self, hypothesis: Hypothesis, tangents: Real, x: Real) -> Real:
         """What an error of a hypothesis' own terms does (m, k): of each parameter, along the band, state by state.
@@ -223,7 +301,7 @@ class Likelihood:
             return np.zeros((self.noise.size, 0))
         moved = x[own] - np.array([self.model.parameters[i].start for i in own])
         whole, columns, start = tangents[:, own] @ moved, [], 0
-        for state in self.model.campaign.fitted:
+        for state in self.states:
             count = state.noise.size
             rows = slice(start, start + 2 * count)
             for wave in range(WAVES):
@@ -237,8 +315,11 @@ class Likelihood:
     def whitening(self, explanation: Explanation) -> Covariance:
         """What deviates beside the noise where an explanation ended."""
         hypothesis, x = explanation.hypothesis, explanation.x
-        general, outside, term = self._deviations(hypothesis, self.data(hypothesis, x), x)
-        return Covariance.of(np.column_stack([general * explanation.accuracy, outside * explanation.size, term]))
+        return self._covariance(self._deviations(hypothesis, self.data(hypothesis, x), x), explanation.scales)
+
+    @staticmethod
+    def _covariance(deviations: Sequence[Real], scales: Scales) -> Covariance:
+        return Covariance.of(np.column_stack([part * size for part, size in zip(deviations, scales, strict=True)]))
 
     def settled(self, hypothesis: Hypothesis, x: Real, *, rounds: int = ROUNDS, limit: int = STEPS) -> Explanation:
         """The optimum of the posterior near x (p,), with all data in full, and the evidence there.
@@ -249,26 +330,23 @@ class Likelihood:
         """
         search = self.search(hypothesis)
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        chosen = -1
-        for _ in range(rounds):
-            problem, settings, data = self.linearised(hypothesis, search, x)
-            worth, best, average = over_scales(problem, settings)
-            if best == chosen:
+        before: Scales | None = None
+        for left in range(rounds, -1, -1):
+            local = self.linearised(hypothesis, search, x)
+            worth, best, average = local.over_scales()
+            if best == before or not left:
                 break
-            chosen = best
+            before = best
             for i, deviation in zip(search.free, np.sqrt(np.diag(average.covariance)), strict=True):
                 if i in own:
                     # What is admissible may be a million times what the data see.
                     width = search.high[i] - search.low[i]
                     search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
-            scales = settings[best]
-            columns = np.column_stack(self._deviations(hypothesis, data, x)) * scales
-            under = search.under(Covariance.of(columns))
+            under = search.under(self._covariance(self._deviations(hypothesis, local.data, x), best))
             x = under.minimise(x, self.spreads(), limit=limit, tolerance=ENOUGH).x
-        else:
-            problem, settings, data = self.linearised(hypothesis, search, x)
-            worth, best, average = over_scales(problem, settings)
-        return self._explanation(hypothesis, search, x, data, worth, settings[best], average)
+        worth -= sum(mode.cost for mode in hypothesis.modes)
+        return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth, best, average.occam,
+                           replace(local.data, predictions=()), local.data.error)
 
     def _deviations(
         self, hypothesis: Hypothesis, data: Residual, x: Real, level: float = 0.0
@@ -286,44 +364,42 @@ class Likelihood:
         """The data at x (p,) and what all that moves under a hypothesis does to them."""
         return self.objective(x, deviation=self.spreads(level), free=frozenset(self.model.free(hypothesis.effects)[0]))
 
-    def weighed(
-        self, hypothesis: Hypothesis, x: Real, level: float, data: Residual | None = None
-    ) -> tuple[float, Real]:
-        """The log evidence at x (p,) with points that weigh less, and the standard deviations (p,) there."""
+    def impedances(self, x: Real) -> list[Complex]:
+        """Impedance (n,) ohm of every recording as predicted at x (p,)."""
+        return [self.objective.predict(x, index, ())[0] for index in range(len(self.objective.recordings))]
+
+    def weighed(self, hypothesis: Hypothesis, x: Real, level: float) -> Weighed:
+        """What the data are worth at x (p,) with points that weigh less, by a further deviation `level`."""
         search = self.search(hypothesis)
-        problem, settings, _ = self.linearised(hypothesis, search, x, level, data)
-        worth, _, average = over_scales(problem, settings)
-        worth -= sum(mode.cost for mode in hypothesis.modes)
+        local = self.linearised(hypothesis, search, x, level)
+        worth, best, average = local.over_scales()
         errors = np.zeros(x.size)
         errors[search.free] = np.sqrt(np.maximum(np.diag(average.covariance), 0.0))
-        return worth, errors
+        if self.model.campaign.model_accuracy is None and best.accuracy > INACCURATE:
+            average = local.averaged(best._replace(accuracy=INACCURATE))
+        expected = float(np.sum(self.noise**2 / (self.noise**2 + level**2)))
+        return Weighed(worth - sum(mode.cost for mode in hypothesis.modes), errors, best.accuracy,
+                       average.chi_square / expected, local.data.error)
 
-    def _explanation(
-        self, hypothesis: Hypothesis, search: Search, x: Real, data: Residual, worth: float, scales: Real,
-        average: Average
-    ) -> Explanation:
-        count = self.columns.shape[1]
-        size = float(scales[count]) if hypothesis.is_outside and scales.size > count else 0.0
-        worth -= sum(mode.cost for mode in hypothesis.modes)
-        return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth,
-                           float(scales[0]) if count else 0.0, size, average.occam,
-                           replace(data, predictions=()), data.error)
+    def beside(
+        self, hypothesis: Hypothesis, x: Real, level: float, accuracy: float
+    ) -> list[tuple[Hypothesis, float]]:
+        """What is outside the catalogue beside a hypothesis at x (p,), and the log evidence with it, best first.
 
-    def predictive(self, explanation: Explanation, held: Objective) -> tuple[float, tuple[Complex, ...]]:
-        """The log density of states held out as an explanation predicts them, and their impedances (n,) ohm.
-
-        With the uncertainty of its parameters and the inaccuracy of the model; up to what all hypotheses share.
+        Something in a region, for every region, and the modes that a model of that `accuracy` seems to lack.
         """
-        states = self.model.campaign.held_out
-        noise = np.concatenate([np.tile(state.noise, 2) for state in states])
-        data = held(explanation.x, deviation=[state.noise for state in states], free=explanation.free)
-        tangents = data.jacobian[:, list(explanation.free)]
-        values, vectors = np.linalg.eigh(explanation.covariance)
-        uncertain = tangents @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        smooth = patterns(held, explanation.x).columns / noise[:, None] * explanation.accuracy
-        covariance = Covariance.of(np.column_stack([uncertain, smooth]))
-        left = covariance.whitened(data.vector)
-        return -0.5 * (float(left @ left) + covariance.log_determinant), data.impedance
+        assert self.anything is not None
+        noise = np.sqrt(self.noise**2 + level**2)[:, None]
+        found = {replace(hypothesis, region=region): reduced(self.anything.within(region) / noise, REGION_SIZES[-1])
+                 for region in dict.fromkeys(self.anything.regions)}
+        if modes := self.strongest_modes(hypothesis, x, accuracy):
+            found[replace(hypothesis, modes=modes)] = columns(
+                self.measured, self.places, modes, self.noise.size) / noise
+        local = self.linearised(hypothesis, self.search(hypothesis), x, level, np.column_stack(list(found.values())))
+        ends = np.cumsum([sum(local.counts[:-1]), *(part.shape[1] for part in found.values())]).tolist()
+        worth = local.over_blocks([np.arange(low, high) for low, high in pairwise(ends)], REGION_SIZES)
+        worth -= [sum(mode.cost for mode in each.modes) for each in found]
+        return sorted(zip(found, worth.tolist(), strict=True), key=lambda each: -each[1])
 
 
 #: Directions that deviate by less than this share of the noise even at the largest size are left out.

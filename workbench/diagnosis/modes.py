@@ -12,7 +12,7 @@ were tried each was as likely.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,12 +68,12 @@ def centres(measured: Spectrum, quality: float) -> Real:
 
 def strongest(
     recordings: Sequence[Spectrum], places: Sequence[slice], bodies: Sequence[Sequence[int]], noise: Real,
-    projected: Real, residual: Real, sizes: Real,
+    project: Callable[[Real], Real], residual: Real, sizes: Real,
 ) -> tuple[Mode, ...]:
     """Of every body (indices of its recordings) the mode with the largest evidence, where there is some for one.
 
     Args:
-        noise: (m,) of the data; `projected` (m, m') brings data over their noise to where known parameters cannot
+        noise: (m,) of the data; `project` brings columns (m, k) over their noise to where known parameters cannot
             imitate anything and all deviations are independent; `residual` (m',) is there.
         sizes: amplitudes that are tried, in units of the mean admittance.
     """
@@ -88,7 +88,7 @@ def strongest(
                 slope = slopes(recordings[index], centre, quality)
                 for part, turned in enumerate((slope, 1j * slope)):
                     whole[places[index], part] = np.concatenate([turned.real, turned.imag])
-            seen = np.moveaxis((projected.T @ (whole / noise[:, None, None]).reshape(noise.size, -1)).reshape(
+            seen = np.moveaxis(project((whole / noise[:, None, None]).reshape(noise.size, -1)).reshape(
                 -1, 2, centre.size), -1, 0)
             worth = _worth(seen, residual, sizes)
             at = int(np.argmax(worth))

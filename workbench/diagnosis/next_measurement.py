@@ -101,10 +101,10 @@ def _systematic(likelihood: Likelihood, found: Explanation) -> Covariance:
     """What deviates beside the noise under an explanation: within all parts, in its region, and as its modes."""
     hypothesis, parts = found.hypothesis, [likelihood.columns * found.accuracy]
     if hypothesis.region and likelihood.anything is not None:
-        parts.append(likelihood.anything.within(hypothesis.region) * found.size)
+        parts.append(likelihood.anything.within(hypothesis.region) * found.scales.size)
     if hypothesis.modes:
         modes = columns(likelihood.measured, likelihood.places, hypothesis.modes, likelihood.noise.size)
-        parts.append(modes * found.size)
+        parts.append(modes * found.scales.size)
     return Covariance.of(np.column_stack(parts) / likelihood.noise[:, None])
 
 

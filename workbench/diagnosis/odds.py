@@ -14,6 +14,7 @@ class Criteria:
             of the campaigns in which nothing is wrong are blamed, and effects have to be a twentieth of a standard
             deviation larger.
         hinted: the same, from which a hint is mentioned.
+        looked_at: the same of one hypothesis, as its score promises them, from which it is tried at all.
         rival: odds of the best explanation against another, up to which the data cannot rule the other out.
         nothing_wrong: prior probability that nothing is.
         spare: standard deviations from nothing within which a further parameter is spare: an explanation that has the
@@ -27,6 +28,7 @@ class Criteria:
 
     accepted: float = 20.0
     hinted: float = 1.0
+    looked_at: float = 0.1
     rival: float = 20.0
     nothing_wrong: float = 0.5
     spare: float = 2.0

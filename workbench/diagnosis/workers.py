@@ -44,16 +44,21 @@ class Workers:
         for process in self._processes:
             process.join()
 
-    def map(self, own: Any, tasks: Sequence[Task], done: Callable[[int], None] = lambda _index: None) -> list[Any]:
-        """What every task returns: the workers and `own`, an object like theirs, take one after the other.
+    def map(
+        self, own: Any, tasks: Sequence[Task], results: dict[int, Any],
+        is_over: Callable[[int], bool] = lambda _index: False,
+    ) -> None:
+        """Put what every task returns into `results`: the workers and `own`, an object like theirs, take one after the
+        other, but for those whose index `is_over` by then; what is being worked on is waited for.
 
         Raises:
             RuntimeError: a worker ended without a word.
             Exception: what a task raised.
         """
-        waiting, results = list(enumerate(tasks)), dict[int, Any]()
+        waiting = list(enumerate(tasks))
         working: dict[Connection, int] = {}
         while waiting or working:
+            waiting = [each for each in waiting if not is_over(each[0])]
             for link in self._links:
                 if link not in working and waiting:
                     index, task = waiting.pop(0)
@@ -62,7 +67,6 @@ class Workers:
             if waiting:
                 index, (name, given) = waiting.pop(0)
                 results[index] = getattr(own, name)(*given)
-                done(index)
             for ready in wait(list(working), 0.0 if waiting else None) if working else []:
                 assert isinstance(ready, Connection)
                 try:
@@ -74,8 +78,6 @@ class Workers:
                 if failed:
                     raise result
                 results[index] = result
-                done(index)
-        return [results[index] for index in range(len(tasks))]
 
 
 def _serve(link: Connection, make: Callable[..., Any], given: tuple[Any, ...]) -> None:

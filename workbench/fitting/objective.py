@@ -241,6 +241,14 @@ class Objective:
         other.moved, other._scaled = [self.moved[k] for k in kept], [self._scaled[k] for k in kept]
         return other
 
+    def joined(self, other: Objective) -> Objective:
+        """The same with the recordings of another objective of the same parameters after its own."""
+        both = copy.copy(self)
+        both.recordings, both.predictors = self.recordings + other.recordings, self.predictors + other.predictors
+        both._moved, both._bench = [*self._moved, *other._moved], [*self._bench, *other._bench]
+        both.moved, both._scaled = [*self.moved, *other.moved], [*self._scaled, *other._scaled]
+        return both
+
     def narrowed(self, points: Sequence[Real]) -> Objective:
         """The same :meth:`apart`, on no more of each basis than the spectra at `points` (p,) need: for a neighbourhood.
 
