@@ -85,3 +85,15 @@ def test_the_occam_factor_is_that_of_a_gaussian_in_a_box() -> None:
     peak = multivariate_normal(cov=covariance).logpdf([0.0, 0.0])
     assert occam_factor(covariance, widths) == pytest.approx(2.0 * (peak + math.log(200.0)), rel=1e-12)
     assert occam_factor(1e6 * covariance, widths) == pytest.approx(0.0)
+
+
+def test_what_a_block_adds_is_the_difference_of_two_averages() -> None:
+    """At all sizes, each block alone; the range is so wide that its form does not matter."""
+    made, _ = problem(below=3e4, above=5e4)
+    for scales in ([0.0, 0.0], [0.7, 0.0]):
+        without = made.averaged(np.array(scales)).log_evidence
+        found = made.added(np.array(scales), [np.array([1])], np.array([0.5, 2.0]))
+        assert found.shape == (1, 2)
+        for size, added in zip((0.5, 2.0), found[0], strict=True):
+            whole = made.averaged(np.array([scales[0], size])).log_evidence
+            assert added == pytest.approx(whole - without, abs=1e-6)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.diagnosis.likelihood import Explanation, Hypothesis
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.next_measurement import in_words, options
 from workbench.fitting.parameter import Parameter
 from workbench.physics.softening import DRIVE_SQUARED
@@ -41,8 +41,8 @@ def explanation(
     """One that leaves the same at every point of each state, in units of the noise."""
     residual: Any = SimpleNamespace(vector=np.repeat([one, two], ROWS),
                                     jacobian=np.zeros((2 * ROWS, 3)) if tangents is None else tangents)
-    return Explanation(Hypothesis(effects), np.array(x), free, error**2 * np.eye(len(free)), 0.0, accuracy, 0.0, 0.0,
-                       residual, 0.0)
+    return Explanation(Hypothesis(effects), np.array(x), free, error**2 * np.eye(len(free)), 0.0,
+                       Scales(accuracy, 0.0, 0.0), 0.0, residual, 0.0)
 
 
 def shares(*found: Explanation, columns: Real | None = None) -> dict[str, tuple[float, float, int]]:

@@ -18,9 +18,10 @@ from workbench.diagnosis.archive import record
 from workbench.diagnosis.conclusion import Conclusion
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
 from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.inference import Found, Settled
 from workbench.diagnosis.knowledge import Taken
-from workbench.diagnosis.likelihood import Explanation, Hypothesis
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Estimate, Left, Place
 from workbench.diagnosis.state import state_fit
@@ -55,12 +56,14 @@ def explanation(*effects: Effect, off: float = 0.0, region: str = "") -> Explana
     log = np.full(FREQUENCY.size, off + 0j)
     residual: Any = SimpleNamespace(log_ratio=(log,), impedance=(impedance(off),), vector=np.full(402, off / 0.002))
     x = np.array([0.15, 60e-9, 25e9])
-    return Explanation(Hypothesis(effects, region), x, (0, 1, 2), np.diag([0.01, 2e-9, 1e8]) ** 2, 0.0, 0.001, 0.0, 0.0,
-                       residual, 0.0)
+    return Explanation(Hypothesis(effects, region), x, (0, 1, 2), np.diag([0.01, 2e-9, 1e8]) ** 2, 0.0,
+                       Scales(0.001, 0.0, 0.0), 0.0, residual, 0.0)
 
 
 def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Settled:
-    return Settled(explanation(*effects, off=off, region=region), (), 0.0, (impedance(off),))
+    nothing = np.zeros((402, 0))
+    return Settled(explanation(*effects, off=off, region=region), (), (), 0.0, (impedance(off),), nothing,
+                   Patterns(nothing, (), ()))
 
 
 def campaign() -> Any:
@@ -164,16 +167,13 @@ def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
 
 
 def test_regions_that_the_search_settled_come_first() -> None:
-    likelihood: Any = SimpleNamespace(
-        weighed=lambda hypothesis, _x, _level: ({"bond": 4.0, "cavity": 9.0}.get(hypothesis.region, 1.0), None),
-        anything=SimpleNamespace(regions=("bond", "cavity", "bond")), strongest_modes=lambda *_of: ())
-    base = settled()
-    assert [(place.region, place.evidence) for place in located(likelihood, base.explanation, Found(base, (base,), ()))
+    weighed = tuple((Hypothesis(region=region), worth) for region, worth in (("cavity", 8.0), ("bond", 3.0)))
+    base = replace(settled(), beside=weighed)
+    assert [(place.region, place.evidence) for place in located(base, Found(base, (base,), ()))
             ] == [("cavity", 8.0), ("bond", 3.0)]
     beside = settled(region="bond")
     found = Found(base, (replace(beside, explanation=replace(beside.explanation, log_evidence=2.0)), base), ())
-    places = located(likelihood, base.explanation, found)
-    told = [(place.region, place.evidence, place.sigmas) for place in places]
+    told = [(place.region, place.evidence, place.sigmas) for place in located(base, found)]
     assert told == [("bond", 2.0, 2.0), ("cavity", 8.0, 4.0)]
 
 

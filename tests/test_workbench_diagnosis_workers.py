@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import pytest
 
-from workbench.diagnosis.workers import Workers
+from workbench.diagnosis.workers import Task, Workers
 
 
 class Adder:
@@ -25,20 +26,30 @@ class Adder:
         os._exit(3)
 
 
-def test_the_tasks_are_shared_and_come_back_in_order() -> None:
-    told: list[int] = []
+def mapped(workers: Workers, tasks: list[Task], **given: Any) -> dict[int, Any]:
+    results: dict[int, Any] = {}
+    workers.map(Adder(10), tasks, results, **given)
+    return results
+
+
+def test_the_tasks_are_shared() -> None:
     with Workers(1, Adder, (10,)) as workers:
-        found = workers.map(Adder(10), [("add", (k,)) for k in range(40)], told.append)
-    assert [each[0] for each in found] == [10 + k for k in range(40)]
-    assert sorted(told) == list(range(40))
-    assert {each[1] for each in found} >= {os.getpid()}
+        found = mapped(workers, [("add", (k,)) for k in range(40)])
+    assert {index: each[0] for index, each in found.items()} == {k: 10 + k for k in range(40)}
+    assert {each[1] for each in found.values()} >= {os.getpid()}
+
+
+def test_what_is_over_is_not_begun() -> None:
+    with Workers(1, Adder, (10,)) as workers:
+        found = mapped(workers, [("add", (k,)) for k in range(10)], is_over=lambda index: index >= 4)
+    assert sorted(found) == [0, 1, 2, 3]
 
 
 def test_what_a_worker_raises_is_raised_here() -> None:
     with Workers(1, Adder, (0,)) as workers, pytest.raises(ValueError, match="no such sum"):
-        workers.map(Adder(0), [("refuse", ("no such sum",))])
+        mapped(workers, [("refuse", ("no such sum",))])
 
 
 def test_a_worker_that_ends_is_told() -> None:
     with Workers(1, Adder, (0,)) as workers, pytest.raises(RuntimeError, match="ended without a result"):
-        workers.map(Adder(0), [("vanish", ())])
+        mapped(workers, [("vanish", ())])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -33,22 +34,33 @@ Progress = Callable[[str, float], None]
 
 def diagnose(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY, cache: Path | None = None,
-    progress: Progress = lambda _text, _share: None, workers: Workers | None = None,
+    progress: Progress = lambda _text, _share: None, jobs: int = 1, minutes: float | None = None,
 ) -> Diagnosis:
     """Explain the mismatch between the recordings of a campaign and their models, or say what cannot be explained.
+
+    Interrupted once, it ends with what it has by then, as it does when its time is over.
 
     Args:
         accuracy: of the meshes, see `discretisation`.
         cache: folder of meshes made before; none are kept if None.
         progress: called with what is done and the share that is.
-        workers: of :meth:`Search.of_campaign`, to share the work with.
+        jobs: processes that share the work. More than one are begun afresh, so a script that asks for them has to do
+            it below ``if __name__ == "__main__":``.
+        minutes: after which nothing new is begun; None for no limit.
 
     Raises:
         InputError: the states cannot be modelled as they are stated, or recordings seem to be exchanged between them.
         MeshError: a mesh could not be made.
         NotEnriched: the device as it is stated cannot be predicted.
+        ValueError: fewer than one job, or no time.
     """
-    return diagnose_model(model(campaign, accuracy=accuracy, cache=cache), progress=progress, workers=workers)
+    if jobs < 1 or (minutes is not None and not minutes > 0.0):
+        raise ValueError(f"{jobs} jobs, minutes {minutes}: expected one job at least, and more than no time")
+    with ExitStack() as stack:
+        workers = (stack.enter_context(Workers(jobs - 1, Search.of_campaign, (campaign, accuracy, cache)))
+                   if jobs > 1 else None)
+        made = model(campaign, accuracy=accuracy, cache=cache)
+        return diagnose_model(made, progress=progress, workers=workers, minutes=minutes)
 
 
 @one_thread()

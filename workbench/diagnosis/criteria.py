@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from scipy.stats import chi2
 
 from workbench.diagnosis.device import Model
@@ -163,13 +162,3 @@ def fits_as_well(other: Refit, best: Refit, held: float = 0.0) -> bool:
     margin = 0.0 if set(best.estimate) < set(other.estimate) else RIVAL
     return (len(other.effects) <= len(best.effects)
             and other.chi_square + held + 2.0 * further < best.chi_square + margin)
-
-# --- new
-#: What the accuracy of a model may be where nobody states it (relative changes of stiffness, mass and loss), and how
-#: large changes within a region may be of which nothing is known: each as likely in every decade.
-ACCURACIES = np.logspace(-4.0, -1.5, 11)
-REGION_SIZES = np.logspace(-3.0, 0.0, 7)
-#: A term describes its effect to this share of it.
-TERM = 0.02
-#: An accuracy (relative changes within parts) beyond which what is left is no inaccuracy of the model.
-INACCURATE = 0.005

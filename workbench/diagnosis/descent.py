@@ -8,8 +8,9 @@ everywhere, and every optimum on the way begins a descent (:func:`basins`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,23 @@ from workbench.fitting.search import NO_END, Optimum
 
 Real = NDArray[np.float64]
 
+
+
+class Placed(Protocol):
+    """What has a place x (p,)."""
+
+    @property
+    def x(self) -> Real: ...
+
+
+End = TypeVar("End", bound=Placed)
+
 #: Further deviations of the points, from little weight of the data to more.
 LEVELS = (0.05, 0.01)
+
+#: Half width of the smoothing that a descent begins with, relative to the middle of the band. There are few ways to lay
+#: what is left of the overtones on a recording.
+SMOOTHED = 0.01
 
 #: Where along a multimodal parameter the cost is looked at, in its standard uncertainties.
 SCANNED = np.linspace(-2.4, 2.4, 9)
@@ -104,13 +120,7 @@ def basins(likelihood: Likelihood, hypothesis: Hypothesis, x: Real, along: Mappi
                 found.append(likelihood.tempered(search, ends[k], level, limit=DESCENT))
             except NO_END:
                 continue
-    return distinct(likelihood, found)
-
-
-def within_knowledge(parameter: Parameter) -> Real:
-    """Where along a parameter to look for optima within what is known of it, (k,)."""
-    assert parameter.prior is not None
-    return _inside(parameter, parameter.start + SCANNED * parameter.prior)
+    return distinct(likelihood, found, lambda each: each.cost)
 
 
 def within_range(parameter: Parameter) -> Real:
@@ -126,12 +136,12 @@ def _inside(parameter: Parameter, values: Real) -> Real:
     return np.unique(np.clip(values, parameter.low + margin, parameter.high - margin))
 
 
-def distinct(likelihood: Likelihood, ends: Sequence[Optimum]) -> list[Optimum]:
-    """Ends that differ, best first."""
+def distinct(likelihood: Likelihood, ends: Sequence[End], cost: Callable[[End], float]) -> list[End]:
+    """Ends that differ, of least cost first."""
     known = slice(likelihood.model.known)
     scale = np.array([p.prior or np.inf for p in likelihood.model.parameters[known]])
-    kept: list[Optimum] = []
-    for end in sorted(ends, key=lambda each: each.cost):
+    kept: list[End] = []
+    for end in sorted(ends, key=cost):
         if all(np.abs((end.x[known] - other.x[known]) / scale).max() > ALIKE for other in kept):
             kept.append(end)
     return kept
@@ -141,16 +151,26 @@ def distinct(likelihood: Likelihood, ends: Sequence[Optimum]) -> list[Optimum]:
 class Candidate:
     """A hypothesis where it leads with the data weighing little.
 
-    ``places`` the ends (p,) that are left, best first; ``weighed`` at the first of them.
+    ``ends`` those that are left, best first.
     """
 
     hypothesis: Hypothesis
-    places: tuple[Real, ...]
-    weighed: Weighed
+    ends: tuple[Weighed, ...]
+
+    @classmethod
+    def of(cls, likelihood: Likelihood, hypothesis: Hypothesis, ends: Sequence[Weighed]) -> Candidate | None:
+        """Of the ends that differ, those that are not far behind the best; None of none."""
+        kept = distinct(likelihood, ends, lambda each: -each.log_evidence)
+        kept = [end for end in kept if end.log_evidence > kept[0].log_evidence - WINDOW][:KEPT]
+        return cls(hypothesis, tuple(kept)) if kept else None
+
+    @property
+    def weighed(self) -> Weighed:
+        return self.ends[0]
 
     @property
     def x(self) -> Real:
-        return self.places[0]
+        return self.weighed.x
 
     @property
     def log_evidence(self) -> float:
@@ -175,11 +195,7 @@ def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Re
     ends = []
     for start in starts:
         try:
-            ends.append(likelihood.tempered(search, start, level, limit=DESCENT))
+            ends.append(likelihood.descended(hypothesis, search, start, level, DESCENT))
         except NO_END:
             continue
-    if not ends:
-        return None
-    ends = distinct(likelihood, ends)
-    kept = [end for end in ends if end.cost < ends[0].cost + WINDOW][:KEPT]
-    return Candidate(hypothesis, tuple(end.x for end in kept), likelihood.weighed(hypothesis, kept[0].x, level))
+    return Candidate.of(likelihood, hypothesis, ends)

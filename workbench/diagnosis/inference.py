@@ -19,26 +19,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.criteria import INACCURATE
 from workbench.diagnosis.descent import (
     LEVELS,
+    SMOOTHED,
     Candidate,
     basins,
+    distinct,
     followed,
     multimodal,
-    within_knowledge,
     within_range,
 )
 from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
-from workbench.diagnosis.odds import Criteria
+from workbench.diagnosis.odds import INACCURATE, Criteria
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import Discretisation
 from workbench.fitting.objective import Objective
-from workbench.fitting.search import NO_END, Optimum
+from workbench.fitting.search import NO_END
 
 T = TypeVar("T")
 
@@ -61,21 +61,30 @@ TRIED, SHARE = 3, 0.3
 #: Descents begin in so many basins, those of a hypothesis at so many of its ends without it.
 BASINS, STARTS = 4, 2
 
+#: So many starts are drawn from what is known, each with its opposite.
+PAIRS = 3
+
 #: Of the hypotheses at one stage so many go on to the next, of log evidences within this of the best: odds of 200000.
 GO_ON, CLOSE = (8, 4), 12.0
 
-#: So many are tried beside the best.
-PAIRED = 3
-
 #: Rounds and steps of a fit that is far behind.
-HURRIED = {"rounds": 1, "limit": 8}
+HURRIED = {"rounds": 2, "limit": 8}
 
 #: An optimum is looked for on models made again about it, at most so many times, until their estimated error there is
-#: below the second number (ten to a hundred times the true one); where the data weigh little, below the third.
-PLACES, TRUSTED, DOUBTED = 3, 0.05, 1.0
+#: below the second number, relative to noise (it is some hundred times the true one); where the data weigh little,
+#: below the third.
+PLACES, TRUSTED, DOUBTED = 3, 20.0, 1.0
 
 #: A hypothesis begins no closer to the ends of its range than this share of it.
 INSIDE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """An optimum ``x`` (p,) of that ``cost`` where the data weigh little."""
+
+    x: Real
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,48 +197,73 @@ class Search:
             NotEnriched, MeshError: the device as it is stated cannot be predicted.
         """
         self._workers = workers
-        nothing, bare = Hypothesis(), self.bare()
         self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.wide.predictors) if p.model])
         self.progress("nothing wrong", 0.1)
-        search = bare.search(nothing)
-        first = bare.tempered(search, self.centre, LEVELS[0])
-        second = bare.tempered(search, first.x, LEVELS[1])
-        plain = Candidate(nothing, (second.x,), self.likelihood(second.x).weighed(nothing, second.x, LEVELS[1]))
-        self.say("levels", first.cost, second.cost, plain.log_evidence, plain.weighed.accuracy, plain.weighed.left,
-                 plain.weighed.doubt)
+        ends, plain = self.begun()
         base = None
         if plain.fits:
             base = self.settled(plain)
-            if base.scores[0].evidence < self.least and base.explanation.accuracy <= INACCURATE:
-                return Found(base, (base,), ())
-        self.progress("single hypotheses", 0.2)
-        found = self.tried(plain, [first], () if base is None else base.scores)
+            if base.explanation.accuracy <= INACCURATE:
+                return self.concluded(base, self.work(self.further(base)), [plain])
+        self.progress("single hypotheses", 0.3)
+        found = self.tried(plain, ends, () if base is None else base.scores)
         if not any(each.fits for each in (plain, *found)) and not self.is_over:
-            self.progress("other basins", 0.5)
-            plain, further = self.elsewhere(plain, first)
-            found += further
+            along = multimodal(self.bare(), ends[0].x)
+            self.say("along", [self.model.parameters[i].name for i in along])
+            self.progress("all that lengths may be", 0.5)
+            found += self.tried(plain, ends, (), along) if along else []
         best: dict[str, Candidate] = {}
         for each in sorted(found, key=lambda each: -each.log_evidence):
             best.setdefault(each.hypothesis.name, each)
         return self.ended(plain, list(best.values()), base)
 
-    def elsewhere(self, plain: Candidate, first: Optimum) -> tuple[Candidate, list[Candidate]]:
-        """Where nothing being wrong leads from other basins, and the hypotheses from there."""
+    def begun(self) -> tuple[list[Begun], Candidate]:
+        """The optima where nothing is wrong with the data weighing little, best first, and the best with more weight.
+
+        From what is stated and from draws of what is known, each with its opposite.
+        """
+        nothing, known = Hypothesis(), slice(self.model.known)
+        low, high = (np.array([getattr(p, side) for p in self.model.parameters[known]]) for side in ("low", "high"))
+        prior = np.array([p.prior for p in self.model.parameters[known]])
+        drawn = np.random.default_rng(0).standard_normal((PAIRS, prior.size)) * prior
+        starts = [self.centre]
+        for shift in (sign * each for each in drawn for sign in (1.0, -1.0)):
+            start = self.centre.copy()
+            margin = INSIDE * (high - low)
+            start[known] = np.clip(start[known] + shift, low + margin, high - margin)
+            starts.append(start)
+        found = self.work([("a start where nothing is wrong", "descended", (start,)) for start in starts], must=1)
+        ends = distinct(self.bare(), [each for each in found if each is not None], lambda each: each.cost)
+        ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
+        self.say("begun", [round(each.cost, 1) for each in ends])
+        further = self.work([("a basin where nothing is wrong", "furthered", (each.x, ends[0].x)) for each in ends],
+                            must=1)
+        plain = Candidate.of(self.likelihood(ends[0].x), nothing,
+                             [each.weighed for each in further if each is not None])
+        if plain is None:
+            plain = Candidate(nothing, (self.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1]),))
+        self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
+                             for w in plain.ends])
+        return ends, plain
+
+    def descended(self, x: Real) -> Begun | None:
+        """Where nothing being wrong leads from x (p,) with the data weighing little; None if to nothing."""
         bare = self.bare()
-        along = multimodal(bare, first.x)
-        if not along:
-            return plain, []
-        ends = basins(bare, plain.hypothesis, first.x,
-                      {i: within_knowledge(self.model.parameters[i]) for i in along})[:BASINS]
-        self.say("basins", [self.model.parameters[i].name for i in along], [round(e.cost, 1) for e in ends])
-        again = self.onward(followed(self.likelihood(plain.x), plain.hypothesis, [e.x for e in ends], LEVELS[1]),
-                            plain.x)
-        if again is not None and again.log_evidence > plain.log_evidence:
-            plain = again
-        return plain, self.tried(plain, ends, (), along)
+        search = bare.search(Hypothesis())
+        try:
+            end = bare.tempered(search, x, LEVELS[0], smoothing=SMOOTHED)
+            end = bare.tempered(search, end.x, LEVELS[0])
+        except NO_END:
+            return None
+        return Begun(end.x, end.cost)
+
+    def furthered(self, x: Real, at: Real) -> Candidate | None:
+        """Where nothing being wrong leads from x (p,) with the data weighing more; inaccuracy is that `at` (p,)."""
+        nothing = Hypothesis()
+        return self.onward(Candidate(nothing, (self.likelihood(at).weighed(nothing, x, LEVELS[0]),)), at)
 
     def tried(
-        self, plain: Candidate, ends: Sequence[Optimum], scores: Sequence[Score], along: Sequence[int] = ()
+        self, plain: Candidate, ends: Sequence[Begun], scores: Sequence[Score], along: Sequence[int] = ()
     ) -> list[Candidate]:
         """Where those hypotheses lead, with the data weighing more, that promise most at some `ends`, where nothing is
         wrong, or by other `scores`; and those along whose parameters there are several basins, `along`."""
@@ -260,11 +294,16 @@ class Search:
         # The first of these are what is said, whatever the time.
         tasks.sort(key=lambda task: task[2][0] is not leading[0] and task[2][0] is not plain)
         final = self.work(tasks, must=2)
-        final = [each for each in final if each is not None]
         base = base or next(each for each in final if each.explanation.hypothesis.name == plain.hypothesis.name)
-        final = sorted({id(each): each for each in (base, *final)}.values(), key=_worth)
-        final = sorted([*final, *(each for each in self.work(self.pairs(final)) if each is not None)], key=_worth)
-        return Found(base, tuple(final), (plain, *found), tuple(self.undone))
+        return self.concluded(base, final, [plain, *found])
+
+    def concluded(self, base: Settled, final: Sequence[Settled | None], candidates: Sequence[Candidate]) -> Found:
+        """What was found, with what promises most beside the best that is one effect."""
+        found = {id(each): each for each in (base, *final) if each is not None}
+        best = min(found.values(), key=_worth)
+        if len(best.explanation.hypothesis.effects) == 1:
+            found |= {id(each): each for each in self.work(self.further(best)) if each is not None}
+        return Found(base, tuple(sorted(found.values(), key=_worth)), tuple(candidates), tuple(self.undone))
 
     def work(self, tasks: Sequence[Named], *, must: int = 0) -> list[Any]:
         """What every task returns; None for what there was no time for. So many of the first are done in any case."""
@@ -302,7 +341,7 @@ class Search:
         return [*found.values(), *(effect for effect in self.model.effects
                                    if names & set(effect.names) and effect.name not in found)]
 
-    def starts(self, effect: Effect, ends: Sequence[Optimum], scores: Sequence[Sequence[Score] | None]) -> list[Real]:
+    def starts(self, effect: Effect, ends: Sequence[Begun], scores: Sequence[Sequence[Score] | None]) -> list[Real]:
         """Where a hypothesis begins: at those ends where its score promises most, all told."""
         found = []
         for end, scored in zip(ends, scores, strict=True):
@@ -361,12 +400,12 @@ class Search:
             if candidate.weighed.doubt < DOUBTED:
                 break
             likelihood = self.about(likelihood, candidate)
-            again = followed(likelihood, hypothesis, candidate.places[:1], LEVELS[0])
+            again = followed(likelihood, hypothesis, [candidate.x], LEVELS[0])
             if again is None:
                 return None
             self.say("      renewed", hypothesis.name, candidate.weighed.doubt, again.weighed.doubt)
             candidate = again
-        return followed(likelihood, hypothesis, candidate.places, LEVELS[1])
+        return followed(likelihood, hypothesis, [end.x for end in candidate.ends], LEVELS[1])
 
     def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
         """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
@@ -392,7 +431,7 @@ class Search:
         """What is outside the catalogue, at the end of nothing being wrong: something in a region, or modes."""
         every = self.likelihood(plain.x).beside(plain.hypothesis, plain.x, LEVELS[1], plain.weighed.accuracy)
         self.say("   outside", [(round(worth - plain.log_evidence, 1), each.name) for each, worth in every[:4]])
-        return [Candidate(each, plain.places, plain.weighed._replace(log_evidence=worth, left=math.inf))
+        return [Candidate(each, (plain.weighed._replace(log_evidence=worth, left=math.inf),))
                 for each, worth in every]
 
     def settled(self, candidate: Candidate, hurried: bool = False) -> Settled:
@@ -406,7 +445,7 @@ class Search:
             likelihood = likelihood.on(self.wider(hypothesis, [x]))
         doubt = weighed.doubt
         for _ in range(1 if hurried else PLACES):
-            if doubt > TRUSTED:
+            if doubt > TRUSTED * self.noise:
                 likelihood = likelihood.on(self.near(self.model.fitted, hypothesis, x, errors))
             likelihood = likelihood.with_patterns(x)
             try:
@@ -414,7 +453,7 @@ class Search:
             except NO_END:
                 self.say("   NO END", hypothesis.name)
                 raise
-            if found.doubt < TRUSTED:
+            if found.doubt < TRUSTED * self.noise:
                 break
             x, errors, doubt = found.x, found.spread(x.size), found.doubt
         self.say("settled", hypothesis.name, found.log_evidence, *found.scales, "chi",
@@ -440,21 +479,22 @@ class Search:
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
         return recordings.near(x, reach, FINE * self.noise, only=self.moving(hypothesis))
 
-    def pairs(self, final: Sequence[Settled]) -> list[Named]:
-        """To settle: the best explanation by one effect together with what promises most beside it."""
-        singles = [each for each in final if len(each.explanation.hypothesis.effects) == 1]
-        if not singles:
-            return []
-        best = singles[0].explanation
-        tasks = []
-        for score in singles[0].scores[:PAIRED]:
+    def further(self, settled: Settled) -> list[Named]:
+        """To settle: an explanation together with what promises most beside it."""
+        best, tasks = settled.explanation, list[Named]()
+        for score in settled.scores[:TRIED]:
             if score.evidence > self.least:
                 begin, errors = self.start(score.effect, best.x, score), best.spread(best.x.size)
                 for name, error in zip(score.effect.names, score.error, strict=True):
                     i = self.model.index(name)
                     errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
                 both = Hypothesis((*best.hypothesis.effects, score.effect))
-                tasks.append((both.name, "settled", (Candidate(both, (begin,), Weighed(0.0, errors, 0.0, 1.0, 0.0)),)))
+                place = Weighed(begin, best.log_evidence, errors, best.accuracy, 1.0, math.inf)
+                tasks.append((both.name, "settled", (Candidate(both, (place,)),)))
+        if not best.hypothesis.effects:
+            place = Weighed(best.x, best.log_evidence, best.spread(best.x.size), best.accuracy, 1.0, best.doubt)
+            tasks += [(each.name, "settled", (Candidate(each, (place,)),)) for each, worth in settled.beside[:TRIED]
+                      if worth - best.log_evidence > self.least]
         return tasks
 
 

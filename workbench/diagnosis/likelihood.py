@@ -6,7 +6,7 @@ With r = ln(Z_measured / Z_model) of all recordings stacked, real parts and imag
 
 W is the noise of the points, K what smooth changes within the parts do (`inaccuracy`) and tau the accuracy of the
 model, stated or averaged over; R what a hypothesis allows besides: changes of any size within one region, and the error
-of its own term, whose parameter is right to :data:`~workbench.diagnosis.criteria.TERM` at any one frequency.
+of its own term, whose parameter is right to :data:`~workbench.diagnosis.odds.TERM` at any one frequency.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from workbench.diagnosis.criteria import ACCURACIES, INACCURATE, REGION_SIZES, TERM
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import Average, Linearised, over_scales
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns, patterns
 from workbench.diagnosis.modes import Mode, columns, strongest
+from workbench.diagnosis.odds import ACCURACIES, INACCURATE, REGION_SIZES, TERM
 from workbench.diagnosis.state import DeviceState
 from workbench.fitting.covariance import Covariance, principal
 from workbench.fitting.objective import Objective, Residual
@@ -44,8 +44,12 @@ WAVES = 5
 #: A recording is searched on about so many of its points while the data weigh little.
 SEARCHED = 121
 
-#: Rounds of a fit: the accuracy of the model is that of the largest evidence at the last optimum.
-ROUNDS = 3
+#: Rounds of a fit: the accuracy of the model is that of the largest evidence at the last optimum, and then this share
+#: of it, as long as that finds a better one.
+ROUNDS, STRICTER = 6, 0.3
+
+#: Log evidences that differ by less are alike.
+ALIKE = 0.5
 
 #: A relative fall of chi-square that ends a fit, and its most steps.
 ENOUGH, STEPS = 1e-3, 25
@@ -116,10 +120,11 @@ class Local:
 
 
 class Weighed(NamedTuple):
-    """What data are worth at a place: ``log_evidence``, the standard deviations ``errors`` (p,), the ``accuracy`` of
-    the model there; chi-square relative to what noise would leave (``left``), with no more than :data:`INACCURATE`; the
-    estimated relative error of Z (``doubt``)."""
+    """What data are worth at a place ``x`` (p,): ``log_evidence``, the standard deviations ``errors`` (p,), the
+    ``accuracy`` of the model there; chi-square relative to what noise would leave (``left``), with no more than
+    :data:`INACCURATE`; the estimated relative error of Z (``doubt``)."""
 
+    x: Real
     log_evidence: float
     errors: Real
     accuracy: float
@@ -261,12 +266,40 @@ class Likelihood:
         return Search(self.objective, free=range(len(self.model.parameters)))
 
     def tempered(
-        self, search: Search, x: Real, level: float, *, limit: int = 8, fixed: tuple[int, ...] = ()
+        self, search: Search, x: Real, level: float, *, smoothing: float = 0.0, accuracy: float = 0.0, limit: int = 8,
+        fixed: tuple[int, ...] = (),
     ) -> Optimum:
-        """The least cost near x (p,) where points weigh less, by a further deviation `level`, on few of them."""
-        thin = search.objective.thinned(SEARCHED)
-        every = [max(1, round(own.measured.frequency.size / SEARCHED)) for own in search.objective.recordings]
-        return search.on(thin).minimise(x, self.spreads(level, every), limit=limit, tolerance=0.01, fixed=fixed)
+        """The least cost near x (p,) where points weigh less, by a further deviation `level`, on few of them.
+
+        `smoothing` of admittances is the half width, relative to the middle of the band; `accuracy` that of the model.
+        """
+        recordings = search.objective.recordings
+        every = [max(1, round(own.measured.frequency.size / SEARCHED)) for own in recordings]
+        spreads = self.spreads(level, every)
+        thin = search.on(search.objective.thinned(SEARCHED))
+        if accuracy > 0.0 and self.columns.size:
+            rows = np.concatenate([np.concatenate([np.arange(place.start, middle, step),
+                                                   np.arange(middle, place.stop, step)])
+                                   for place, step in zip(self.places, every, strict=True)
+                                   for middle in [(place.start + place.stop) // 2]])
+            deviation = np.concatenate([np.tile(each, 2) for each in spreads])
+            thin = thin.under(Covariance.of(self.columns[rows] / deviation[:, None] * accuracy))
+        width = smoothing * float(np.mean(recordings[0].measured.frequency[[0, -1]]))
+        return thin.minimise(x, spreads, smoothing=width, limit=limit, tolerance=0.01, fixed=fixed)
+
+    def descended(self, hypothesis: Hypothesis, search: Search, x: Real, level: float, limit: int) -> Weighed:
+        """The optimum near x (p,) where points weigh less, and the model is as accurate as it seems to be there."""
+        best, strictness = self.weighed(hypothesis, x, level), 1.0
+        for _ in range(ROUNDS):
+            end = self.tempered(search, best.x, level, accuracy=strictness * best.accuracy, limit=limit)
+            found = self.weighed(hypothesis, end.x, level)
+            if found.log_evidence > best.log_evidence + ALIKE:
+                best = found
+            elif strictness < 1.0:
+                break
+            else:
+                strictness = STRICTER
+        return best
 
     def linearised(
         self, hypothesis: Hypothesis, search: Search, x: Real, level: float = 0.0, further: Real | None = None
@@ -330,20 +363,27 @@ class Likelihood:
         """
         search = self.search(hypothesis)
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        before: Scales | None = None
-        for left in range(rounds, -1, -1):
-            local = self.linearised(hypothesis, search, x)
-            worth, best, average = local.over_scales()
-            if best == before or not left:
-                break
-            before = best
+        local = self.linearised(hypothesis, search, x)
+        worth, best, average = local.over_scales()
+        strictness = 1.0
+        for _ in range(rounds):
             for i, deviation in zip(search.free, np.sqrt(np.diag(average.covariance)), strict=True):
                 if i in own:
                     # What is admissible may be a million times what the data see.
                     width = search.high[i] - search.low[i]
                     search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
-            under = search.under(self._covariance(self._deviations(hypothesis, local.data, x), best))
-            x = under.minimise(x, self.spreads(), limit=limit, tolerance=ENOUGH).x
+            deviations = self._deviations(hypothesis, local.data, x)
+            under = search.under(self._covariance(deviations, best._replace(accuracy=strictness * best.accuracy)))
+            end = under.minimise(x, self.spreads(), limit=limit, tolerance=ENOUGH).x
+            there = self.linearised(hypothesis, search, end)
+            found = there.over_scales()
+            if found[0] > worth + ALIKE:
+                x, local, (worth, best, average) = end, there, found
+            elif strictness < 1.0:
+                break
+            else:
+                # Where little is asked of the model, much stays that it could explain.
+                strictness = STRICTER
         worth -= sum(mode.cost for mode in hypothesis.modes)
         return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth, best, average.occam,
                            replace(local.data, predictions=()), local.data.error)
@@ -378,7 +418,7 @@ class Likelihood:
         if self.model.campaign.model_accuracy is None and best.accuracy > INACCURATE:
             average = local.averaged(best._replace(accuracy=INACCURATE))
         expected = float(np.sum(self.noise**2 / (self.noise**2 + level**2)))
-        return Weighed(worth - sum(mode.cost for mode in hypothesis.modes), errors, best.accuracy,
+        return Weighed(x, worth - sum(mode.cost for mode in hypothesis.modes), errors, best.accuracy,
                        average.chi_square / expected, local.data.error)
 
     def beside(

@@ -4,6 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+#: What the accuracy of a model may be where nobody states it (relative changes of stiffness, mass and loss), and how
+#: large changes within a region may be of which nothing is known: each as likely in every decade.
+ACCURACIES = np.logspace(-4.0, -1.5, 11)
+REGION_SIZES = np.logspace(-3.0, 0.0, 7)
+
+#: An accuracy beyond which what is left is no inaccuracy of the model: no part is that different from place to place.
+INACCURATE = 0.005
+
+#: A term describes its effect to this share of it.
+TERM = 0.02
+
 
 @dataclass(frozen=True)
 class Criteria:

@@ -137,11 +137,21 @@ class Objective:
         nothing but the parameters of the indices `only` is going to move, models hold no more than that takes, and say
         nothing of what others would change.
         """
-        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
-            return neighbourhood(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
-                                 self._moves_about(x, indices, reach), tolerance=tolerance)
-
-        return (self if only is None else self._acting(x, only))._placed(place)
+        own = self if only is None else self._acting(x, only)
+        placed: dict[int, Predictor] = {}
+        for predictor, indices in own._sharing().items():
+            # Recordings of one model whose values differ, by their offsets, have a neighbourhood each.
+            while indices:
+                values = own._values(x, indices[0])
+                alike = [index for index in indices if own._values(x, index) == values]
+                found = predictor.placed(neighbourhood(
+                    predictor.operators, predictor.frequencies, values, own._moves_about(x, alike, reach),
+                    tolerance=tolerance))
+                placed.update(dict.fromkeys(alike, found))
+                indices = [index for index in indices if index not in alike]
+        other = copy.copy(own)
+        other.predictors = tuple(placed[index] for index in range(len(placed)))
+        return other
 
     def _acting(self, x: Real, only: Collection[int]) -> Objective:
         """The same without what is nothing at x (p,) and stays so while no others move."""
