@@ -17,9 +17,9 @@ from workbench.diagnosis.appraisal import established, located
 from workbench.diagnosis.archive import record
 from workbench.diagnosis.conclusion import Conclusion
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
+from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns
-from workbench.diagnosis.inference import Found, Settled
 from workbench.diagnosis.knowledge import Taken
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria

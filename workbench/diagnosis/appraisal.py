@@ -17,7 +17,8 @@ from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, share
 from workbench.diagnosis.decision import HINT
 from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.inference import WIDE, Found, Search, Settled
+from workbench.diagnosis.findings import Found, Settled
+from workbench.diagnosis.inference import WIDE, Search
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria

@@ -8,7 +8,7 @@ import numpy as np
 
 from workbench.diagnosis.decision import Decision, Evidence, decide
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.inference import Found, Settled
+from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.odds import Criteria
 

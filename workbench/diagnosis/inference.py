@@ -30,9 +30,9 @@ from workbench.diagnosis.descent import (
     within_range,
 )
 from workbench.diagnosis.device import Model, model
+from workbench.diagnosis.findings import Begun, Found, Settled
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.inaccuracy import Patterns
-from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
+from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.odds import INACCURATE, Criteria
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.workers import Workers
@@ -77,47 +77,6 @@ PLACES, TRUSTED, DOUBTED = 3, 20.0, 1.0
 
 #: A hypothesis begins no closer to the ends of its range than this share of it.
 INSIDE = 1e-4
-
-
-@dataclass(frozen=True, eq=False)
-class Begun:
-    """An optimum ``x`` (p,) of that ``cost`` where the data weigh little."""
-
-    x: Real
-    cost: float
-
-
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """An explanation at its own place, what else would be worth adding, and how well it predicts what was held out.
-
-    ``scores`` of what moves nothing that it does, best first; ``beside`` what is outside the catalogue beside it, with
-    its log evidence; ``held_out`` the log of the density of the states held out, given the others, up to what all
-    hypotheses share, and ``seen`` their impedances (n,) ohm as predicted from the others alone. ``columns`` (m, k) and
-    ``anything`` as of its likelihood.
-    """
-
-    explanation: Explanation
-    scores: tuple[Score, ...]
-    beside: tuple[tuple[Hypothesis, float], ...]
-    held_out: float
-    seen: tuple[NDArray[np.complex128], ...]
-    columns: Real
-    anything: Patterns
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What a search found.
-
-    ``base`` that nothing is wrong; ``final`` all explanations at their own places, best first, the base among them;
-    ``candidates`` how far the others came; ``undone`` what there was no time for.
-    """
-
-    base: Settled
-    final: tuple[Settled, ...]
-    candidates: tuple[Candidate, ...]
-    undone: tuple[str, ...] = ()
 
 
 @dataclass(eq=False)

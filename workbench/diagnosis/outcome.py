@@ -13,8 +13,8 @@ from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
 from workbench.diagnosis.decision import VERDICTS
 from workbench.diagnosis.device import Model
+from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.inference import Found, Settled
 from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.next_measurement import Option, in_words
 from workbench.diagnosis.odds import Criteria

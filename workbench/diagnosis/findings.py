@@ -1,0 +1,56 @@
+"""What a search finds: where it begins, explanations at their own places, and all of them together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.diagnosis.descent import Candidate
+from workbench.diagnosis.inaccuracy import Patterns
+from workbench.diagnosis.likelihood import Explanation, Hypothesis
+from workbench.diagnosis.ranking import Score
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """An optimum ``x`` (p,) of that ``cost`` where the data weigh little."""
+
+    x: Real
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """An explanation at its own place, what else would be worth adding, and how well it predicts what was held out.
+
+    ``scores`` of what moves nothing that it does, best first; ``beside`` what is outside the catalogue beside it, with
+    its log evidence; ``held_out`` the log of the density of the states held out, given the others, up to what all
+    hypotheses share, and ``seen`` their impedances (n,) ohm as predicted from the others alone. ``columns`` (m, k) and
+    ``anything`` as of its likelihood.
+    """
+
+    explanation: Explanation
+    scores: tuple[Score, ...]
+    beside: tuple[tuple[Hypothesis, float], ...]
+    held_out: float
+    seen: tuple[NDArray[np.complex128], ...]
+    columns: Real
+    anything: Patterns
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found.
+
+    ``base`` that nothing is wrong; ``final`` all explanations at their own places, best first, the base among them;
+    ``candidates`` how far the others came; ``undone`` what there was no time for.
+    """
+
+    base: Settled
+    final: tuple[Settled, ...]
+    candidates: tuple[Candidate, ...]
+    undone: tuple[str, ...] = ()
