@@ -11,18 +11,19 @@ import numpy as np
 
 from geometry.mesh import user_cache
 from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
-from workbench.commands.tables import origin_table
+from workbench.commands.tables import known_physics_table, merit_cells, origin_table
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.comparison import compare
+from workbench.diagnosis.archive import Contribution
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.criteria import gain
 from workbench.diagnosis.element_map import element_map, largest
 from workbench.diagnosis.procedure import diagnose
-from workbench.diagnosis.record import Contribution, contributions, record, spectrum_of
+from workbench.diagnosis.record import contributions, record
+from workbench.diagnosis.state import spectrum_of
 from workbench.diagnosis.verdict import Diagnosis
 from workbench.fitting.objective import log_ratio
 from workbench.fitting.parameter import shown_factor, shown_unit
-from workbench.merit import Figures
 from workbench.readers import READ_AS
 from workbench.report.figures import measured_figures
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
@@ -69,22 +70,16 @@ def states_table(found: Diagnosis) -> Table:
         stages.append(("with " + found.best.name + ", held out", found.held_after, found.campaign.held_out))
     for state in found.campaign.states:
         measured, _ = measured_figures(state.measured)
-        rows.append((state.name, "measured", *_figures(measured), "", "", ""))
+        rows.append((state.name, "measured", *merit_cells(measured), "", "", ""))
         for label, fits, states in stages:
             for fit, of in zip(fits, states, strict=True):
                 if of is state:
                     spectrum = spectrum_of(fit, state)
                     merit, _ = measured_figures(spectrum)
-                    rows.append((state.name, label, *_figures(merit),
+                    rows.append((state.name, label, *merit_cells(merit),
                                  number(compare(state.measured, spectrum).mape_percent, 3), number(100 * fit.rms, 3),
                                  number(fit.reduced, 3)))
     return Table(("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square"), tuple(rows))
-
-
-def _figures(merit: Figures | None) -> tuple[str, str, str]:
-    if merit is None:
-        return "none", "none", "none"
-    return f"{merit.f0 / 1e3:.3f}", number(merit.z_min), number(merit.q)
 
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> None:
@@ -132,10 +127,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         ("Known parameters", [moved]),
         ("Effects with known constants", [
             "They are part of the model and never fitted; this is what each changes.",
-            Table(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
-                (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
-                                          for value in (row.f0_change, row.q_change)),
-                 f"{100.0 * row.rms_log_change:.3g}") for row in known))]),
+            known_physics_table(known)]),
         ("Spectra", pictures),
         ("The recordings", [block for state in found.campaign.states
                             for block in (f"State {state.name}:", origin_table(state.measured.origin))])]

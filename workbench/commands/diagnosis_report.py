@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geometry.names import whole
-from workbench.commands.tables import origin_table
+from workbench.commands.tables import known_physics_table, merit_cells, origin_table
 from workbench.commands.terminal import print_line, print_table
 from workbench.diagnosis.archive import Contribution
-from workbench.diagnosis.outcome import Diagnosis, Estimate, spectrum_of
+from workbench.diagnosis.outcome import Diagnosis, Estimate
+from workbench.diagnosis.state import spectrum_of
 from workbench.fields import section_nodes
 from workbench.fitting.parameter import shown_factor, shown_unit
-from workbench.merit import Figures
 from workbench.report.figures import measured_figures
 from workbench.report.page import Block, Note, Picture, Table, number, write_report
 
@@ -81,10 +81,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         ("Figures of merit", [_merit(found)]),
         ("Effects with known constants", [
             "They are part of the model and never fitted; this is what each changes.",
-            Table(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
-                (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
-                                          for value in (row.f0_change, row.q_change)),
-                 f"{100.0 * row.rms_log_change:.3g}") for row in known))]),
+            known_physics_table(known)]),
         ("The recordings", [block for state in found.states
                             for block in (f"State {state.name}:", origin_table(state.measured.origin))])]
     return write_report(folder / "report.html", f"Diagnosis: {found.campaign.name}", sections)
@@ -175,16 +172,10 @@ def _known(known: Sequence[Estimate]) -> Table:
 def _merit(found: Diagnosis) -> Table:
     rows = []
     for state, stated, base, best in zip(found.states, found.stated, found.base, found.best, strict=True):
-        rows.append((state.name, "measured", *_figures(measured_figures(state.measured)[0]), ""))
+        rows.append((state.name, "measured", *merit_cells(measured_figures(state.measured)[0]), ""))
         fits = {"as stated": stated, "known parameters": base}
         if found.established:
             fits["with what was found"] = best
-        rows += [(state.name, label, *_figures(measured_figures(spectrum_of(fit, state))[0]), number(fit.reduced, 3))
+        rows += [(state.name, label, *merit_cells(measured_figures(spectrum_of(fit, state))[0]), number(fit.reduced, 3))
                  for label, fit in fits.items()]
     return Table(("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))
-
-
-def _figures(merit: Figures | None) -> tuple[str, str, str]:
-    if merit is None:
-        return "none", "none", "none"
-    return f"{merit.f0 / 1e3:.3f}", number(merit.z_min), number(merit.q)

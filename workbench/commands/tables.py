@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from workbench.report.page import Table
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from workbench.merit import Figures
+from workbench.report.page import Table, number
 from workbench.simulation import Simulation
 from workbench.spectrum import Origin
+
+if TYPE_CHECKING:
+    from workbench.diagnosis.archive import Contribution
 
 
 def model_table(runs: list[Simulation]) -> Table:
@@ -15,6 +22,21 @@ def model_table(runs: list[Simulation]) -> Table:
         (run.state, str(run.unknowns), str(run.problem.mesh.order),
          f"{run.mesh_error.rms:.1e}" if run.mesh_error else "", f"{run.error:.1e}", str(run.solves),
          f"{run.residual:.1e}", f"{run.closure:.1e}", f"{sum(run.seconds.values()):.1f}") for run in runs))
+
+
+def known_physics_table(known: Sequence[Contribution]) -> Table:
+    """What every effect with known constants changes."""
+    return Table(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
+        (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
+                                  for value in (row.f0_change, row.q_change)),
+         f"{100.0 * row.rms_log_change:.3g}") for row in known))
+
+
+def merit_cells(merit: Figures | None) -> tuple[str, str, str]:
+    """f0 (kHz), Z_min (ohm) and Q."""
+    if merit is None:
+        return "none", "none", "none"
+    return f"{merit.f0 / 1e3:.3f}", number(merit.z_min), number(merit.q)
 
 
 def origin_table(origin: Origin) -> Table:

@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workbench.comparison import compare
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.outcome import Diagnosis, Estimate, spectrum_of
-from workbench.diagnosis.state import DeviceState, StateFit
+from workbench.diagnosis.outcome import Diagnosis, Estimate
+from workbench.diagnosis.state import StateFit, state_record
 from workbench.report.figures import measured_figures
 from workbench.spectrum import Spectrum
 
@@ -35,6 +34,14 @@ class Contribution(NamedTuple):
     q_change: float | None
     rms_log_change: float
 
+    @classmethod
+    def of(cls, effect: str, state: str, there: Spectrum, without: Spectrum) -> Contribution:
+        """From the spectra with the effect and without it."""
+        (one, _), (other, _) = measured_figures(there), measured_figures(without)
+        f0, q = (None, None) if one is None or other is None else (one.f0 - other.f0, one.q - other.q)
+        changed = np.abs(np.log(there.impedance / without.impedance))
+        return cls(effect, state, f0, q, float(np.sqrt(np.mean(changed**2))))
+
 
 def contributions(found: Diagnosis) -> list[Contribution]:
     """What every effect with known constants changes in every fitted state, at the parameters found."""
@@ -49,10 +56,7 @@ def contributions(found: Diagnosis) -> list[Contribution]:
             if values.get(name):
                 there, without = (Spectrum(state.measured.frequency, objective.predictors[index](each).impedance)
                                   for each in (values, {**values, name: 0j}))
-                (one, _), (other, _) = measured_figures(there), measured_figures(without)
-                f0, q = (None, None) if one is None or other is None else (one.f0 - other.f0, one.q - other.q)
-                changed = np.abs(np.log(there.impedance / without.impedance))
-                rows.append(Contribution(effect, state.name, f0, q, float(np.sqrt(np.mean(changed**2)))))
+                rows.append(Contribution.of(effect, state.name, there, without))
     return rows
 
 
@@ -67,7 +71,7 @@ def record(found: Diagnosis) -> dict[str, Any]:
     decision, states, count = found.conclusion.decision, found.states, len(found.campaign.fitted)
 
     def fits(of: Sequence[StateFit]) -> dict[str, Any]:
-        return {fit.name: _state(fit, state) for fit, state in zip(of, states, strict=True)}
+        return {fit.name: state_record(fit, state) for fit, state in zip(of, states, strict=True)}
 
     before, base, after = fits(found.stated), fits(found.base), fits(found.best)
     fitted, held = [s.name for s in states[:count]], [s.name for s in states[count:]]
@@ -105,11 +109,3 @@ def record(found: Diagnosis) -> dict[str, Any]:
 
 def _estimate(found: Estimate) -> dict[str, Any]:
     return {"value": found.value, "low": found.low, "high": found.high, "unit": found.unit}
-
-
-def _state(fit: StateFit, state: DeviceState) -> dict[str, Any]:
-    spectrum = spectrum_of(fit, state)
-    figures, _ = measured_figures(spectrum)
-    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
-            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
-            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}

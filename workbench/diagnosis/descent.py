@@ -1,9 +1,9 @@
 """The one search: from places that the prior allows, with the weight of the data raised in a few steps.
 
 Spectra have many optima, one for every way to lay the overtones of the model on those of the recording. Where points
-weigh little (:data:`LEVELS`), what is known of the parameters holds them near the right one, unless one of them shifts
-overtones by more than they are apart within what is known of it: along those (:func:`multimodal`) the cost is looked at
-everywhere, and every optimum on the way begins a descent (:func:`basins`).
+weigh little (:data:`LEVELS`), and admittances are smoothed at first, there are few. A hypothesis that frees a parameter
+which shifts overtones by more than they are apart (:func:`multimodal`) has more of them: along that one the cost is
+looked at over its whole range, and every optimum on the way begins a descent (:func:`basins`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from workbench.fitting.search import NO_END, Optimum
 Real = NDArray[np.float64]
 
 
-
 class Placed(Protocol):
     """What has a place x (p,)."""
 
@@ -39,11 +38,12 @@ LEVELS = (0.05, 0.01)
 #: what is left of the overtones on a recording.
 SMOOTHED = 0.01
 
-#: Where along a multimodal parameter the cost is looked at, in its standard uncertainties.
-SCANNED = np.linspace(-2.4, 2.4, 9)
+#: The ratio of neighbouring places where the cost is looked at over all that a length may be, and how many places where
+#: a range begins at nothing.
+RATIO, SCANNED = 1.3, 9
 
-#: The ratio of neighbouring places where it is looked at over all that a length may be.
-RATIO = 1.3
+#: What begins does so no closer to the ends of its range than this share of it.
+INSIDE = 1e-4
 
 #: Steps of a look at one place of the scan, and of the descent from an optimum of it.
 LOOK, DESCENT = 3, 8
@@ -128,12 +128,17 @@ def within_range(parameter: Parameter) -> Real:
     low, high = parameter.low, parameter.high
     if low > 0.0:
         return _inside(parameter, np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(RATIO))))
-    return _inside(parameter, np.linspace(low, high, SCANNED.size))
+    return _inside(parameter, np.linspace(low, high, SCANNED))
 
 
 def _inside(parameter: Parameter, values: Real) -> Real:
-    margin = 1e-4 * (parameter.high - parameter.low)
-    return np.unique(np.clip(values, parameter.low + margin, parameter.high - margin))
+    return np.unique(inside(values, parameter.low, parameter.high))
+
+
+def inside(values: Real, low: Real | float, high: Real | float) -> Real:
+    """Values no closer to the ends of their range than :data:`INSIDE` of it."""
+    margin = INSIDE * (high - low)
+    return np.clip(values, low + margin, high - margin)
 
 
 def distinct(likelihood: Likelihood, ends: Sequence[End], cost: Callable[[End], float]) -> list[End]:

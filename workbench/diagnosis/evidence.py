@@ -98,7 +98,7 @@ class Linearised:
         factor = np.linalg.cholesky(inner * np.outer(unit, unit))
         slope = weights * self.gram[taken, p]
         slope[:p] += self.precision @ self.offset
-        every = p + 1 + np.concatenate([*blocks])
+        every = p + 1 + np.concatenate(blocks)
         right = np.column_stack([weights[:, None] * self.gram[np.ix_(taken, every)], slope])
         along = scipy.linalg.solve_triangular(factor, unit[:, None] * right, lower=True, check_finite=False)
         found, start = [], 0

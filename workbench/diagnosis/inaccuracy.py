@@ -100,11 +100,10 @@ def patterns(objective: Objective, x: Real) -> tuple[Patterns, Patterns]:
         if frequency.size > each.frequency.size:
             slopes = CubicSpline(each.frequency, slopes)(frequency)
         rows = slice(start, start + 2 * frequency.size)
-        for (region, kind, mode, only, _), slope in zip(found, slopes.T, strict=True):
-            for which, own in enumerate(columns):
-                if only is None or only == bool(which):
-                    column = own.setdefault((region, kind, *mode), np.zeros(total))
-                    column[rows] += np.concatenate([slope.real, slope.imag])
+        for (region, kind, mode, of, _), slope in zip(found, slopes.T, strict=True):
+            for which in of:
+                column = columns[which].setdefault((region, kind, *mode), np.zeros(total))
+                column[rows] += np.concatenate([slope.real, slope.imag])
         start = rows.stop
     smooth, anything = (Patterns(np.stack(list(own.values()), axis=1), tuple(key[0] for key in own),
                                  tuple(key[1] for key in own)) for own in columns)
@@ -113,9 +112,9 @@ def patterns(objective: Objective, x: Real) -> tuple[Patterns, Patterns]:
 
 def _of_recording(
     found: Seen, materials: Mapping[str, Material], frequency: float
-) -> Iterator[tuple[str, str, tuple[int, int], bool | None, Complex]]:
-    """Region, kind, number of the cosine, whether it belongs to what may be anything (None: to both), and d ln Z (n,)
-    of every pattern of a recording."""
+) -> Iterator[tuple[str, str, tuple[int, int], tuple[int, ...], Complex]]:
+    """Region, kind, number of the cosine, which of the two of :func:`patterns` it is of, and d ln Z (n,) of every
+    pattern of a recording."""
     mesh = found.operators.mesh.mesh
     for region, cells in mesh.subdomains.items():
         # A layer's part of a region, or one that holds nothing in this state.
@@ -132,9 +131,9 @@ def _of_recording(
                 slopes = found.slopes[number, cells]
                 if slopes.any():
                     slope = np.conj(shape @ slopes)
-                    yield region, kind, mode, False if kind == LOSS else None, slope
+                    yield region, kind, mode, (0,) if kind == LOSS else (0, 1), slope
                     if kind == STIFFNESS:
-                        yield region, LOSS, mode, True, 1j * slope
+                        yield region, LOSS, mode, (1,), 1j * slope
 
 
 def cosines(size: Real, length: float) -> list[tuple[tuple[int, int], float]]:

@@ -26,6 +26,7 @@ from workbench.diagnosis.descent import (
     basins,
     distinct,
     followed,
+    inside,
     multimodal,
     within_range,
 )
@@ -74,9 +75,6 @@ HURRIED = {"rounds": 2, "limit": 8}
 #: below the second number, relative to noise (it is some hundred times the true one); where the data weigh little,
 #: below the third.
 PLACES, TRUSTED, DOUBTED = 3, 20.0, 1.0
-
-#: A hypothesis begins no closer to the ends of its range than this share of it.
-INSIDE = 1e-4
 
 
 @dataclass(eq=False)
@@ -165,12 +163,19 @@ class Search:
             if base.explanation.accuracy <= INACCURATE:
                 return self.concluded(base, self.work(self.further(base)), [plain])
         self.progress("single hypotheses", 0.3)
-        found = self.tried(plain, ends, () if base is None else base.scores)
+        *places, last, outside = self.work([
+            *((f"scores {k}", "scored", (end.x, LEVELS[0])) for k, end in enumerate(ends)),
+            ("scores", "scored", (plain.x, LEVELS[1])), ("what is outside the catalogue", "outside", (plain,))])
+        chosen = self.chosen([each for each in (*places, last, () if base is None else base.scores) if each])
+        little, found = self.tried(plain, ends, places, chosen)
         if not any(each.fits for each in (plain, *found)) and not self.is_over:
             along = multimodal(self.bare(), ends[0].x)
             self.say("along", [self.model.parameters[i].name for i in along])
             self.progress("all that lengths may be", 0.5)
-            found += self.tried(plain, ends, (), along) if along else []
+            names = {self.model.parameters[i].name for i in along}
+            about = [effect for effect in self.model.effects if names & set(effect.names)]
+            found += self.tried(plain, ends, places, about, along, beside=little)[1]
+        found += outside or []
         best: dict[str, Candidate] = {}
         for each in sorted(found, key=lambda each: -each.log_evidence):
             best.setdefault(each.hypothesis.name, each)
@@ -188,8 +193,7 @@ class Search:
         starts = [self.centre]
         for shift in (sign * each for each in drawn for sign in (1.0, -1.0)):
             start = self.centre.copy()
-            margin = INSIDE * (high - low)
-            start[known] = np.clip(start[known] + shift, low + margin, high - margin)
+            start[known] = inside(start[known] + shift, low, high)
             starts.append(start)
         found = self.work([("a start where nothing is wrong", "descended", (start,)) for start in starts], must=1)
         ends = distinct(self.bare(), [each for each in found if each is not None], lambda each: each.cost)
@@ -222,25 +226,26 @@ class Search:
         return self.onward(Candidate(nothing, (self.likelihood(at).weighed(nothing, x, LEVELS[0]),)), at)
 
     def tried(
-        self, plain: Candidate, ends: Sequence[Begun], scores: Sequence[Score], along: Sequence[int] = ()
-    ) -> list[Candidate]:
-        """Where those hypotheses lead, with the data weighing more, that promise most at some `ends`, where nothing is
-        wrong, or by other `scores`; and those along whose parameters there are several basins, `along`."""
+        self, plain: Candidate, ends: Sequence[Begun], places: Sequence[Sequence[Score] | None],
+        effects: Sequence[Effect], along: Sequence[int] = (), *, beside: Sequence[Candidate] = (),
+    ) -> tuple[list[Candidate], list[Candidate]]:
+        """Where hypotheses lead with the data weighing little, and with more those that are not far behind the others.
+
+        From the `ends` where nothing is wrong by their scores there (`places`), and along their own parameters of the
+        indices `along`; others were looked at `beside`.
+        """
         at = plain.x
-        *places, last = self.work([*((f"scores {k}", "scored", (end.x, LEVELS[0])) for k, end in enumerate(ends)),
-                                   ("scores", "scored", (at, LEVELS[1]))])
-        chosen = self.chosen([each for each in (*places, last, scores) if each], along)
-        self.say("chosen", [effect.name for effect in chosen])
-        tasks = [(effect.name, "explain", (effect.name, at, ends[0].x, along, self.starts(effect, ends, places)))
-                 for effect in chosen]
-        *little, outside = self.work([*tasks, ("what is outside the catalogue", "outside", (plain,))])
-        promising = _best([each for each in little if each is not None], GO_ON[0], lambda each: each.log_evidence)
-        more = self.work([(f"{each.hypothesis.name}, further", "onward", (each, at)) for each in promising])
-        for candidate in more:
-            if candidate is not None:
-                self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence,
-                         candidate.weighed.accuracy, candidate.weighed.left, candidate.weighed.doubt)
-        return [each for each in (*more, *(outside or ())) if each is not None]
+        little = [each for each in self.work([
+            (effect.name, "explain", (effect.name, at, ends[0].x, along, self.starts(effect, ends, places)))
+            for effect in effects]) if each is not None]
+        best = _best([*beside, *little], GO_ON[0], lambda each: each.log_evidence)
+        further = [each for each in self.work([
+            (f"{each.hypothesis.name}, further", "onward", (each, at)) for each in best if each not in beside])
+            if each is not None]
+        for candidate in further:
+            self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence,
+                     candidate.weighed.accuracy, candidate.weighed.left, candidate.weighed.doubt)
+        return little, further
 
     def ended(self, plain: Candidate, found: Sequence[Candidate], base: Settled | None) -> Found:
         """The best of what was found at its own place, alone and with what promises most beside it."""
@@ -288,17 +293,16 @@ class Search:
         """The scores of all hypotheses at x (p,)."""
         return ranked(self.bare(), x, level)
 
-    def chosen(self, scores: Sequence[Sequence[Score]], along: Sequence[int]) -> list[Effect]:
-        """The hypotheses that promise most anywhere, and those about a multimodal parameter."""
+    def chosen(self, scores: Sequence[Sequence[Score]]) -> list[Effect]:
+        """The hypotheses that promise most anywhere."""
         found: dict[str, Effect] = {}
         for scored in scores:
             self.say("   ", [(round(s.evidence, 1), s.effect.name) for s in scored[:4]])
             for each in scored[:TRIED]:
                 if each.evidence > max(self.least, SHARE * scored[0].evidence):
                     found.setdefault(each.effect.name, each.effect)
-        names = {self.model.parameters[i].name for i in along}
-        return [*found.values(), *(effect for effect in self.model.effects
-                                   if names & set(effect.names) and effect.name not in found)]
+        self.say("chosen", list(found))
+        return list(found.values())
 
     def starts(self, effect: Effect, ends: Sequence[Begun], scores: Sequence[Sequence[Score] | None]) -> list[Real]:
         """Where a hypothesis begins: at those ends where its score promises most, all told."""
@@ -318,7 +322,7 @@ class Search:
         sign = np.where(score.amplitude < 0.0, -1.0, 1.0)
         asked = np.where(np.abs(score.amplitude) < least, sign * least, score.amplitude)
         y = x.copy()
-        y[own] = np.clip(x[own] + asked, low + INSIDE * (high - low), high - INSIDE * (high - low))
+        y[own] = inside(x[own] + asked, low, high)
         return y
 
     def explain(
@@ -326,13 +330,13 @@ class Search:
     ) -> Candidate | None:
         """Where a hypothesis leads from some `starts` (p,), and from optima along those of its own parameters that are
         multimodal; the model's inaccuracy is that `at` a place (p,), and x (p,) the end without the hypothesis."""
+        if not starts:
+            return None
         model = self.model
         effect = next(each for each in model.effects if each.name == name)
         hypothesis = Hypothesis((effect,))
         own = [model.index(each) for each in effect.names]
         scans = {i: within_range(model.parameters[i]) for i in along if i in own}
-        if not starts:
-            return None
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.centre[own]).sum()))
         on_the_way = [_replaced(self.centre, [i], value) for i, values in scans.items() for value in values[::3]]
         wider = self.likelihood(at).on(self.wider(hypothesis, [largest, *on_the_way]))
@@ -417,10 +421,10 @@ class Search:
             x, errors, doubt = found.x, found.spread(x.size), found.doubt
         self.say("settled", hypothesis.name, found.log_evidence, *found.scales, "chi",
                  float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
-        density, seen = 0.0, tuple[NDArray[np.complex128], ...]()
+        density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
             held = self.near(self.model.held_out, hypothesis, found.x, found.spread(x.size))
-            seen = tuple(Likelihood.bare(self.model, held).impedances(found.x))
+            seen = Likelihood.bare(self.model, held).impedances(found.x)
             # What they add to the evidence, with the optimum of all.
             whole = Likelihood.bare(self.model, likelihood.objective.joined(held)).with_patterns(found.x)
             every = whole.settled(hypothesis, found.x, **HURRIED)
@@ -430,7 +434,7 @@ class Search:
         self.say("   beside", hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
         beside = () if hypothesis.is_outside else tuple(likelihood.beside(hypothesis, found.x, 0.0, found.accuracy))
         assert likelihood.anything is not None
-        return Settled(found, scores, beside, density, seen, likelihood.columns, likelihood.anything)
+        return Settled(found, scores, beside, density, tuple(seen), likelihood.columns, likelihood.anything)
 
     def near(self, recordings: Objective, hypothesis: Hypothesis, x: Real, errors: Real) -> Objective:
         """Recordings predicted about an optimum x (p,) of those standard deviations (p,)."""

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+T = TypeVar("T")
 
 #: Cosines along the band that the error of a term is a sum of.
 WAVES = 5
@@ -198,13 +200,6 @@ class Likelihood:
         directions, lengths = principal(whole.columns / sizes, NEGLIGIBLE)
         return replace(self, columns=directions * lengths * sizes, anything=anything)
 
-    def of(self, names: Sequence[str]) -> Likelihood:
-        """The same of some of the recordings alone."""
-        rows = np.concatenate([np.arange(place.start, place.stop) for place, recording in
-                               zip(self.places, self.objective.recordings, strict=True) if recording.name in names])
-        anything = None if self.anything is None else replace(self.anything, columns=self.anything.columns[rows])
-        return replace(self, objective=self.objective.of(names), columns=self.columns[rows], anything=anything)
-
     @cached_property
     def states(self) -> tuple[DeviceState, ...]:
         """What was recorded."""
@@ -230,16 +225,15 @@ class Likelihood:
     def strongest_modes(self, hypothesis: Hypothesis, x: Real, accuracy: float) -> tuple[Mode, ...]:
         """The modes that the model seems to lack beside a hypothesis at x (p,), one at most in every body recorded."""
         search = self.search(hypothesis)
-        data = self.objective(x, deviation=self.spreads(), free=frozenset(map(int, search.free)))
+        data = self.data(hypothesis, x)
         whiten = Covariance.of(self.columns / self.noise[:, None] * accuracy).whitened
         precision = np.diag(search.precision[search.free])
         # A parameter that nothing is known of may be anything.
         nuisances, _ = np.linalg.qr(np.vstack([whiten(data.jacobian[:, search.free]), precision]))
-        padding = np.zeros((precision.shape[0], 1))
 
         def project(columns: Real) -> Real:
             """Whitened, and without what known parameters imitate; the rows of the priors are nothing to a mode."""
-            whole = np.vstack([whiten(columns), np.tile(padding, columns.shape[1])])
+            whole = np.vstack([whiten(columns), np.zeros((len(precision), columns.shape[1]))])
             return np.asarray(whole - nuisances @ (nuisances.T @ whole))
 
         residual = np.concatenate([whiten(data.vector), (x - search.centre)[search.free] * np.diag(precision)])
@@ -274,7 +268,7 @@ class Likelihood:
         `smoothing` of admittances is the half width, relative to the middle of the band; `accuracy` that of the model.
         """
         recordings = search.objective.recordings
-        every = [max(1, round(own.measured.frequency.size / SEARCHED)) for own in recordings]
+        every = [own.step(SEARCHED) for own in recordings]
         spreads = self.spreads(level, every)
         thin = search.on(search.objective.thinned(SEARCHED))
         if accuracy > 0.0 and self.columns.size:
@@ -289,17 +283,11 @@ class Likelihood:
 
     def descended(self, hypothesis: Hypothesis, search: Search, x: Real, level: float, limit: int) -> Weighed:
         """The optimum near x (p,) where points weigh less, and the model is as accurate as it seems to be there."""
-        best, strictness = self.weighed(hypothesis, x, level), 1.0
-        for _ in range(ROUNDS):
+        def again(best: Weighed, strictness: float) -> Weighed:
             end = self.tempered(search, best.x, level, accuracy=strictness * best.accuracy, limit=limit)
-            found = self.weighed(hypothesis, end.x, level)
-            if found.log_evidence > best.log_evidence + ALIKE:
-                best = found
-            elif strictness < 1.0:
-                break
-            else:
-                strictness = STRICTER
-        return best
+            return self.weighed(hypothesis, end.x, level)
+
+        return _improved(self.weighed(hypothesis, x, level), again, lambda each: each.log_evidence, ROUNDS)
 
     def linearised(
         self, hypothesis: Hypothesis, search: Search, x: Real, level: float = 0.0, further: Real | None = None
@@ -363,30 +351,28 @@ class Likelihood:
         """
         search = self.search(hypothesis)
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        local = self.linearised(hypothesis, search, x)
-        worth, best, average = local.over_scales()
-        strictness = 1.0
-        for _ in range(rounds):
+
+        def at(x: Real) -> tuple[Real, Local, float, Scales, Average]:
+            local = self.linearised(hypothesis, search, x)
+            return x, local, *local.over_scales()
+
+        def again(
+            best: tuple[Real, Local, float, Scales, Average], strictness: float
+        ) -> tuple[Real, Local, float, Scales, Average]:
+            x, local, _, scales, average = best
             for i, deviation in zip(search.free, np.sqrt(np.diag(average.covariance)), strict=True):
                 if i in own:
                     # What is admissible may be a million times what the data see.
                     width = search.high[i] - search.low[i]
                     search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
             deviations = self._deviations(hypothesis, local.data, x)
-            under = search.under(self._covariance(deviations, best._replace(accuracy=strictness * best.accuracy)))
-            end = under.minimise(x, self.spreads(), limit=limit, tolerance=ENOUGH).x
-            there = self.linearised(hypothesis, search, end)
-            found = there.over_scales()
-            if found[0] > worth + ALIKE:
-                x, local, (worth, best, average) = end, there, found
-            elif strictness < 1.0:
-                break
-            else:
-                # Where little is asked of the model, much stays that it could explain.
-                strictness = STRICTER
+            under = search.under(self._covariance(deviations, scales._replace(accuracy=strictness * scales.accuracy)))
+            return at(under.minimise(x, self.spreads(), limit=limit, tolerance=ENOUGH).x)
+
+        x, local, worth, scales, average = _improved(at(x), again, lambda each: each[2], rounds)
         worth -= sum(mode.cost for mode in hypothesis.modes)
-        return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth, best, average.occam,
-                           replace(local.data, predictions=()), local.data.error)
+        return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth, scales,
+                           average.occam, replace(local.data, predictions=()), local.data.error)
 
     def _deviations(
         self, hypothesis: Hypothesis, data: Residual, x: Real, level: float = 0.0
@@ -440,6 +426,24 @@ class Likelihood:
         worth = local.over_blocks([np.arange(low, high) for low, high in pairwise(ends)], REGION_SIZES)
         worth -= [sum(mode.cost for mode in each.modes) for each in found]
         return sorted(zip(found, worth.tolist(), strict=True), key=lambda each: -each[1])
+
+
+def _improved(best: T, again: Callable[[T, float], T], worth: Callable[[T], float], rounds: int) -> T:
+    """The best of so many rounds that each begin `again` from it, with an accuracy of the model times a factor.
+
+    That is one as long as it helps, and then :data:`STRICTER`: where little is asked of the model, much stays that it
+    could explain.
+    """
+    strictness = 1.0
+    for _ in range(rounds):
+        found = again(best, strictness)
+        if worth(found) > worth(best) + ALIKE:
+            best = found
+        elif strictness < 1.0:
+            break
+        else:
+            strictness = STRICTER
+    return best
 
 
 #: Directions that deviate by less than this share of the noise even at the largest size are left out.

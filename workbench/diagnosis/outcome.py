@@ -19,11 +19,10 @@ from workbench.diagnosis.likelihood import Explanation
 from workbench.diagnosis.next_measurement import Option, in_words
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.ranking import Score
-from workbench.diagnosis.state import DeviceState, StateFit
+from workbench.diagnosis.state import DeviceState, StateFit, spectrum_of
 from workbench.fitting.joint import refused_steps
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.notebook import Shown, Summary
-from workbench.spectrum import Origin, Spectrum
 
 if TYPE_CHECKING:
     import xarray
@@ -248,11 +247,6 @@ def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[E
     of = {name: model.parameters[model.index(name)] for name in names}
     return tuple(Estimate(name, *interval(model, found, name), p.unit, p.start, None if p.prior is None else
                           (float(found.x[model.index(name)]) - p.start) / p.prior) for name, p in of.items())
-
-
-def spectrum_of(fit: StateFit, state: DeviceState) -> Spectrum:
-    """The spectrum of a state as it was fitted."""
-    return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
 
 
 def _in_words(found: Established) -> str:

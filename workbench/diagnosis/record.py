@@ -2,38 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-
-from workbench.comparison import compare
-from workbench.diagnosis.campaign import DeviceState
+from workbench.diagnosis.archive import Contribution
 from workbench.diagnosis.criteria import gain
-from workbench.diagnosis.refit import StateFit
+from workbench.diagnosis.state import state_record
 from workbench.diagnosis.verdict import Diagnosis, detection_limits, intervals, known_physics
-from workbench.report.figures import measured_figures
-from workbench.spectrum import Origin, Spectrum
-
-
-class Contribution(NamedTuple):
-    """What an effect with known constants changes in a state: f0 (Hz) and Q (None: no resonance), and ln Z, rms."""
-
-    effect: str
-    state: str
-    f0_change: float | None
-    q_change: float | None
-    rms_log_change: float
 
 
 def contributions(found: Diagnosis) -> list[Contribution]:
     """What every effect with known constants changes in every fitted state."""
-    rows = []
-    for effect, state, there, without in known_physics(found):
-        (one, _), (other, _) = measured_figures(there), measured_figures(without)
-        f0, q = (None, None) if one is None or other is None else (one.f0 - other.f0, one.q - other.q)
-        rms = float(np.sqrt(np.mean(np.abs(np.log(there.impedance / without.impedance)) ** 2)))
-        rows.append(Contribution(effect, state, f0, q, rms))
-    return rows
+    return [Contribution.of(*row) for row in known_physics(found)]
 
 
 def record(found: Diagnosis) -> dict[str, Any]:
@@ -55,12 +34,14 @@ def record(found: Diagnosis) -> dict[str, Any]:
         "rivals": [{"effects": [e.name for e in r.refit.effects], "behind": r.behind,
                     "parameters": {n: list(v) for n, v in intervals(r.refit).items()}} for r in found.rivals],
         "location": [place._asdict() for place in found.location],
-        "before": {s.name: _state(s, state) for s, state in zip(found.nominal, found.campaign.fitted, strict=True)},
+        "before": {
+            s.name: state_record(s, state) for s, state in zip(found.nominal, found.campaign.fitted, strict=True)},
         "known_parameters_only": {
-            s.name: _state(s, state) for s, state in zip(found.base.states, found.campaign.fitted, strict=True)},
-        "after": {s.name: _state(s, state) for s, state in zip(found.best.states, found.campaign.fitted, strict=True)},
+            s.name: state_record(s, state) for s, state in zip(found.base.states, found.campaign.fitted, strict=True)},
+        "after": {
+            s.name: state_record(s, state) for s, state in zip(found.best.states, found.campaign.fitted, strict=True)},
         "held_out": {
-            before.name: {"before": _state(before, state), "after": _state(after, state)}
+            before.name: {"before": state_record(before, state), "after": state_record(after, state)}
             for before, after, state in zip(found.held_before, found.held_after, found.campaign.held_out, strict=True)},
         "next_measurement": found.next_measurement,
         "detection_limits": detection_limits(found),
@@ -72,16 +53,3 @@ def record(found: Diagnosis) -> dict[str, Any]:
         "seconds": found.seconds,
         "full_solves": found.full_solves,
     }
-
-
-def _state(fit: StateFit, state: DeviceState) -> dict[str, Any]:
-    spectrum = spectrum_of(fit, state)
-    figures, _ = measured_figures(spectrum)
-    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
-            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
-            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
-
-
-def spectrum_of(fit: StateFit, state: DeviceState) -> Spectrum:
-    """The spectrum of a state as it was fitted."""
-    return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))

@@ -14,13 +14,15 @@ from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY, TRANSDUCER
 from materials.kinds import Fluid, Material
 from materials.registry import Registry
+from workbench.comparison import compare
 from workbench.files.errors import InputError
 from workbench.files.tables import Table
 from workbench.fitting.prepare import check_device, in_band
 from workbench.fitting.uncertainty import correlation_length
 from workbench.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
-from workbench.spectrum import Spectrum
+from workbench.report.figures import measured_figures
+from workbench.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -81,6 +83,20 @@ class StateFit:
 def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> StateFit:
     return StateFit(name, float(np.mean(np.abs(log / noise) ** 2) / 2.0), float(np.sqrt(np.mean(np.abs(log) ** 2))),
                     correlation_length(log / noise), impedance)
+
+
+def spectrum_of(fit: StateFit, state: DeviceState) -> Spectrum:
+    """The spectrum of a state as it was fitted."""
+    return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
+
+
+def state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
+    """What is written of a state as it was fitted."""
+    spectrum = spectrum_of(fit, state)
+    figures, _ = measured_figures(spectrum)
+    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
+            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
+            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
 
 
 def read_state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceState:

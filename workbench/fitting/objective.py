@@ -13,7 +13,7 @@ the one broad resonance that every parameter set has. The width is then let down
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -44,10 +44,13 @@ class Recording:
     measured: Spectrum
     chip: Chip | None = None
 
+    def step(self, points: int) -> int:
+        """Every how many-th of its points leaves about so many of them."""
+        return max(1, round(self.measured.frequency.size / points))
+
     def thinned(self, points: int) -> Recording:
         """The recording with at most about so many of its points, evenly; itself where it has no more."""
-        measured = self.measured
-        every = max(1, round(measured.frequency.size / points))
+        measured, every = self.measured, self.step(points)
         if every == 1:
             return self
         uncertainty = None if measured.uncertainty is None else measured.uncertainty[::every]
@@ -137,21 +140,14 @@ class Objective:
         nothing but the parameters of the indices `only` is going to move, models hold no more than that takes, and say
         nothing of what others would change.
         """
+        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
+            return neighbourhood(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
+                                 self._moves_about(x, indices, reach), tolerance=tolerance)
+
         own = self if only is None else self._acting(x, only)
-        placed: dict[int, Predictor] = {}
-        for predictor, indices in own._sharing().items():
-            # Recordings of one model whose values differ, by their offsets, have a neighbourhood each.
-            while indices:
-                values = own._values(x, indices[0])
-                alike = [index for index in indices if own._values(x, index) == values]
-                found = predictor.placed(neighbourhood(
-                    predictor.operators, predictor.frequencies, values, own._moves_about(x, alike, reach),
-                    tolerance=tolerance))
-                placed.update(dict.fromkeys(alike, found))
-                indices = [index for index in indices if index not in alike]
-        other = copy.copy(own)
-        other.predictors = tuple(placed[index] for index in range(len(placed)))
-        return other
+        # Recordings of one model whose values differ, by their offsets, have a neighbourhood each.
+        return own._placed(place, [(predictor, alike) for predictor, indices in own._sharing().items()
+                                   for alike in own._alike(x, indices)])
 
     def _acting(self, x: Real, only: Collection[int]) -> Objective:
         """The same without what is nothing at x (p,) and stays so while no others move."""
@@ -181,7 +177,8 @@ class Objective:
                      if values != here]
             return predictor.place.widened(moved, tolerance)
 
-        return self._acting(x, only)._placed(place)
+        own = self._acting(x, only)
+        return own._placed(place, own._sharing().items())
 
     def with_every(self, x: Real) -> Objective:
         """The same at x (p,) alone, on models that say what every parameter would change there."""
@@ -195,12 +192,27 @@ class Objective:
         """All values of the problem of the recording of that index at x (p,)."""
         return {**self.recordings[index].problem.values, **self.settings(x, index)[0]}
 
-    def _placed(self, place: Callable[[Predictor, Sequence[int]], Neighbourhood]) -> Objective:
-        """The same in other neighbourhoods, by predictor and the indices of its recordings."""
-        other = copy.copy(self)
-        made = {predictor: predictor.placed(place(predictor, indices))
-                for predictor, indices in self._sharing().items()}
-        other.predictors = tuple(made[predictor] for predictor in self.predictors)
+    def _alike(self, x: Real, indices: Sequence[int]) -> list[list[int]]:
+        """Recordings, by index, in groups of the same values at x (p,)."""
+        groups: list[tuple[dict[str, complex], list[int]]] = []
+        for index in indices:
+            values = self._values(x, index)
+            known = next((group for other, group in groups if other == values), None)
+            if known is None:
+                groups.append((values, [index]))
+            else:
+                known.append(index)
+        return [group for _, group in groups]
+
+    def _placed(
+        self, place: Callable[[Predictor, Sequence[int]], Neighbourhood],
+        groups: Iterable[tuple[Predictor, Sequence[int]]],
+    ) -> Objective:
+        """The same in other neighbourhoods, one for each predictor and some of its recordings, by index."""
+        other, made = copy.copy(self), dict[int, Predictor]()
+        for predictor, indices in groups:
+            made.update(dict.fromkeys(indices, predictor.placed(place(predictor, indices))))
+        other.predictors = tuple(made[index] for index in range(len(self.predictors)))
         return other
 
     def _moves_about(self, x: Real, indices: Sequence[int], reach: Mapping[str, float]) -> dict[str, float]:
