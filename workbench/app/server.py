@@ -370,7 +370,9 @@ class LiveView:
             except (NotReady, OutOfRange) as waiting:
                 self._waiting = str(waiting)
                 with self._state:
-                    self._say(self._waiting)
+                    # What was refused stays to be read.
+                    if not self._state.message_is_error:
+                        self._say(self._waiting)
             except FAILURES as error:
                 with self._state:
                     self._complain(error)
