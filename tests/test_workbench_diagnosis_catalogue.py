@@ -11,7 +11,7 @@ import pytest
 
 from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.catalogue import effects
-from workbench.diagnosis.hypothesis import RIMS, Device, Effect
+from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.parameter_names import Kind, ParameterName
 from workbench.physics.open_bond import OpenBond
 from workbench.physics.softening import DRIVE_SQUARED
@@ -145,18 +145,17 @@ def test_terms_take_lengths_and_drive_from_their_state(trial: Campaign, found: M
     assert "disc" not in found["imperfect bond at the sidewall"].terms
 
 
-def test_rings_lie_between_the_cavity_and_the_rim_of_what_holds(found: Mapping[str, Effect]) -> None:
+def test_what_is_open_lies_between_the_cavity_and_the_rim_of_what_holds(found: Mapping[str, Effect]) -> None:
     hole = 2.3 / 4.2
     (rims,), (inside,) = (found[name].terms["filled"] for name in (
         "superstrate bonded on a part of its radius", "superstrate loose around the cavity"))
     assert isinstance(rims, OpenBond)
     assert isinstance(inside, OpenBond)
-    assert [ring.begin for ring in rims.rings] == [share for share in RIMS if share > hole]
-    assert {ring.end for ring in rims.rings} == {1.0}
-    assert [ring.begin for ring in inside.rings] == pytest.approx([hole] * 6)
-    ends = [ring.end for ring in inside.rings]
-    assert ends == sorted(ends, reverse=True)
-    assert hole < ends[-1] < ends[0] < 1.0
+    for each, begin, outwards in ((rims, 1.0, False), (inside, hole, True)):
+        assert (each.rim.begin, each.rim.outwards) == (pytest.approx(begin), outwards)
+        # Something goes on holding.
+        assert each.rim.limit == pytest.approx(0.9 * (1.0 - hole))
+        assert hole <= min(each.rim.edges) < max(each.rim.edges) <= 1.0
 
 
 def test_the_gauge_scales_what_a_fit_of_a_disc_cannot_tell(found: Mapping[str, Effect]) -> None:

@@ -17,7 +17,7 @@ from workbench.parameter_names import Kind, ParameterName, part, placed
     ("bench.gain", ParameterName("bench", "gain", False, Kind.BENCH)),
     # No element of the bench has a loss: told apart, it would pass for one that there is.
     ("bench.gain.loss", ParameterName("bench", "gain.loss", False, Kind.BENCH)),
-    ("couplant.ring_1.missing_fraction", ParameterName("couplant.ring_1", "missing_fraction", False, Kind.TERM)),
+    ("couplant.rim_1.width", ParameterName("couplant.rim_1", "width", False, Kind.TERM)),
     ("transducer.thickness.loss", ParameterName("transducer", "thickness", True, Kind.TERM)),
     ("pla.bulk_modulus.loss", ParameterName("pla", "bulk_modulus", True, Kind.TERM)),
     ("c33.loss", ParameterName("", "c33", True, Kind.TERM)),

@@ -16,16 +16,18 @@ from materials.kinds import Material, Piezoelectric
 from workbench.elements import Lagrange
 from workbench.operators import assemble
 from workbench.physics.depoled import DepoledRim
-from workbench.physics.term import ModelError
+from workbench.physics.rim import Rim
+from workbench.physics.term import Integral, ModelError
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
 
-FRACTION, EXCESS = "transducer.depoled_fraction", "transducer.permittivity_excess"
+WIDTH, EXCESS = "rim.width", "rim.permittivity_excess"
 
 
-def rimmed(base: Problem, beyond: float, fraction: complex, excess: complex = 0.0) -> Problem:
-    return base.with_terms((DepoledRim("transducer", "pzt", beyond / base.mesh.mesh.p[0].max(), "transducer"),),
-                           {FRACTION: fraction, EXCESS: excess})
+def rimmed(base: Problem, beyond: float, excess: complex = 0.0) -> Problem:
+    """`base` without poling beyond a radius (m)."""
+    width = 1.0 - beyond / base.mesh.mesh.p[0].max()
+    return base.with_terms((DepoledRim("transducer", "pzt", Rim("rim", limit=width)),), {WIDTH: width, EXCESS: excess})
 
 
 def impedance(model: Problem, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -34,7 +36,7 @@ def impedance(model: Problem, frequency: NDArray[np.float64]) -> NDArray[np.comp
 
 def test_a_disc_without_poling_is_a_capacitor(small_disc: Problem) -> None:
     frequency = np.linspace(310e3, 690e3, 5)
-    found = impedance(rimmed(small_disc, 0.0, 1.0, 0.1), frequency)
+    found = impedance(rimmed(small_disc, 0.0, 0.1), frequency)
     permittivity = 1.1 * small_disc.values["pzt.eps33"] * 8.8541878128e-12
     expected = 1.0 / (-2j * np.pi * frequency * permittivity * np.pi * 3e-3**2 / 2e-3)
     assert found == pytest.approx(expected, rel=1e-9)
@@ -62,28 +64,29 @@ def test_a_poled_and_a_depoled_plate_lie_side_by_side(
     for edge in (0.1e-3, 0.05e-3):
         base = problem(uniform_mesh(chip, edge), {"transducer": pzt}, chip.band)
         assert np.abs(impedance(base, frequency) * whole - 1.0).max() < 1e-3
-        found = 1.0 / impedance(rimmed(base, inner, 1.0), frequency)
+        found = 1.0 / impedance(rimmed(base, inner), frequency)
         errors.append(np.abs(found - (poled + depoled)).max() / np.abs(whole - (poled + depoled)).max())
     print(f"plates side by side: errors {errors} of the effect")
     assert errors[-1] < 0.025  # of the effect; a share of one column of elements
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.2)
 
 
-@pytest.mark.parametrize("name", [FRACTION, EXCESS])
-def test_a_poled_rim_changes_nothing_and_the_tangent_is_the_change(small_disc: Problem, name: str) -> None:
-    model = rimmed(small_disc, 2e-3, 0.0)
+def test_a_poled_rim_changes_nothing_and_the_tangent_is_the_change(small_disc: Problem) -> None:
+    model = small_disc.with_terms((DepoledRim("transducer", "pzt", Rim("rim")),), {WIDTH: 0.0, EXCESS: 0.1})
     frequency = np.array([310e3, 450e3, 690e3])
     operators = assemble(model.mesh, model.terms)
     base = impedance(small_disc, frequency)
-    below, at, above = (solve_full(operators, frequency, {**model.values, name: s}) for s in (-1e-6, 0.0, 1e-6))
+    # No width is below zero.
+    at, one, two = (solve_full(operators, frequency, {**model.values, WIDTH: step}) for step in (0.0, 1e-6, 2e-6))
     assert np.abs(at.impedance / base - 1.0).max() < 1e-11
-    slope = at.parameter_gradient(model.values, (name,))[:, 0]
-    assert np.abs((above.impedance - below.impedance) / 2e-6 / slope - 1.0).max() < 1e-4
+    slope = at.parameter_gradient(model.values, (WIDTH,))[:, 0]
+    found = (4.0 * one.impedance - 3.0 * at.impedance - two.impedance) / 2e-6
+    assert np.abs(found / slope - 1.0).max() < 1e-4
 
 
 @pytest.mark.parametrize("beyond", [1.9e-3, 2e-3, 2.96e-3])
 def test_the_rim_begins_where_it_is_said_to(small_disc: Problem, beyond: float) -> None:
-    term = DepoledRim("transducer", "pzt", beyond / small_disc.mesh.mesh.p[0].max(), "transducer")
+    term = DepoledRim("transducer", "pzt", Rim("rim", limit=1.0 - beyond / small_disc.mesh.mesh.p[0].max()))
     operators = assemble(small_disc.mesh, (*small_disc.terms, term))
     rim = operators.places[term.integrals()[0].domain]
     disc, (r, z) = operators.places["transducer"], small_disc.mesh.mesh.p
@@ -102,13 +105,17 @@ def test_the_rim_begins_where_it_is_said_to(small_disc: Problem, beyond: float) 
 
 def test_a_depoled_rim_is_passive(small_disc: Problem) -> None:
     frequency = np.linspace(310e3, 690e3, 9)
-    for fraction, excess in ((0.5, 0.2), (1.0, -0.2)):
-        model = rimmed(small_disc, 2e-3, fraction, excess)
+    for beyond, excess in ((2e-3, 0.2), (1e-3, -0.2)):
+        model = rimmed(small_disc, beyond, excess)
         solution = solve_full(assemble(model.mesh, model.terms), frequency, model.values)
         assert (solution.input_power() > 0.0).all()
         assert np.abs(solution.dissipation().sum(axis=1) / solution.input_power() - 1.0).max() < 1e-9
 
 
 def test_a_rim_outside_of_the_disc_is_refused(small_disc: Problem) -> None:
+    class Outside(DepoledRim):
+        def integrals(self) -> tuple[Integral, ...]:
+            return tuple(replace(each, beyond=1.2) for each in super().integrals())
+
     with pytest.raises(ModelError, match=r"'transducer' beyond 1\.2 of its outer radius: expected a share below 1"):
-        assemble(small_disc.mesh, (*small_disc.terms, DepoledRim("transducer", "pzt", 1.2, "transducer")))
+        assemble(small_disc.mesh, (*small_disc.terms, Outside("transducer", "pzt", Rim("rim"))))

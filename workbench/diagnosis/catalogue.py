@@ -20,7 +20,6 @@ from workbench.diagnosis.campaign import DeviceState
 from workbench.diagnosis.hypothesis import (
     MISTAKEN_DENSITY,
     MISTAKEN_STIFFNESS,
-    RIMS,
     Device,
     Effect,
     around,
@@ -29,7 +28,6 @@ from workbench.diagnosis.hypothesis import (
     is_polymer,
     neighbours,
     other_than_stated,
-    rims_of,
     with_terms,
 )
 from workbench.diagnosis.transducer import transducer
@@ -49,6 +47,7 @@ from workbench.physics import (
     surface_load,
     thin_layer,
 )
+from workbench.physics.rim import LIMIT, Rim
 from workbench.physics.solid import IsotropicSolid as SolidTerm
 from workbench.physics.term import Admissible, Free
 
@@ -64,6 +63,9 @@ PRINTED = {"substrate", "sidewall"}
 
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
+
+#: Of a joint that has come off, so much is open at most.
+HELD = 0.9
 
 #: A fluid's law is taken at so many kelvin to either side: the parabola meets it there.
 STEP = 5.0
@@ -216,8 +218,8 @@ def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     if viscous.terms:
         yield viscous
     yield with_terms(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
-                     states, lambda _: [missing_couplant.MissingCouplant(region, fluid.name, GAPS, beyond, ring)
-                                        for ring, beyond in rims_of(region).items()],
+                     states, lambda _: [missing_couplant.MissingCouplant(region, fluid.name, GAPS,
+                                                                        Rim(f"{region} rim"))],
                      lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
     mixed = bubbles.WoodBubbles(region, fluid.name, f"{region} bubbles")
     stirred = Admissible(0.0, 0.05, "1", "from none to gel that was stirred")
@@ -262,12 +264,11 @@ def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
     hole = 0.0 if held.cavity_radius is None else held.cavity_radius.value / own
     rim = min(held.radius.value / own, 1.0)
     skin = 0.0 if joint == below else -open_bond.SKIN
-    rims = tuple(open_bond.Ring(name, share * rim, rim) for name, share in rims_of(joint).items() if share * rim > hole)
+    reach = min(LIMIT, HELD * (rim - hole))
     yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
-                     lambda _: [open_bond.OpenBond(joint, material, rims, skin)])
-    inside = tuple(open_bond.Ring(f"{joint} {100 * (1.0 - share):g} % around the cavity", hole, hole + 1.0 - share)
-                   for share in RIMS if 0.0 < hole < hole + 1.0 - share < rim)
-    if inside:
+                     lambda _: [open_bond.OpenBond(joint, material, Rim(f"{joint} open at its rim", rim, reach), skin)])
+    if hole:
+        inside = Rim(f"{joint} open around the cavity", hole, reach, outwards=True)
         yield with_terms(f"{region} loose around the cavity", joint, "geometry", "it is loose where the cavity begins",
                          states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
 

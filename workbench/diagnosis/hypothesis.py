@@ -13,9 +13,6 @@ from workbench.parameter_names import LOSS
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import Admissible, Free, Term
 
-#: Rims that may lack something begin at these shares of the radius, one in the other: a sharp edge lies between two.
-RIMS = (0.5, 0.7, 0.84, 0.92, 0.96, 0.985, 0.995)
-
 #: How far a real coefficient may lie from what is stated.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
 
@@ -154,8 +151,3 @@ def other_than_stated(
         if name not in device.known:
             parameters.append(Parameter(name, start, limit.lowest, limit.highest, None, limit.unit, relative=relative))
     return Effect(label, region, kind, about, tuple(parameters), tuple(n for n in limits if n in device.known), limits)
-
-
-def rims_of(region: str) -> dict[str, float]:
-    """Rims of a layer and where they begin, as shares of its radius."""
-    return {f"{region} beyond {100 * share:g} %": share for share in RIMS}

@@ -36,6 +36,7 @@ from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.odds import INACCURATE, Criteria
 from workbench.diagnosis.ranking import Score, ranked
+from workbench.diagnosis.starts import STARTS, replaced, start, starts_of
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import Discretisation
 from workbench.fitting.objective import Objective
@@ -59,8 +60,8 @@ FAR, NEAR = 1.5, 2.0
 #: does.
 TRIED, SHARE = 3, 0.3
 
-#: Descents begin in so many basins, those of a hypothesis at so many of its ends without it.
-BASINS, STARTS = 4, 2
+#: Descents begin in so many basins.
+BASINS = 4
 
 #: So many starts are drawn from what is known, each with its opposite.
 PAIRS = 3
@@ -199,7 +200,8 @@ class Search:
         ends = distinct(self.bare(), [each for each in found if each is not None], lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
         self.say("begun", [round(each.cost, 1) for each in ends])
-        further = self.work([("a basin where nothing is wrong", "furthered", (each.x, ends[0].x)) for each in ends],
+        places = [each.x for each in ends]
+        further = self.work([("a basin where nothing is wrong", "furthered", (each.x, places)) for each in ends],
                             must=1)
         plain = Candidate.of(self.likelihood(ends[0].x), nothing,
                              [each.weighed for each in further if each is not None])
@@ -220,10 +222,23 @@ class Search:
             return None
         return Begun(end.x, end.cost)
 
-    def furthered(self, x: Real, at: Real) -> Candidate | None:
-        """Where nothing being wrong leads from x (p,) with the data weighing more; inaccuracy is that `at` (p,)."""
-        nothing = Hypothesis()
-        return self.onward(Candidate(nothing, (self.likelihood(at).weighed(nothing, x, LEVELS[0]),)), at)
+    def furthered(self, x: Real, places: Sequence[Real]) -> Candidate | None:
+        """Where nothing being wrong leads from x (p,) with the data weighing more, on one model for all `places` (p,).
+
+        Inaccuracy is that at the first of these.
+        """
+        likelihood = self.likelihood(places[0]).on(self.reaching(places))
+        return followed(likelihood, Hypothesis(), [x], LEVELS[1])
+
+    def reaching(self, places: Sequence[Real]) -> Objective:
+        """The recordings predicted all over what is known, and on the way to `places` (p,) that it leads to."""
+        key = b"".join(place.tobytes() for place in places)
+        if key not in self._reaching:
+            self._reaching = {key: self.wide.widened(self.centre, places, WIDE * LEVELS[1],
+                                                     only=range(self.model.known))}
+        return self._reaching[key]
+
+    _reaching: dict[bytes, Objective] = field(default_factory=dict)
 
     def tried(
         self, plain: Candidate, ends: Sequence[Begun], places: Sequence[Sequence[Score] | None],
@@ -236,7 +251,8 @@ class Search:
         """
         at = plain.x
         little = [each for each in self.work([
-            (effect.name, "explain", (effect.name, at, ends[0].x, along, self.starts(effect, ends, places)))
+            (effect.name, "explain", (effect.name, at, ends[0].x, along,
+                                      starts_of(self.model, effect, ends, places, further=not plain.fits)))
             for effect in effects]) if each is not None]
         best = _best([*beside, *little], GO_ON[0], lambda each: each.log_evidence)
         further = [each for each in self.work([
@@ -304,27 +320,6 @@ class Search:
         self.say("chosen", list(found))
         return list(found.values())
 
-    def starts(self, effect: Effect, ends: Sequence[Begun], scores: Sequence[Sequence[Score] | None]) -> list[Real]:
-        """Where a hypothesis begins: at those ends where its score promises most, all told."""
-        found = []
-        for end, scored in zip(ends, scores, strict=True):
-            own = next((each for each in scored or () if each.effect.name == effect.name), None)
-            if own is not None:
-                found.append((own.evidence - end.cost, self.start(effect, end.x, own)))
-        return [x for _, x in sorted(found, key=lambda both: -both[0])[:STARTS]]
-
-    def start(self, effect: Effect, x: Real, score: Score) -> Real:
-        """Where a hypothesis begins at x (p,): with what its score asks for, or its error where that is larger."""
-        model = self.model
-        own = np.array([model.index(name) for name in effect.names])
-        low, high = (np.array([getattr(model.parameters[i], side) for i in own]) for side in ("low", "high"))
-        least = np.where(np.isfinite(score.error), np.minimum(score.error, 0.1 * (high - low)), 0.0)
-        sign = np.where(score.amplitude < 0.0, -1.0, 1.0)
-        asked = np.where(np.abs(score.amplitude) < least, sign * least, score.amplitude)
-        y = x.copy()
-        y[own] = inside(x[own] + asked, low, high)
-        return y
-
     def explain(
         self, name: str, at: Real, x: Real, along: Sequence[int], starts: Sequence[Real]
     ) -> Candidate | None:
@@ -338,8 +333,8 @@ class Search:
         own = [model.index(each) for each in effect.names]
         scans = {i: within_range(model.parameters[i]) for i in along if i in own}
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.centre[own]).sum()))
-        on_the_way = [_replaced(self.centre, [i], value) for i, values in scans.items() for value in values[::3]]
-        wider = self.likelihood(at).on(self.wider(hypothesis, [largest, *on_the_way]))
+        on_the_way = [replaced(self.centre, [i], value) for i, values in scans.items() for value in values[::3]]
+        wider = self.likelihood(at).on(self.wider(hypothesis, [largest, *starts[STARTS:], *on_the_way]))
         if scans:
             found = basins(wider, hypothesis, x, scans)
             self.say("   scanned", [(round(e.cost, 1), float(e.x[own[0]])) for e in found[:6]])
@@ -368,12 +363,19 @@ class Search:
                 return None
             self.say("      renewed", hypothesis.name, candidate.weighed.doubt, again.weighed.doubt)
             candidate = again
-        return followed(likelihood, hypothesis, [end.x for end in candidate.ends], LEVELS[1])
+        found = followed(likelihood, hypothesis, [end.x for end in candidate.ends], LEVELS[1])
+        for _ in range(PLACES):
+            if found is None or found.weighed.doubt < DOUBTED:
+                break
+            self.say("      renewed further", hypothesis.name, found.log_evidence, found.weighed.doubt)
+            likelihood = self.about(likelihood, found)
+            found = followed(likelihood, hypothesis, [found.x], LEVELS[1])
+        return found
 
     def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
         """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        corners = [_replaced(self.centre, own, place[own]) for place in places]
+        corners = [replaced(self.centre, own, place[own]) for place in places]
         return self.wide.widened(self.centre, corners, WIDE * LEVELS[1], only=self.moving(hypothesis))
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
@@ -447,7 +449,7 @@ class Search:
         best, tasks = settled.explanation, list[Named]()
         for score in settled.scores[:TRIED]:
             if score.evidence > self.least:
-                begin, errors = self.start(score.effect, best.x, score), best.spread(best.x.size)
+                begin, errors = start(self.model, score.effect, best.x, score), best.spread(best.x.size)
                 for name, error in zip(score.effect.names, score.error, strict=True):
                     i = self.model.index(name)
                     errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
@@ -469,9 +471,3 @@ def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]
     """At most so many, best first, of a worth within :data:`CLOSE` of the best."""
     ordered = sorted(found, key=lambda each: -worth(each))
     return [each for each in ordered if worth(each) > worth(ordered[0]) - CLOSE][:most]
-
-
-def _replaced(x: Real, where: Sequence[int], values: float | Real) -> Real:
-    y = x.copy()
-    y[list(where)] = values
-    return y

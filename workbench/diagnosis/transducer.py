@@ -14,12 +14,12 @@ from workbench.diagnosis.hypothesis import (
     Effect,
     around,
     other_than_stated,
-    rims_of,
     with_terms,
 )
 from workbench.fitting.parameter import UNITS, Parameter
 from workbench.parameter_names import LOSS
 from workbench.physics import depoled, electrode_mass, partial_electrode, softening, surface_load
+from workbench.physics.rim import Rim
 from workbench.physics.term import Admissible
 
 #: Loss factors a data sheet's ceramic can have.
@@ -45,13 +45,12 @@ def transducer(device: Device) -> Iterator[Effect]:
     yield with_terms("electrode mass", TRANSDUCER, "mass", "the metal on the faces has a mass, and a stiffness of its "
                      "own", states,
                      lambda _: [electrode_mass.ElectrodeMass(ELECTRODE_LIVE, ELECTRODE_GROUND, TRANSDUCER)])
-    rims = rims_of(TRANSDUCER)
     yield with_terms("rim of the transducer without piezoelectricity", TRANSDUCER, "coupling", "a rim that is not "
-                     "poled", states, lambda _: [depoled.DepoledRim(TRANSDUCER, material.name, beyond, rim)
-                                                 for rim, beyond in rims.items()])
+                     "poled", states, lambda _: [depoled.DepoledRim(TRANSDUCER, material.name,
+                                                                        Rim("rim without poling"))])
     yield with_terms("electrode that ends before the rim", TRANSDUCER, "geometry", "a face of the transducer is bare "
                      "at its rim", states, lambda state: [partial_electrode.PartialElectrode(
-                         TRANSDUCER, material.name, tuple(rims.values()), tuple(rims), upper=_is_live_on_top(state))])
+                         TRANSDUCER, material.name, Rim("bare rim"), upper=_is_live_on_top(state))])
     yield with_terms("load on the face of the transducer", TRANSDUCER, "loss", "a holder or a backing pushes back",
                      states, lambda state: [surface_load.SurfaceLoad(
                          ELECTRODE_GROUND if _is_live_on_top(state) else ELECTRODE_LIVE, TRANSDUCER, "backing")])

@@ -27,7 +27,7 @@ from workbench.dimensions import flexible
 from workbench.fitting.parameter import Parameter, ranges_of_radii
 from workbench.fitting.predict import Prediction, Predictor
 from workbench.neighbourhood import Neighbourhood, neighbourhood
-from workbench.parameter_names import BENCH, LOSS, ParameterName, part, placed
+from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName, part, placed
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
 
@@ -152,14 +152,16 @@ class Objective:
     def _acting(self, x: Real, only: Collection[int]) -> Objective:
         """The same without what is nothing at x (p,) and stays so while no others move."""
         moving = sorted(only)
-        # Anywhere else: what vanishes there too vanishes everywhere.
+        # Anywhere else: what vanishes there too vanishes everywhere, but for what a number brings in further on.
         scales = np.array([self.parameters[i].scale for i in moving])
         y = x.copy()
         y[moving] += 0.01 * scales * np.random.default_rng(0).uniform(0.5, 1.0, len(moving))
         other, made = copy.copy(self), {}
         for predictor, indices in self._sharing().items():
             there = {key: value for index in indices for key, value in self.settings(y, index)[0].items()}
-            made[predictor] = predictor.of_acting(self._values(x, indices[0]), there)
+            brought = {key for index in indices for i, p, key in self._moved[index]
+                       if i in only and p.prior is None and p.parsed.kind is Kind.TERM}
+            made[predictor] = predictor.of_acting(self._values(x, indices[0]), there, brought)
         other.predictors = tuple(made[predictor] for predictor in self.predictors)
         return other
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -141,13 +141,17 @@ class Predictor:
         other.tolerance, other._latest = math.inf, None
         return other
 
-    def of_acting(self, values: Mapping[str, complex], moved: Mapping[str, complex]) -> Predictor:
-        """The same of those integrals alone that are something at these values, or where those `moved` are others."""
+    def of_acting(
+        self, values: Mapping[str, complex], moved: Mapping[str, complex], named: Collection[str] = ()
+    ) -> Predictor:
+        """The same of those integrals alone that are something at these values, or where those `moved` are others, or
+        that depend on a value that is `named`."""
         here = {**self.problem.values, **values}
         omega = 2.0 * np.pi * self.frequencies[[0, -1]]
         acting = [self.every.coefficients(omega, each).any(axis=0) for each in (here, {**here, **moved})]
+        depends = np.array([not set(named).isdisjoint(each.coefficient.parameters) for each in self.every.integrals])
         other = copy.copy(self)
-        other.operators = self.every.of(np.flatnonzero(acting[0] | acting[1]))
+        other.operators = self.every.of(np.flatnonzero(acting[0] | acting[1] | depends))
         if self.place is not None:
             return other.placed(self.place.of(other.operators))
         other.model = other._latest = None

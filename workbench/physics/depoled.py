@@ -10,48 +10,60 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
+from workbench.physics.rim import SHARE, Rim
+from workbench.physics.term import Admissible, Free, Integral, Product, Term
 
-#: What the poling of a rim can be.
-ADMISSIBLE: Mapping[str, Admissible] = {
-    "depoled_fraction": Admissible(0.0, 1.0, "1", "from poled to not poled at all"),
-    "permittivity_excess": Admissible(
-        -0.2, 0.2, "1", "twice the 10 % that the mean over all directions of the clamped permittivities of PZT-4, 730 "
-        "and 635, is above that along the poling: Jaffe, Cook and Jaffe 1971, Piezoelectric Ceramics, table 7.1"),
-}
+#: What the permittivity of a rim without poling can be.
+EXCESS = Admissible(
+    -0.2, 0.2, "1", "twice the 10 % that the mean over all directions of the clamped permittivities of PZT-4, 730 and "
+    "635, is above that along the poling: Jaffe, Cook and Jaffe 1971, Piezoelectric Ceramics, table 7.1")
 
 
 @dataclass(frozen=True)
 class DepoledRim(Term):
-    """Piezoelectric constants (1 - f) e and permittivity (1 + x) eps33 at radii beyond a share `beyond` of the disc's.
+    """Piezoelectric constants of nothing and permittivity (1 + x) eps33 beyond the edge of a rim. Of a ring in which
+    the share f of the area is not poled,
 
-        - f [eps(v) e^T grad(phi) + grad(psi) e eps(u)] - x eps33 d_z(psi) d_z(phi)
+        - f [eps(v) e^T grad(phi) + grad(psi) e eps(u)] - f x eps33 d_z(psi) d_z(phi)
 
-    next to `piezoelectric.Piezoelectric` on the same region. It is integrated over exactly that rim, also where it
-    begins within an element; of several each adds to those it lies in. The stiffness, which poling changes by a few
-    percent, stays. Parameters ``<rim>.depoled_fraction`` f and ``.permittivity_excess`` x (see
-    :data:`ADMISSIBLE`), ``<material>.e31``, ``.e33``, ``.e15`` and ``.eps33``.
+    next to `piezoelectric.Piezoelectric` on the same region. Rings are integrated over exactly, also where they begin
+    within an element. The stiffness, which poling changes by a few percent, stays. Parameters ``<rim>.width`` (see
+    `rim.Rim`) and ``.permittivity_excess`` x (see :data:`EXCESS`), ``<material>.e31``, ``.e33``, ``.e15`` and
+    ``.eps33``.
     """
 
     region: str
     material: str
-    beyond: float
-    rim: str
+    rim: Rim
 
     def free(self) -> tuple[Free, ...]:
-        return free_of(self.rim, ADMISSIBLE, {"depoled_fraction": 0.0})
+        return self.rim.free()
 
     def fixed(self) -> Mapping[str, float]:
-        return {f"{self.rim}.permittivity_excess": 0.0}
+        return {f"{self.rim.name}.permittivity_excess": 0.0}
 
     def integrals(self) -> tuple[Integral, ...]:
-        def of(amplitude: str, constant: str, scale: float, product: Product) -> Integral:
-            factors = ((f"{self.rim}.{amplitude}", 1), (f"{self.material}.{constant}", 1))
-            return Integral(Monomial(scale, 0, factors), self.region, (product,), beyond=self.beyond)
+        excess = ("x", f"{self.rim.name}.permittivity_excess")
+        found = []
+        for constant, law, symbols, product in (
+            ("e31", _lost, (), Product("strain_plane", "grad_phi_z", 2.0)),
+            ("e33", _lost, (), Product("strain_zz", "grad_phi_z", 2.0)),
+            ("e15", _lost, (), Product("strain_rz", "grad_phi_r", 2.0)),
+            ("eps33", _gained, (excess,), Product("grad_phi_z", "grad_phi_z")),
+        ):
+            whole = (("constant", f"{self.material}.{constant}"), *symbols)
+            found += [Integral(coefficient, self.region, (product,), beyond=edge)
+                      for edge, coefficient in self.rim.coefficients(law, whole)]
+        return tuple(found)
 
-        return (
-            of("depoled_fraction", "e31", -1.0, Product("strain_plane", "grad_phi_z", 2.0)),
-            of("depoled_fraction", "e33", -1.0, Product("strain_zz", "grad_phi_z", 2.0)),
-            of("depoled_fraction", "e15", -1.0, Product("strain_rz", "grad_phi_r", 2.0)),
-            of("permittivity_excess", "eps33", -VACUUM_PERMITTIVITY, Product("grad_phi_z", "grad_phi_z")),
-        )
+
+def _lost(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
+    """-f e and its derivatives."""
+    return -v[SHARE] * v["constant"], {SHARE: -v["constant"], "constant": -v[SHARE]}
+
+
+def _gained(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
+    """-f x eps33 and its derivatives."""
+    f, x, permittivity = v[SHARE], v["x"], VACUUM_PERMITTIVITY * v["constant"]
+    return -f * x * permittivity, {SHARE: -x * permittivity, "x": -f * permittivity,
+                                   "constant": -f * x * VACUUM_PERMITTIVITY}

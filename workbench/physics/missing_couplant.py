@@ -9,61 +9,54 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Formula, Free, Integral, Product, Term, free_of
-
-#: What can be missing of the couplant in the ring.
-ADMISSIBLE: Mapping[str, Admissible] = {
-    "missing_fraction": Admissible(0.0, 1.0, "1", "from a full ring to none of it"),
-}
+from workbench.physics.rim import SHARE, Rim
+from workbench.physics.term import Free, Integral, Product, Term
 
 
 @dataclass(frozen=True)
 class MissingCouplant(Term):
-    """Gas in the place of the fluid on a share f of the area at radii beyond the share `beyond` of the outer one.
+    """Gas in the place of the fluid beyond the edge of a rim. Of a ring in which the share f of the area is gas,
 
         (1 / rho_f - 1 / rho) / w^2 grad(p) . grad(q) - (1 / K_f - 1 / K) p q,
         rho_f = (1 - f) rho + f rho_g,  K_f = (1 - f) K + f K_g,  K = rho c^2,
 
     next to `fluid.Fluid` on the same region, for patches that are wide beside the layer's thickness: the walls move
     each patch alike, so that stiffnesses and masses of unit area add, and p is the mean stress. f = 1 is the gas
-    itself. A couplant whose edge lies within the ring is one with the share of its area beyond that edge. Rings may lie
-    in one another, and what each brings adds: with all of an outer one missing, what is beside it there is nothing.
-    The ring is integrated over exactly, also where it begins within an element. A couplant missing elsewhere than at
-    the rim is another geometry. Parameters ``<ring>.missing_fraction`` f (see :data:`ADMISSIBLE`),
-    ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
+    itself. Rings are integrated over exactly, also where they begin within an element. A couplant missing elsewhere
+    than at the rim is another geometry. Parameters ``<rim>.width`` (see `rim.Rim`), ``<material>.density`` and
+    ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
     """
 
     region: str
     material: str
     gas: str
-    beyond: float
-    ring: str
+    rim: Rim
 
     def free(self) -> tuple[Free, ...]:
-        return free_of(self.ring, ADMISSIBLE, {"missing_fraction": 0.0})
+        return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:
-        densities = (("f", f"{self.ring}.missing_fraction"), ("rho", f"{self.material}.density"),
-                     ("rho_g", f"{self.gas}.density"))
+        densities = (("rho", f"{self.material}.density"), ("rho_g", f"{self.gas}.density"))
         speeds = (("c", f"{self.material}.sound_speed"), ("c_g", f"{self.gas}.sound_speed"))
         return (
-            Integral(Formula(_lightness, densities, -2), self.region,
-                     (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z")), beyond=self.beyond),
-            Integral(Formula(_squeezed, (*densities, *speeds)), self.region, (Product("p", "p"),), beyond=self.beyond),
+            *(Integral(lightness, self.region, (Product("grad_p_r", "grad_p_r"), Product("grad_p_z", "grad_p_z")),
+                       beyond=edge) for edge, lightness in self.rim.coefficients(_lightness, densities, -2)),
+            *(Integral(squeezed, self.region, (Product("p", "p"),), beyond=edge)
+              for edge, squeezed in self.rim.coefficients(_squeezed, (*densities, *speeds))),
         )
 
 
 def _lightness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
     """1 / rho_f - 1 / rho and its derivatives."""
-    value, by_f, by_whole, by_gas = _mixed(v["f"], v["rho"], v["rho_g"])
-    return value, {"f": by_f, "rho": by_whole, "rho_g": by_gas}
+    value, by_f, by_whole, by_gas = _mixed(v[SHARE], v["rho"], v["rho_g"])
+    return value, {SHARE: by_f, "rho": by_whole, "rho_g": by_gas}
 
 
 def _squeezed(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
     """-(1 / K_f - 1 / K) and its derivatives."""
     stiff, soft = v["rho"] * v["c"] ** 2, v["rho_g"] * v["c_g"] ** 2
-    value, by_f, by_whole, by_gas = _mixed(v["f"], stiff, soft)
-    return -value, {"f": -by_f, "rho": -by_whole * v["c"] ** 2, "c": -by_whole * 2.0 * v["rho"] * v["c"],
+    value, by_f, by_whole, by_gas = _mixed(v[SHARE], stiff, soft)
+    return -value, {SHARE: -by_f, "rho": -by_whole * v["c"] ** 2, "c": -by_whole * 2.0 * v["rho"] * v["c"],
                     "rho_g": -by_gas * v["c_g"] ** 2, "c_g": -by_gas * 2.0 * v["rho_g"] * v["c_g"]}
 
 

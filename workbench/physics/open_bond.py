@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import mul
 
-from workbench.physics.term import Admissible, Formula, Free, Integral, Term, free_of, isotropic_solid, times
+from workbench.physics.rim import SHARE, Rim
+from workbench.physics.term import Free, Integral, Term, isotropic_solid, times
 
 #: Share of the layer's stiffness and mass that stays where it is open, so that there is an equation for what is in the
 #: gap. Of epoxy's 6 GPa air, gamma p_0 = 1.4e5 Pa, would leave 2e-5; ten times as much as here changes nothing.
@@ -26,69 +25,38 @@ HALFWAY = 0.15
 #: Share of the thickness of a solid, at its face, that stands for the joint where two solids touch without a layer.
 SKIN = 0.02
 
-#: How much of a ring can be open.
-ADMISSIBLE: Mapping[str, Admissible] = {
-    "open_fraction": Admissible(0.0, 1.0, "1", "from a ring that holds all around to one that holds nowhere"),
-}
-
-
-@dataclass(frozen=True)
-class Ring:
-    """A ring from one share of a region's outer radius to another, and its name in parameters."""
-
-    name: str
-    begin: float
-    end: float = 1.0
-
 
 @dataclass(frozen=True)
 class OpenBond(Term):
-    """A layer that transmits less, or nothing, in rings: K, G and rho are times 1 - g there,
+    """A layer that transmits nothing up to the edge of a rim. Of a ring in which the share f of the area is open,
 
-        - g [K tr(eps(v)) tr(eps(u)) + 2 G dev(eps(v)) : dev(eps(u)) - rho w^2 u.v]
-        1 - g = l + (1 - l) s c / (1 - (1 - s) c),    c = (1 - f_1) (1 - f_2) ... ,    l = LEFT, s = HALFWAY,
+        - g [K tr(eps(v)) tr(eps(u)) + 2 G dev(eps(v)) : dev(eps(u)) - rho w^2 u.v],
+        1 - g = l + (1 - l) s c / (1 - (1 - s) c),    c = 1 - f,    l = LEFT, s = HALFWAY,
 
-    next to `solid.IsotropicSolid` on the same region; c is what those rings leave that hold a point. f = 1 is a gap.
-    Rings lie in one another: rims all end at the layer's own, and what opens from a hole outwards all begins there. An
-    edge between those of two rings is a part, 0 < f < 1, of the wider one and all of the other. They are integrated
-    over exactly, also where they begin within an element. Where `skin` is given the layer is that share of the region
-    at its upper face, or, where negative, at its lower one (`geometry.mesh_size.MeshSize.skins`): the joint of two
-    solids without a layer between. What is open holds gas, and neither closes nor rubs while it vibrates. Parameters
-    ``<ring>.open_fraction`` f (see :data:`ADMISSIBLE`), ``<material>.bulk_modulus``, ``.shear_modulus``, ``.density``.
+    next to `solid.IsotropicSolid` on the same region: K, G and rho are times 1 - g there. f = 1 is a gap. Rings are
+    integrated over exactly, also where they begin within an element. Where `skin` is given the layer is that share of
+    the region at its upper face, or, where negative, at its lower one (`geometry.mesh_size.MeshSize.skins`): the joint
+    of two solids without a layer between. What is open holds gas, and neither closes nor rubs while it vibrates.
+    Parameters ``<rim>.width`` (see `rim.Rim`), ``<material>.bulk_modulus``, ``.shear_modulus``, ``.density``.
     """
 
     region: str
     material: str
-    rings: tuple[Ring, ...]
+    rim: Rim
     skin: float = 0.0
 
     def free(self) -> tuple[Free, ...]:
-        return tuple(each for ring in self.rings for each in free_of(ring.name, ADMISSIBLE, {"open_fraction": 0.0}))
+        return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:
-        edges = sorted({edge for ring in self.rings for edge in (ring.begin, ring.end) if edge < 1.0})
         return tuple(
-            replace(integral, coefficient=times(integral.coefficient, self._opened(edge)), beyond=edge, skin=self.skin)
-            for edge in edges for integral in isotropic_solid(self.region, self.material)
+            replace(integral, coefficient=times(integral.coefficient, opened), beyond=edge, skin=self.skin)
+            for edge, opened in self.rim.coefficients(_opened, ())
+            for integral in isotropic_solid(self.region, self.material)
         )
 
-    def _opened(self, edge: float) -> Formula:
-        """-g just beyond an edge without -g just within: what is integrated beyond an edge adds up over the edges."""
-        within = [ring for ring in self.rings if ring.begin < edge <= ring.end]
-        beyond = [ring for ring in self.rings if ring.begin <= edge < ring.end]
-        return Formula(_opening, tuple((f"{side} {ring.name}", f"{ring.name}.open_fraction")
-                                       for side, rings in (("within", within), ("beyond", beyond)) for ring in rings))
 
-
-def _opening(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """1 - g beyond an edge without 1 - g within it, and its derivatives."""
-    value, slopes = 0j, {}
-    for side, sign in (("within", LEFT - 1.0), ("beyond", 1.0 - LEFT)):
-        held = {name: 1.0 - f for name, f in v.items() if name.startswith(side)}
-        c = reduce(mul, held.values(), 1.0 + 0j)
-        below = 1.0 - (1.0 - HALFWAY) * c
-        value += sign * HALFWAY * c / below
-        for name in held:
-            others = reduce(mul, (x for other, x in held.items() if other != name), 1.0 + 0j)
-            slopes[name] = -sign * HALFWAY / below**2 * others
-    return value, slopes
+def _opened(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
+    """-g and its derivative."""
+    below = 1.0 - (1.0 - HALFWAY) * (1.0 - v[SHARE])
+    return -(1.0 - LEFT) * v[SHARE] / below, {SHARE: -(1.0 - LEFT) * HALFWAY / below**2}

@@ -1,0 +1,66 @@
+"""Where the descents of a hypothesis begin: where its score says, and further where no score can say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.diagnosis.descent import inside
+from workbench.diagnosis.device import Model
+from workbench.diagnosis.findings import Begun
+from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.ranking import Score
+
+Real = NDArray[np.float64]
+
+#: A hypothesis begins at so many of the ends without it.
+STARTS = 2
+
+#: Where nothing fits it also begins with so many times what its score asks for.
+FURTHER = (2.0, 4.0, 8.0)
+
+
+def starts_of(
+    model: Model, effect: Effect, ends: Sequence[Begun], scores: Sequence[Sequence[Score] | None], *, further: bool
+) -> list[Real]:
+    """Where (p,) a hypothesis begins: at those ends where its score promises most, all told.
+
+    `further` also with more than is asked for there: no tangent says how large an effect is that changes much.
+    """
+    found = []
+    for end, scored in zip(ends, scores, strict=True):
+        own = next((each for each in scored or () if each.effect.name == effect.name), None)
+        if own is not None:
+            found.append((own.evidence - end.cost, start(model, effect, end.x, own)))
+    chosen = [x for _, x in sorted(found, key=lambda both: -both[0])[:STARTS]]
+    if not chosen or not further:
+        return chosen
+    indices, low, high = _own(model, effect)
+    stated = np.array([model.parameters[i].start for i in indices])
+    moved = chosen[0][indices] - stated
+    return [*chosen, *(replaced(chosen[0], indices, inside(stated + ratio * moved, low, high)) for ratio in FURTHER)]
+
+
+def start(model: Model, effect: Effect, x: Real, score: Score) -> Real:
+    """Where a hypothesis begins at x (p,): with what its score asks for, or its error where that is larger."""
+    indices, low, high = _own(model, effect)
+    least = np.where(np.isfinite(score.error), np.minimum(score.error, 0.1 * (high - low)), 0.0)
+    sign = np.where(score.amplitude < 0.0, -1.0, 1.0)
+    asked = np.where(np.abs(score.amplitude) < least, sign * least, score.amplitude)
+    return replaced(x, indices, inside(x[indices] + asked, low, high))
+
+
+def replaced(x: Real, where: Sequence[int], values: float | Real) -> Real:
+    """x (p,) with other values at some indices."""
+    y = x.copy()
+    y[list(where)] = values
+    return y
+
+
+def _own(model: Model, effect: Effect) -> tuple[list[int], Real, Real]:
+    """Indices (k,) of what a hypothesis moves, and the lowest and highest (k,) of what it may be."""
+    indices = [model.index(name) for name in effect.names]
+    low, high = (np.array([getattr(model.parameters[i], side) for i in indices]) for side in ("low", "high"))
+    return indices, low, high

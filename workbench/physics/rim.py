@@ -1,0 +1,113 @@
+"""How far an effect reaches over the radius of a layer: from its rim inwards, or from a hole outwards, to an edge.
+
+One number says where the edge is. Integrals are taken over fixed rings, each affected as a whole, in part or not at
+all, so that a model stays one sum of fixed matrices: exact where the edge is that of a ring, and an area between two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from workbench.physics.term import Admissible, Formula, Free
+
+#: Widths of the rings, relative to the layer's radius, as far as any reaches: each by a third wider than the next one
+#: is, and all, where they are not narrow beside elements anyway, narrow beside what they add to.
+WIDTHS = (0.005, 0.01, 0.02, 0.035, 0.055, 0.08, 0.11, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.71, 0.83)
+
+#: How far an effect may reach from a rim.
+LIMIT = 0.5
+
+#: The symbol of a law for the share of a ring that is affected.
+SHARE = "share"
+
+#: A coefficient of that share and other symbols, and its derivatives; zero at a share of zero.
+Law = Callable[[Mapping[str, complex]], tuple[complex, Mapping[str, complex]]]
+
+
+@dataclass(frozen=True)
+class Rim:
+    """The rings of a layer that are affected, up to an edge that the number ``<name>.width`` places.
+
+    They begin at the share ``begin`` of the layer's outer radius, and go inwards, or ``outwards``, by the width, in
+    shares of that radius, at most ``limit``; rings are up to the ``widths``.
+
+    Raises:
+        ValueError: it goes beyond the layer.
+    """
+
+    name: str
+    begin: float = 1.0
+    limit: float = LIMIT
+    outwards: bool = False
+    widths: tuple[float, ...] = WIDTHS
+
+    def __post_init__(self) -> None:
+        end = self.begin + (self.limit if self.outwards else -self.limit)
+        if not (self.limit > 0.0 and min(self.begin, end) >= 0.0 and max(self.begin, end) <= 1.0):
+            raise ValueError(f"rim {self.name!r} from {self.begin:g} to {end:g} of a radius: expected two shares of 0 "
+                             "to 1, the second inwards or, if said so, outwards")
+
+    @property
+    def number(self) -> str:
+        """The full name of the width."""
+        return f"{self.name}.width"
+
+    def free(self) -> tuple[Free, ...]:
+        """The width, zero where nothing is affected."""
+        return (Free(self.number, 0.0, Admissible(0.0, self.limit, "1", "of the radius: from nowhere to what would be "
+                                                  "seen at once")),)
+
+    @cached_property
+    def edges(self) -> tuple[float, ...]:
+        """Of the rings, in shares of the layer's radius, rising."""
+        widths = (0.0, *(width for width in self.widths if width < self.limit), self.limit)
+        return tuple(sorted(self.begin + (width if self.outwards else -width) for width in widths))
+
+    def affected(self, ring: int, width: float) -> tuple[float, float]:
+        """The share of the area of a ring that lies within the `width`, and its derivative."""
+        inner, outer = self.edges[ring], self.edges[ring + 1]
+        edge = self.begin + (width if self.outwards else -width)
+        area = outer**2 - inner**2
+        share = ((edge**2 - inner**2) if self.outwards else (outer**2 - edge**2)) / area
+        # Where two rings meet, the one that a larger width goes on in.
+        moves = inner <= edge < outer if self.outwards else inner < edge <= outer
+        return min(max(share, 0.0), 1.0), 2.0 * edge / area if moves else 0.0
+
+    def coefficients(
+        self, law: Law, symbols: tuple[tuple[str, str], ...], omega_power: int = 0
+    ) -> Iterator[tuple[float, Formula]]:
+        """What to integrate beyond which share of the radius, for the `law` of the share of a ring that is affected.
+
+        `symbols` as of `Formula`, without the share.
+        """
+        for at, edge in enumerate(self.edges):
+            if edge < 1.0:
+                yield edge, Formula(Step(law, self, at), ((_WIDTH, self.number), *symbols), omega_power)
+
+
+_WIDTH = "width"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A law just beyond the edge of that index less the law just within it: what is integrated beyond an edge adds up
+    over the edges."""
+
+    law: Law
+    rim: Rim
+    at: int
+
+    def __call__(self, v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
+        width = complex(v[_WIDTH]).real
+        value, slopes = 0j, dict.fromkeys(v, 0j)
+        for ring, sign in ((self.at, 1.0), (self.at - 1, -1.0)):
+            if not 0 <= ring < len(self.rim.edges) - 1:
+                continue
+            share, by_width = self.rim.affected(ring, width)
+            found, by = self.law({**v, SHARE: complex(share)})
+            value += sign * found
+            for name in v:
+                slopes[name] += sign * (by[SHARE] * by_width if name == _WIDTH else by[name])
+        return value, slopes
