@@ -254,7 +254,7 @@ class Search:
             (effect.name, "explain", (effect.name, at, ends[0].x, along,
                                       starts_of(self.model, effect, ends, places, further=not plain.fits)))
             for effect in effects]) if each is not None]
-        best = _best([*beside, *little], GO_ON[0], lambda each: each.log_evidence)
+        best = _best([*beside, *little], GO_ON[0], _promise)
         further = [each for each in self.work([
             (f"{each.hypothesis.name}, further", "onward", (each, at)) for each in best if each not in beside])
             if each is not None]
@@ -266,7 +266,10 @@ class Search:
     def ended(self, plain: Candidate, found: Sequence[Candidate], base: Settled | None) -> Found:
         """The best of what was found at its own place, alone and with what promises most beside it."""
         self.progress("the best of them", 0.7)
-        leading = _best([plain, *found], GO_ON[1], lambda each: each.log_evidence)
+        # What may be anything follows the recordings at once; the catalogue has to find its place first.
+        leading = _best([plain, *(each for each in found if not each.hypothesis.is_outside)], GO_ON[1], _promise)
+        leading += _best([each for each in found if each.hypothesis.is_outside and each.log_evidence
+                          > leading[0].log_evidence - CLOSE], 1, _promise)
         tasks: list[Named] = [(each.hypothesis.name, "settled", (each,)) for each in leading
                               if each is not plain or base is None]
         if base is None and plain not in leading:
@@ -461,6 +464,10 @@ class Search:
             tasks += [(each.name, "settled", (Candidate(each, (place,)),)) for each, worth in settled.beside[:TRIED]
                       if worth - best.log_evidence > self.least]
         return tasks
+
+
+def _promise(candidate: Candidate) -> float:
+    return candidate.log_evidence
 
 
 def _worth(settled: Settled) -> float:
