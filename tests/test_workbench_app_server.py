@@ -247,6 +247,7 @@ def test_nonsense_from_a_page_is_told_and_changes_nothing(tmp_path: Path) -> Non
                          ["tolerate", ["substrate.thickness", "-1"]]):
                 await page.call("trame.trigger", *call, {})
                 assert view._state.message_is_error, call
+                assert view._state.message, call
             await page.call("trame.trigger", "free", ["no such", True], {})
             assert not view.works.free
 

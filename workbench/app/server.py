@@ -25,7 +25,7 @@ from workbench.app.section_fields import SectionFields
 from workbench.app.session import NotReady, Session
 from workbench.app.spectrum_view import SpectrumView
 from workbench.app.works import KINDS, REPORT, Works
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, choose
 from workbench.ranges import OutOfRange
 
 #: Seconds after which a number that was moved is taken to rest: it is then one step that can be undone.
@@ -178,9 +178,10 @@ class LiveView:
 
     def _tolerate(self, name: str, text: str) -> None:
         try:
-            factor = next(each.factor for each in self.session.controls if each.name == name)
+            known = {each.name: each.factor for each in self.session.controls}
+            factor = known[choose(name, known, source="live view", field="tolerance")]
             self.session.tolerate(name, float(text) / factor if str(text).strip() else None)
-        except (InputError, ValueError, StopIteration) as error:
+        except ValueError as error:
             self._complain(error)
         self._changed()
 
