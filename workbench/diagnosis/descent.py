@@ -83,7 +83,7 @@ def multimodal(likelihood: Likelihood, x: Real) -> list[int]:
         for side in (-1.0, 1.0):
             y = x.copy()
             y[known] += side * prior * profile
-            y = np.clip(y, [p.low for p in model.parameters], [p.high for p in model.parameters])
+            y = np.clip(y, *model.bounds(range(len(model.parameters))))
             there = likelihood.objective(y, deviation=likelihood.spreads(level), free=())
             bent.append(float(np.linalg.norm(there.vector - here.vector - side * tangents @ profile)))
         found.append((max(bent), int(i)))

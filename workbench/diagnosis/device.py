@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -73,6 +73,11 @@ class Model:
     def index(self, name: str) -> int:
         """Where the parameter of that name is in :attr:`parameters`."""
         return self._places[name]
+
+    def bounds(self, indices: Iterable[int]) -> tuple[Real, Real]:
+        """The lowest and the highest (k,) that the parameters of some indices may be."""
+        low, high = np.array([(self.parameters[i].low, self.parameters[i].high) for i in indices]).T
+        return low, high
 
     def free(self, chosen: Sequence[Effect]) -> tuple[list[int], list[int]]:
         """Indices of the parameters free under some hypotheses together, and of those whose prior is released."""

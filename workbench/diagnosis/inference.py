@@ -188,7 +188,7 @@ class Search:
         From what is stated and from draws of what is known, each with its opposite.
         """
         nothing, known = Hypothesis(), slice(self.model.known)
-        low, high = (np.array([getattr(p, side) for p in self.model.parameters[known]]) for side in ("low", "high"))
+        low, high = self.model.bounds(range(self.model.known))
         prior = np.array([p.prior for p in self.model.parameters[known]])
         drawn = np.random.default_rng(0).standard_normal((PAIRS, prior.size)) * prior
         starts = [self.centre]
@@ -347,33 +347,31 @@ class Search:
             self.say("   little", hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
         return candidate
 
-    def onward(self, candidate: Candidate | None, at: Real) -> Candidate | None:
-        """Where a candidate leads with the data weighing more, on models made again where these are in doubt.
+    def onward(self, candidate: Candidate, at: Real) -> Candidate | None:
+        """Where an effect leads with the data weighing more, on models made again where these are in doubt.
 
         The model's inaccuracy is that `at` a place (p,).
         """
-        if candidate is None:
-            return None
         hypothesis, likelihood = candidate.hypothesis, self.likelihood(at)
-        if hypothesis.effects and candidate.weighed.doubt < DOUBTED:
+        if candidate.weighed.doubt < DOUBTED:
             likelihood = likelihood.on(self.wider(hypothesis, [candidate.x]))
+        likelihood, little = self.renewed(likelihood, candidate, LEVELS[0])
+        if little is None:
+            return None
+        found = followed(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
+        return self.renewed(likelihood, found, LEVELS[1])[1]
+
+    def renewed(
+        self, likelihood: Likelihood, candidate: Candidate | None, level: float
+    ) -> tuple[Likelihood, Candidate | None]:
+        """A candidate followed on models made again about it, as long as these are in doubt, and the last of them."""
         for _ in range(PLACES):
-            if candidate.weighed.doubt < DOUBTED:
+            if candidate is None or candidate.weighed.doubt < DOUBTED:
                 break
+            self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
             likelihood = self.about(likelihood, candidate)
-            again = followed(likelihood, hypothesis, [candidate.x], LEVELS[0])
-            if again is None:
-                return None
-            self.say("      renewed", hypothesis.name, candidate.weighed.doubt, again.weighed.doubt)
-            candidate = again
-        found = followed(likelihood, hypothesis, [end.x for end in candidate.ends], LEVELS[1])
-        for _ in range(PLACES):
-            if found is None or found.weighed.doubt < DOUBTED:
-                break
-            self.say("      renewed further", hypothesis.name, found.log_evidence, found.weighed.doubt)
-            likelihood = self.about(likelihood, found)
-            found = followed(likelihood, hypothesis, [found.x], LEVELS[1])
-        return found
+            candidate = followed(likelihood, candidate.hypothesis, [candidate.x], level)
+        return likelihood, candidate
 
     def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
         """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""

@@ -37,7 +37,8 @@ def starts_of(
     chosen = [x for _, x in sorted(found, key=lambda both: -both[0])[:STARTS]]
     if not chosen or not further:
         return chosen
-    indices, low, high = _own(model, effect)
+    indices = [model.index(name) for name in effect.names]
+    low, high = model.bounds(indices)
     stated = np.array([model.parameters[i].start for i in indices])
     moved = chosen[0][indices] - stated
     return [*chosen, *(replaced(chosen[0], indices, inside(stated + ratio * moved, low, high)) for ratio in FURTHER)]
@@ -45,7 +46,8 @@ def starts_of(
 
 def start(model: Model, effect: Effect, x: Real, score: Score) -> Real:
     """Where a hypothesis begins at x (p,): with what its score asks for, or its error where that is larger."""
-    indices, low, high = _own(model, effect)
+    indices = [model.index(name) for name in effect.names]
+    low, high = model.bounds(indices)
     least = np.where(np.isfinite(score.error), np.minimum(score.error, 0.1 * (high - low)), 0.0)
     sign = np.where(score.amplitude < 0.0, -1.0, 1.0)
     asked = np.where(np.abs(score.amplitude) < least, sign * least, score.amplitude)
@@ -57,10 +59,3 @@ def replaced(x: Real, where: Sequence[int], values: float | Real) -> Real:
     y = x.copy()
     y[list(where)] = values
     return y
-
-
-def _own(model: Model, effect: Effect) -> tuple[list[int], Real, Real]:
-    """Indices (k,) of what a hypothesis moves, and the lowest and highest (k,) of what it may be."""
-    indices = [model.index(name) for name in effect.names]
-    low, high = (np.array([getattr(model.parameters[i], side) for i in indices]) for side in ("low", "high"))
-    return indices, low, high

@@ -149,7 +149,8 @@ class Predictor:
         here = {**self.problem.values, **values}
         omega = 2.0 * np.pi * self.frequencies[[0, -1]]
         acting = [self.every.coefficients(omega, each).any(axis=0) for each in (here, {**here, **moved})]
-        depends = np.array([not set(named).isdisjoint(each.coefficient.parameters) for each in self.every.integrals])
+        names = set(named)
+        depends = np.array([not names.isdisjoint(each.coefficient.parameters) for each in self.every.integrals])
         other = copy.copy(self)
         other.operators = self.every.of(np.flatnonzero(acting[0] | acting[1] | depends))
         if self.place is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from workbench.physics.rim import SHARE, Rim
+from workbench.physics.rim import SHARE, Rim, hindered
 from workbench.physics.term import Free, Integral, Term, isotropic_solid, times
 
 #: Share of the layer's stiffness and mass that stays where it is open, so that there is an equation for what is in the
@@ -58,5 +58,5 @@ class OpenBond(Term):
 
 def _opened(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
     """-g and its derivative."""
-    below = 1.0 - (1.0 - HALFWAY) * (1.0 - v[SHARE])
-    return -(1.0 - LEFT) * v[SHARE] / below, {SHARE: -(1.0 - LEFT) * HALFWAY / below**2}
+    lacks, slope = hindered(v[SHARE], HALFWAY)
+    return -(1.0 - LEFT) * lacks, {SHARE: -(1.0 - LEFT) * slope}

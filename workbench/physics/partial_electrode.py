@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.physics.rim import SHARE, Rim
+from workbench.physics.rim import SHARE, Rim, hindered
 from workbench.physics.term import Free, Integral, Product, Term
 
 #: Share of the transducer's thickness, below the electrode, that cuts it off: thin beside a ring that shows.
@@ -65,7 +65,5 @@ def _insulating(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex
 
 def _taken(v: Mapping[str, complex], scale: float) -> tuple[complex, Mapping[str, complex]]:
     """q of a constant, and its derivatives."""
-    covered = 1.0 - v[SHARE]
-    below = 1.0 - (1.0 - HALFWAY) * covered
-    taken, slope = (1.0 - covered) / below, HALFWAY / below**2
+    taken, slope = hindered(v[SHARE], HALFWAY)
     return scale * taken * v["constant"], {SHARE: scale * slope * v["constant"], "constant": scale * taken}

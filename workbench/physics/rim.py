@@ -6,14 +6,14 @@ all, so that a model stays one sum of fixed matrices: exact where the edge is th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from workbench.physics.term import Admissible, Formula, Free
+from workbench.physics.term import Admissible, ConstantLaw, Formula, Free
 
-#: Widths of the rings, relative to the layer's radius, as far as any reaches: each by a third wider than the next one
-#: is, and all, where they are not narrow beside elements anyway, narrow beside what they add to.
+#: Widths up to the edges of the rings, relative to the layer's radius: rings are narrow beside elements, or beside what
+#: they add to.
 WIDTHS = (0.005, 0.01, 0.02, 0.035, 0.055, 0.08, 0.11, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.71, 0.83)
 
 #: How far an effect may reach from a rim.
@@ -21,9 +21,6 @@ LIMIT = 0.5
 
 #: The symbol of a law for the share of a ring that is affected.
 SHARE = "share"
-
-#: A coefficient of that share and other symbols, and its derivatives; zero at a share of zero.
-Law = Callable[[Mapping[str, complex]], tuple[complex, Mapping[str, complex]]]
 
 
 @dataclass(frozen=True)
@@ -76,15 +73,24 @@ class Rim:
         return min(max(share, 0.0), 1.0), 2.0 * edge / area if moves else 0.0
 
     def coefficients(
-        self, law: Law, symbols: tuple[tuple[str, str], ...], omega_power: int = 0
+        self, law: ConstantLaw, symbols: tuple[tuple[str, str], ...], omega_power: int = 0
     ) -> Iterator[tuple[float, Formula]]:
-        """What to integrate beyond which share of the radius, for the `law` of the share of a ring that is affected.
+        """What to integrate beyond which share of the radius, for a `law` of the share of a ring that is affected.
 
-        `symbols` as of `Formula`, without the share.
+        The law is zero at a share of zero; `symbols` as of `Formula`, without the share.
         """
         for at, edge in enumerate(self.edges):
             if edge < 1.0:
                 yield edge, Formula(Step(law, self, at), ((_WIDTH, self.number), *symbols), omega_power)
+
+
+def hindered(share: complex, halfway: float) -> tuple[complex, complex]:
+    """What a thin layer lacks where a share f of a ring is without it, and its derivative: 1 - s c / (1 - (1 - s) c).
+
+    c = 1 - f is what is left of it, and s = `halfway` so much of the layer as does half of what all of it does.
+    """
+    below = 1.0 - (1.0 - halfway) * (1.0 - share)
+    return share / below, halfway / below**2
 
 
 _WIDTH = "width"
@@ -95,12 +101,12 @@ class Step:
     """A law just beyond the edge of that index less the law just within it: what is integrated beyond an edge adds up
     over the edges."""
 
-    law: Law
+    law: ConstantLaw
     rim: Rim
     at: int
 
     def __call__(self, v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-        width = complex(v[_WIDTH]).real
+        width = v[_WIDTH].real
         value, slopes = 0j, dict.fromkeys(v, 0j)
         for ring, sign in ((self.at, 1.0), (self.at - 1, -1.0)):
             if not 0 <= ring < len(self.rim.edges) - 1:
