@@ -20,7 +20,7 @@ class MeshSize:
     elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube
     at the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
     ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
-    takes.
+    takes. ``levels``: heights (m) at which elements end besides: what a film moves beside it decays within there.
     """
 
     slowest_wave: Mapping[str, float]
@@ -32,6 +32,7 @@ class MeshSize:
     corner_refinement: float = 1.0
     growth: float = 4.0
     skins: Mapping[str, float] = field(default_factory=dict)
+    levels: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         def refuse(name: str, value: object, expected: str) -> None:

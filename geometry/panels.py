@@ -141,7 +141,7 @@ def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]
     if math.isinf(max(columns.max(), rows.max())):
         raise InputError("mesh size", "slowest_wave", math.inf, "a finite speed in some region of every row and column")
     radii, heights = _corners(section, size.corner_refinement)
-    cuts = []
+    cuts = list(size.levels)
     for rectangle in section.rectangles:
         skin = size.skins.get(rectangle.region, 0.0) * (rectangle.z_top - rectangle.z_bottom)
         cuts += [rectangle.z_bottom + skin, rectangle.z_top - skin] if skin else []

@@ -24,7 +24,7 @@ from workbench.solve import System, solve_full
 @pytest.fixture(scope="module")
 def coarse(small_chip: Chip, filled_materials: dict[str, Material]) -> Problem:
     """Two fluids, all kinds of corners and both electrodes, of order 3."""
-    return made(small_chip, filled_materials, Discretisation(3, 1.2))
+    return made(small_chip, filled_materials, Discretisation(3, 1.2, film_finer=0.65))
 
 
 def made(chip: Chip, materials: Mapping[str, Material], how: Discretisation) -> Problem:
@@ -99,7 +99,7 @@ def test_the_error_of_a_disc_is_known_with_its_sign(
 
 @pytest.mark.parametrize("how", [Discretisation(4, 2.0, corner_refinement=0.12, growth=8.0),
                                  Discretisation(4, 1.2, corner_refinement=0.12, growth=8.0),
-                                 Discretisation(5, 1.5, corner_refinement=0.12, growth=8.0)])
+                                 Discretisation(5, 1.5, corner_refinement=0.06, growth=8.0)])
 def test_the_estimate_is_of_the_size_of_the_error(
     wide: Chip, filled_materials: dict[str, Material], exact: NDArray[np.complex128], how: Discretisation
 ) -> None:

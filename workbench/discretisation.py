@@ -8,10 +8,13 @@ from dataclasses import dataclass, replace
 
 from geometry.mesh_size import MeshSize
 from geometry.names import TRANSDUCER
-from geometry.section import Section
+from geometry.section import Rectangle, Section
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Material
 from workbench.files.errors import InputError
+
+#: Thickness of the row of elements beside a film, in the lengths 1 / k that what it moves decays over.
+FILM_ROW = 1.75
 
 #: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.
 GAS_IMPEDANCE = 1e4
@@ -25,9 +28,9 @@ class Discretisation:
     ``transducer_finer`` times as many: its radial overtones are sharp and its losses small. A gas has ``gas_finer``
     times as many, that is fewer: behind solid walls all of it changes Z by 0.3 % at most, and its short waves would
     rule every element above and below. The wave along a film of fluid (:func:`film_speeds`) has ``film_finer`` times as
-    many, that is fewer too: it takes little of the energy. With 10 um of gel below a printed disc 1.05 elements of
-    order 4 a wavelength of it leave 0.29 % in Z, 1.36 leave 0.013 %; stress and velocity beside the gel need more
-    than Z does. The others as in `geometry.mesh_size.MeshSize`.
+    many; where that is fewer, because it takes little of the energy. What it moves in the solid beside it decays within
+    1 / k, and has a row of elements there (:data:`FILM_ROW`): without these 3.7 % was left in Z of a chip with 24 um of
+    gel, with them 0.4 %. The others as in `geometry.mesh_size.MeshSize`.
     """
 
     order: int
@@ -38,7 +41,7 @@ class Discretisation:
     growth: float = 8.0
     transducer_finer: float = 1.5
     gas_finer: float = 0.75
-    film_finer: float = 0.65
+    film_finer: float = 1.0
 
     def refined(self, factor: float) -> Discretisation:
         """The same with elements smaller by `factor`."""
@@ -51,14 +54,15 @@ class Discretisation:
         skins: Mapping[str, float] | None = None,
     ) -> MeshSize:
         """The size of the elements of a section at `frequency` (Hz); `skins` as in `geometry.mesh_size.MeshSize`."""
-        speeds = self.mesh_speeds(section.regions, materials)
-        for region, speed in film_speeds(section, materials, frequency).items():
+        speeds, films = self.mesh_speeds(section.regions, materials), film_speeds(section, materials, frequency)
+        for region, speed in films.items():
             speeds[region] = min(speeds[region], speed / self.film_finer)
         return MeshSize(speeds, frequency, order=self.order,
                         elements_per_wavelength=self.elements_per_wavelength,
                         minimum_through_thickness=self.through_thickness,
                         minimum_through_quarter_wave=self.through_quarter_wave,
-                        corner_refinement=self.corner_refinement, growth=self.growth, skins=skins or {})
+                        corner_refinement=self.corner_refinement, growth=self.growth, skins=skins or {},
+                        levels=film_levels(section, materials, films, frequency))
 
     def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
         """The speed (m/s) whose wavelength rules the mesh size in every region; infinite where there is nothing."""
@@ -82,15 +86,36 @@ def film_speeds(section: Section, materials: Mapping[str, Material], frequency: 
         fluid = materials.get(film.region)
         if not isinstance(fluid, Fluid):
             continue
-        beside = {r.region for r in section.rectangles
-                  if film.z_bottom in (r.z_bottom, r.z_top) or film.z_top in (r.z_bottom, r.z_top)
-                  if r.r_inner < film.r_outer and r.r_outer > film.r_inner}
+        beside = {r.region for r in _beside(section, film)}
         softness = sum(_softness(solid) for solid in (materials.get(region) for region in beside)
                        if isinstance(solid, IsotropicSolid))
         if softness > 0.0:
             speed = (omega * (film.z_top - film.z_bottom) / (fluid.density * softness)) ** (1.0 / 3.0)
             found[film.region] = min(speed, found.get(film.region, math.inf))
     return found
+
+
+def film_levels(
+    section: Section, materials: Mapping[str, Material], speeds: Mapping[str, float], frequency: float
+) -> tuple[float, ...]:
+    """Heights (m) in the elastic solids beside films where what these move at `frequency` (Hz) has decayed.
+
+    `speeds` as of :func:`film_speeds`. None where a solid is too thin for a row of its own there.
+    """
+    found = set[float]()
+    for film in (each for each in section.rectangles if each.region in speeds):
+        depth = FILM_ROW * speeds[film.region] / (2.0 * math.pi * frequency)
+        for solid in _beside(section, film):
+            if isinstance(materials.get(solid.region), IsotropicSolid) and depth < 0.5 * (solid.z_top - solid.z_bottom):
+                above = solid.z_bottom >= film.z_top
+                found.add(solid.z_bottom + depth if above else solid.z_top - depth)
+    return tuple(sorted(found))
+
+
+def _beside(section: Section, film: Rectangle) -> list[Rectangle]:
+    """What lies on a film or below it."""
+    return [r for r in section.rectangles if r.z_top == film.z_bottom or r.z_bottom == film.z_top
+            if r.r_inner < film.r_outer and r.r_outer > film.r_inner]
 
 
 def _softness(solid: IsotropicSolid) -> float:
@@ -107,7 +132,7 @@ ROWS: Mapping[float, Discretisation] = {
     # 0.045 %, 3 800 to 34 300. For Z alone 30 000 would do: two elements across a lid and more along the gel are for
     # the recovered fields (`tests/benchmarks/recovered_fields.py`).
     5e-4: Discretisation(4, 1.9, through_quarter_wave=2, corner_refinement=0.16, growth=5.0, transducer_finer=1.54,
-                         film_finer=0.85),
+                         film_finer=1.0),
     2e-4: Discretisation(6, 1.2, transducer_finer=1.15, gas_finer=0.85),  # 0.018 %, to 31 000
     # 0.0098 %, to 53 000
     1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),
