@@ -139,6 +139,19 @@ class Coefficients:
                     self.scale[members] * factors[self.factor[members]].prod(axis=1))
         return found
 
+    def acting(self, values: Values) -> NDArray[np.bool_]:
+        """Which (count,) are something at some parameters, or begin to be when one of these moves.
+
+        Raises:
+            KeyError: a parameter without a value.
+        """
+        found = np.zeros(self.count, dtype=bool)
+        every = [*(constants for _, constants in self.groups(np.ones(1), values)),
+                 *(each for slopes in self.slopes(values, sorted(self.parameters)) for each in slopes.values())]
+        for constants in every:
+            found |= constants != 0.0
+        return found
+
     @cached_property
     def parameters(self) -> frozenset[str]:
         """All that a coefficient depends on."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.diagnosis.belief import Belief
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.descent import (
     LEVELS,
@@ -26,14 +27,13 @@ from workbench.diagnosis.descent import (
     basins,
     distinct,
     followed,
-    inside,
     multimodal,
     within_range,
 )
 from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.findings import Begun, Found, Settled
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.odds import INACCURATE, Criteria
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.starts import STARTS, replaced, start, starts_of
@@ -51,7 +51,7 @@ Progress = Callable[[str, float], None]
 Named = tuple[str, str, tuple[Any, ...]]
 
 #: Error of Z that the first models are made for, and those about an optimum, relative to how far points deviate.
-WIDE, FINE = 0.03, 0.01
+WIDE, FINE = 0.03, 0.03
 
 #: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
 FAR, NEAR = 1.5, 2.0
@@ -63,7 +63,7 @@ TRIED, SHARE = 3, 0.3
 #: Descents begin in so many basins.
 BASINS = 4
 
-#: So many starts are drawn from what is known, each with its opposite.
+#: So many starts are drawn from what is believed, each with its opposite.
 PAIRS = 3
 
 #: Of the hypotheses at one stage so many go on to the next, of log evidences within this of the best: odds of 200000.
@@ -112,8 +112,25 @@ class Search:
         return np.array([p.start for p in self.model.parameters])
 
     @cached_property
+    def belief(self) -> Belief:
+        """Where the known numbers are, by the smallest body of several."""
+        prior, fitted = Belief.prior(self.model), self.model.fitted
+        size = {predictor: predictor.operators.size for predictor in fitted.predictors}
+        if len(size) == 1:
+            return prior
+        smallest = [r.name for r, p in zip(fitted.recordings, fitted.predictors, strict=True)
+                    if size[p] == min(size.values())]
+        near = fitted.of(smallest).near(prior.x, self._reach(prior), WIDE * LEVELS[1], only=range(self.model.known))
+        return prior.given(Likelihood.bare(self.model, near))
+
+    @cached_property
     def known_reach(self) -> dict[str, float]:
-        return {p.name: FAR * p.prior for p in self.model.parameters[:self.model.known] if p.prior}
+        """How far models reach, by name."""
+        return self._reach(self.belief)
+
+    def _reach(self, belief: Belief) -> dict[str, float]:
+        names = [p.name for p in self.model.parameters[:self.model.known]]
+        return {name: FAR * float(each) for name, each in zip(names, belief.deviations, strict=True) if each > 0.0}
 
     @cached_property
     def noise(self) -> float:
@@ -127,8 +144,9 @@ class Search:
 
     @cached_property
     def wide(self) -> Objective:
-        """The recordings predicted all over what is known."""
-        return self.model.fitted.near(self.centre, self.known_reach, WIDE * LEVELS[1], only=range(self.model.known))
+        """The recordings predicted all over what is believed of what is known."""
+        about, known = self.belief.x, range(self.model.known)
+        return self.model.fitted.near(about, self.known_reach, WIDE * LEVELS[1], only=known)
 
     def bare(self) -> Likelihood:
         """Of noise alone, all over what is known."""
@@ -158,57 +176,53 @@ class Search:
         self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.wide.predictors) if p.model])
         self.progress("nothing wrong", 0.1)
         ends, plain = self.begun()
-        base = None
+        settled = dict[Candidate, Settled]()
         if plain.fits:
-            base = self.settled(plain)
-            if base.explanation.accuracy <= INACCURATE:
-                return self.concluded(base, self.work(self.further(base)), [plain])
+            settled[plain] = self.settled(plain)
+            if _explained(settled):
+                return self.concluded(plain, settled, [plain])
         self.progress("single hypotheses", 0.3)
         *places, last, outside = self.work([
             *((f"scores {k}", "scored", (end.x, LEVELS[0])) for k, end in enumerate(ends)),
             ("scores", "scored", (plain.x, LEVELS[1])), ("what is outside the catalogue", "outside", (plain,))])
-        chosen = self.chosen([each for each in (*places, last, () if base is None else base.scores) if each])
+        chosen = self.chosen([each for each in (*places, last, *(base.scores for base in settled.values())) if each])
         little, found = self.tried(plain, ends, places, chosen)
-        if not any(each.fits for each in (plain, *found)) and not self.is_over:
+        found += outside or []
+        self.progress("the best of them", 0.5)
+        self.settle(plain, found, settled)
+        if not _explained(settled) and not self.is_over:
             along = multimodal(self.bare(), ends[0].x)
             self.say("along", [self.model.parameters[i].name for i in along])
-            self.progress("all that lengths may be", 0.5)
+            self.progress("all that lengths may be", 0.7)
             names = {self.model.parameters[i].name for i in along}
             about = [effect for effect in self.model.effects if names & set(effect.names)]
             found += self.tried(plain, ends, places, about, along, beside=little)[1]
-        found += outside or []
+            self.settle(plain, found, settled)
         best: dict[str, Candidate] = {}
         for each in sorted(found, key=lambda each: -each.log_evidence):
             best.setdefault(each.hypothesis.name, each)
-        return self.ended(plain, list(best.values()), base)
+        return self.concluded(plain, settled, [plain, *best.values()])
 
     def begun(self) -> tuple[list[Begun], Candidate]:
-        """The optima where nothing is wrong with the data weighing little, best first, and the best with more weight.
+        """The optima where nothing is wrong with the data weighing little, best first, and where these lead with more
+        weight.
 
-        From what is stated and from draws of what is known, each with its opposite.
+        From where the known numbers are believed to be, and from draws of that.
         """
-        nothing, known = Hypothesis(), slice(self.model.known)
-        low, high = self.model.bounds(range(self.model.known))
-        prior = np.array([p.prior for p in self.model.parameters[known]])
-        drawn = np.random.default_rng(0).standard_normal((PAIRS, prior.size)) * prior
-        starts = [self.centre]
-        for shift in (sign * each for each in drawn for sign in (1.0, -1.0)):
-            start = self.centre.copy()
-            start[known] = inside(start[known] + shift, low, high)
-            starts.append(start)
+        nothing = Hypothesis()
+        starts = [self.belief.x, *self.belief.places(PAIRS, 0)]
         found = self.work([("a start where nothing is wrong", "descended", (start,)) for start in starts], must=1)
         ends = distinct(self.bare(), [each for each in found if each is not None], lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
         self.say("begun", [round(each.cost, 1) for each in ends])
-        places = [each.x for each in ends]
-        further = self.work([("a basin where nothing is wrong", "furthered", (each.x, places)) for each in ends],
-                            must=1)
-        plain = Candidate.of(self.likelihood(ends[0].x), nothing,
-                             [each.weighed for each in further if each is not None])
-        if plain is None:
-            plain = Candidate(nothing, (self.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1]),))
+        further = [each for each in self.work([
+            ("a basin where nothing is wrong", "furthered", (each,)) for each in ends], must=1) if each is not None]
         self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
-                             for w in plain.ends])
+                             for w in sorted(further, key=lambda each: -each.log_evidence)])
+        if not further:
+            further = [self.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1])]
+        plain = Candidate.of(self.bare(), nothing, further)
+        assert plain is not None
         return ends, plain
 
     def descended(self, x: Real) -> Begun | None:
@@ -218,27 +232,16 @@ class Search:
         try:
             end = bare.tempered(search, x, LEVELS[0], smoothing=SMOOTHED)
             end = bare.tempered(search, end.x, LEVELS[0])
+            return Begun(end.x, end.cost, bare.weighed(Hypothesis(), end.x, LEVELS[0]).errors)
         except NO_END:
             return None
-        return Begun(end.x, end.cost)
 
-    def furthered(self, x: Real, places: Sequence[Real]) -> Candidate | None:
-        """Where nothing being wrong leads from x (p,) with the data weighing more, on one model for all `places` (p,).
-
-        Inaccuracy is that at the first of these.
-        """
-        likelihood = self.likelihood(places[0]).on(self.reaching(places))
-        return followed(likelihood, Hypothesis(), [x], LEVELS[1])
-
-    def reaching(self, places: Sequence[Real]) -> Objective:
-        """The recordings predicted all over what is known, and on the way to `places` (p,) that it leads to."""
-        key = b"".join(place.tobytes() for place in places)
-        if key not in self._reaching:
-            self._reaching = {key: self.wide.widened(self.centre, places, WIDE * LEVELS[1],
-                                                     only=range(self.model.known))}
-        return self._reaching[key]
-
-    _reaching: dict[bytes, Objective] = field(default_factory=dict)
+    def furthered(self, begun: Begun) -> Weighed | None:
+        """Where nothing being wrong leads with the data weighing more, on models of that place."""
+        nothing = Hypothesis()
+        likelihood = self.bare().on(self.near(self.model.fitted, nothing, begun.x, begun.errors, WIDE * LEVELS[1]))
+        found = followed(likelihood.with_patterns(begun.x), nothing, [begun.x], LEVELS[1])
+        return None if found is None else found.weighed
 
     def tried(
         self, plain: Candidate, ends: Sequence[Begun], places: Sequence[Sequence[Score] | None],
@@ -263,29 +266,31 @@ class Search:
                      candidate.weighed.accuracy, candidate.weighed.left, candidate.weighed.doubt)
         return little, further
 
-    def ended(self, plain: Candidate, found: Sequence[Candidate], base: Settled | None) -> Found:
-        """The best of what was found at its own place, alone and with what promises most beside it."""
-        self.progress("the best of them", 0.7)
+    def settle(self, plain: Candidate, found: Sequence[Candidate], settled: dict[Candidate, Settled]) -> None:
+        """Add the best of what was found at its own place to what is settled, and nothing being wrong."""
         # What may be anything follows the recordings at once; the catalogue has to find its place first.
         leading = _best([plain, *(each for each in found if not each.hypothesis.is_outside)], GO_ON[1], _promise)
         leading += _best([each for each in found if each.hypothesis.is_outside and each.log_evidence
                           > leading[0].log_evidence - CLOSE], 1, _promise)
-        tasks: list[Named] = [(each.hypothesis.name, "settled", (each,)) for each in leading
-                              if each is not plain or base is None]
-        if base is None and plain not in leading:
-            tasks.append(("nothing wrong", "settled", (plain, True)))
+        new = [each for each in dict.fromkeys([leading[0], plain, *leading]) if each not in settled]
         # The first of these are what is said, whatever the time.
-        tasks.sort(key=lambda task: task[2][0] is not leading[0] and task[2][0] is not plain)
-        final = self.work(tasks, must=2)
-        base = base or next(each for each in final if each.explanation.hypothesis.name == plain.hypothesis.name)
-        return self.concluded(base, final, [plain, *found])
+        done = self.work([(each.hypothesis.name, "settled", (each, each not in leading)) for each in new],
+                         must=0 if settled else 2)
+        settled |= {each: own for each, own in zip(new, done, strict=True) if own is not None}
 
-    def concluded(self, base: Settled, final: Sequence[Settled | None], candidates: Sequence[Candidate]) -> Found:
+    def concluded(self, plain: Candidate, settled: dict[Candidate, Settled], candidates: Sequence[Candidate]) -> Found:
         """What was found, with what promises most beside the best that is one effect."""
-        found = {id(each): each for each in (base, *final) if each is not None}
-        best = min(found.values(), key=_worth)
-        if len(best.explanation.hypothesis.effects) == 1:
-            found |= {id(each): each for each in self.work(self.further(best)) if each is not None}
+        base, found = settled[plain], dict[str, Settled]()
+        for each in sorted(settled.values(), key=_worth):
+            found.setdefault(each.explanation.hypothesis.name, each)
+        best: Settled | None = None
+        while best is not (leader := min(found.values(), key=_worth)):
+            best = leader
+            if len(best.explanation.hypothesis.effects) > 1 or best.explanation.hypothesis.is_outside:
+                break
+            for each in self.work([task for task in self.further(best) if task[0] not in found]):
+                if each is not None:
+                    found[each.explanation.hypothesis.name] = each
         return Found(base, tuple(sorted(found.values(), key=_worth)), tuple(candidates), tuple(self.undone))
 
     def work(self, tasks: Sequence[Named], *, must: int = 0) -> list[Any]:
@@ -337,7 +342,8 @@ class Search:
         scans = {i: within_range(model.parameters[i]) for i in along if i in own}
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.centre[own]).sum()))
         on_the_way = [replaced(self.centre, [i], value) for i, values in scans.items() for value in values[::3]]
-        wider = self.likelihood(at).on(self.wider(hypothesis, [largest, *starts[STARTS:], *on_the_way]))
+        further = starts if len(starts) > STARTS else [largest]
+        wider = self.likelihood(at).on(self.wider(hypothesis, [*further, *on_the_way]))
         if scans:
             found = basins(wider, hypothesis, x, scans)
             self.say("   scanned", [(round(e.cost, 1), float(e.x[own[0]])) for e in found[:6]])
@@ -405,28 +411,24 @@ class Search:
 
         One that is far behind others is `hurried`: how far is all the same.
         """
-        hypothesis, x, weighed = candidate.hypothesis, candidate.x, candidate.weighed
-        likelihood, errors = self.bare(), weighed.errors
+        hypothesis, likelihood = candidate.hypothesis, self.bare()
         if hypothesis.effects:
-            likelihood = likelihood.on(self.wider(hypothesis, [x]))
-        doubt = weighed.doubt
-        for _ in range(1 if hurried else PLACES):
-            if doubt > TRUSTED * self.noise:
-                likelihood = likelihood.on(self.near(self.model.fitted, hypothesis, x, errors))
-            likelihood = likelihood.with_patterns(x)
-            try:
-                found = likelihood.settled(hypothesis, x, **(HURRIED if hurried else {}))
-            except NO_END:
-                self.say("   NO END", hypothesis.name)
-                raise
-            if found.doubt < TRUSTED * self.noise:
+            likelihood = likelihood.on(self.wider(hypothesis, [candidate.x]))
+        # Of several ends full weight tells on a model of its own which it is.
+        hurry = HURRIED if hurried or len(candidate.ends) > 1 else {}
+        placed = [self.placed(likelihood, hypothesis, end, hurry) for end in candidate.ends]
+        likelihood, found = max(placed, key=lambda each: each[1].log_evidence)
+        for _ in range(0 if hurried else PLACES - 1):
+            if found.doubt < TRUSTED * self.noise and not hurry:
                 break
-            x, errors, doubt = found.x, found.spread(x.size), found.doubt
+            end = Weighed(found.x, found.log_evidence, found.spread(found.x.size), found.accuracy, 1.0, found.doubt)
+            hurry = {}
+            likelihood, found = self.placed(likelihood, hypothesis, end, hurry)
         self.say("settled", hypothesis.name, found.log_evidence, *found.scales, "chi",
                  float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
-            held = self.near(self.model.held_out, hypothesis, found.x, found.spread(x.size))
+            held = self.near(self.model.held_out, hypothesis, found.x, found.spread(found.x.size))
             seen = Likelihood.bare(self.model, held).impedances(found.x)
             # What they add to the evidence, with the optimum of all.
             whole = Likelihood.bare(self.model, likelihood.objective.joined(held)).with_patterns(found.x)
@@ -439,11 +441,29 @@ class Search:
         assert likelihood.anything is not None
         return Settled(found, scores, beside, density, tuple(seen), likelihood.columns, likelihood.anything)
 
-    def near(self, recordings: Objective, hypothesis: Hypothesis, x: Real, errors: Real) -> Objective:
-        """Recordings predicted about an optimum x (p,) of those standard deviations (p,)."""
+    def placed(
+        self, likelihood: Likelihood, hypothesis: Hypothesis, end: Weighed, hurry: Mapping[str, int]
+    ) -> tuple[Likelihood, Explanation]:
+        """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
+        if end.doubt > TRUSTED * self.noise:
+            likelihood = likelihood.on(self.near(self.model.fitted, hypothesis, end.x, end.errors))
+        likelihood = likelihood.with_patterns(end.x)
+        try:
+            return likelihood, likelihood.settled(hypothesis, end.x, **hurry)
+        except NO_END:
+            self.say("   NO END", hypothesis.name)
+            raise
+
+    def near(
+        self, recordings: Objective, hypothesis: Hypothesis, x: Real, errors: Real, tolerance: float | None = None
+    ) -> Objective:
+        """Recordings predicted about an optimum x (p,) of those standard deviations (p,).
+
+        To a relative error of Z of `tolerance`; far below the noise if that is None.
+        """
         reach = {p.name: NEAR * float(error)
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
-        return recordings.near(x, reach, FINE * self.noise, only=self.moving(hypothesis))
+        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis))
 
     def further(self, settled: Settled) -> list[Named]:
         """To settle: an explanation together with what promises most beside it."""
@@ -470,6 +490,11 @@ def _promise(candidate: Candidate) -> float:
 
 def _worth(settled: Settled) -> float:
     return -settled.explanation.log_evidence
+
+
+def _explained(settled: Mapping[Candidate, Settled]) -> bool:
+    """Whether the best explanation leaves no more than an accuracy that models have."""
+    return min(settled.values(), key=_worth).explanation.accuracy <= INACCURATE
 
 
 def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:

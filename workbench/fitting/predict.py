@@ -159,17 +159,20 @@ class Predictor:
         return other
 
     def with_every(self, settings: Sequence[Mapping[str, complex]]) -> Predictor:
-        """The same of all integrals, on no more of the basis than the spectra at these values need."""
+        """The same of all integrals that act at these values or begin to, on no more of the basis than spectra there
+        need."""
         assert self.model is not None
         states = np.concatenate([self.model.solve(self.frequencies, {**self.problem.values, **each}).states
                                  for each in settings], axis=1)
         part = needed(states, NEGLIGIBLE)
         basis = self.model.basis @ part
-        matrices, sketch = projected_on(self.every, basis, self.model.test)
-        inner = ReducedOperators(self.every.integrals, self.every.coefficients, matrices, self.every.forms)
+        acting = [self.every.coefficients.acting({**self.problem.values, **each}) for each in settings]
+        operators = self.every.of(np.flatnonzero(np.any(acting, axis=0)))
+        matrices, sketch = projected_on(operators, basis, self.model.test)
+        inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
         other = copy.copy(self)
-        other.operators, other.place, other._latest, other.tolerance = self.every, None, None, math.inf
-        other.model = replace(self.model, full=self.every, operators=inner, basis=basis, sketch=sketch)
+        other.operators, other.place, other._latest, other.tolerance = operators, None, None, math.inf
+        other.model = replace(self.model, full=operators, operators=inner, basis=basis, sketch=sketch)
         return other
 
     def elsewhere(self, frequencies: Real, tolerance: float, values: Mapping[str, complex]) -> Prediction:
