@@ -60,17 +60,38 @@ class Neighbourhood:
         With A the system here and A + D that at a corner, the state there is the sum of (-A^-1 D)^k x, of which the
         first terms are taken: their span serves beyond where the sum converges. No system is factorised anew.
         """
+        with one_thread():
+            return self._holding([np.column_stack([self._terms(node, corner) for node in self.nodes])
+                                  for corner in corners], tolerance)
+
+    def solved_at(
+        self, places: Sequence[Values], frequencies: Real, tolerance: float, depth: int = DEPTH
+    ) -> Neighbourhood:
+        """The same, holding also the states at `frequencies` (n,) Hz and other values, `places`.
+
+        To an error of Z of `tolerance`, from full solves there at the frequencies of :attr:`nodes`.
+
+        Raises:
+            NotConverged: a full solve that failed.
+        """
+        found, lift, looked_at = [], self.model.basis[:, -1:], watched(np.asarray(frequencies, dtype=float))
+        with one_thread():
+            for place in places:
+                system = System(self.model.full, place)
+                states = np.column_stack([system.krylov(node.frequency, depth)[0] for node in self.nodes])
+                found.append(_in_band(system, new_directions(lift, states, self.model.weights), lift, looked_at))
+            return self._holding(found, tolerance)
+
+    def _holding(self, states: Sequence[Complex], tolerance: float) -> Neighbourhood:
+        """The same with what some states (size, n), without the lift and over roots of charges, have beside it."""
         model = self.model
         basis, lift = model.basis[:, :-1], model.basis[:, -1:]
-        least = smallest(tolerance)
-        with one_thread():
-            for corner in corners:
-                terms = np.column_stack([self._terms(node, corner) for node in self.nodes])
-                basis = _grown(basis, terms, model.energy, least)
-            if basis.shape[1] == model.basis.shape[1] - 1:
-                return self
-            whole = np.column_stack([basis, lift])
-            matrices, sketch = projected_on(model.full, whole, model.test, model)
+        for each in states:
+            basis = _grown(basis, each, model.energy, smallest(tolerance))
+        if basis.shape[1] == model.basis.shape[1] - 1:
+            return self
+        whole = np.column_stack([basis, lift])
+        matrices, sketch = projected_on(model.full, whole, model.test, model)
         wider = replace(model, operators=replace(model.operators, matrices=matrices), basis=whole, sketch=sketch)
         return replace(self, model=wider)
 

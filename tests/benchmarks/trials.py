@@ -53,6 +53,10 @@ NOTHING, FOREIGN, PAIRS = 7, 6, 5
 MAKING = 60.0
 
 
+#: A diagnosis begins nothing new after so many minutes, and says what it knows by then.
+MINUTES = 4.0
+
+
 def schedule(seed: int) -> Iterator[tuple[str, ...]]:
     """Mechanisms of trial after trial, in random order within each round."""
     rng = np.random.default_rng(seed)
@@ -114,7 +118,7 @@ def commit_of() -> str:
 def diagnose_one(trial: Path, result: Path) -> None:
     """Diagnose a trial here, into a file."""
     with threadpool_limits(limits=1):
-        found = diagnose(read_campaign(trial / "campaign.toml"))
+        found = diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES)
     write_atomic(result, json.dumps(record(found), indent=1) + "\n")
 
 

@@ -2,7 +2,7 @@
 
 Spectra have many optima, one for every way to lay the overtones of the model on those of the recording. Where points
 weigh little (:data:`LEVELS`), and admittances are smoothed at first, there are few. A hypothesis that frees a parameter
-which shifts overtones by more than they are apart (:func:`multimodal`) has more of them: along that one the cost is
+which shifts overtones by more than they are apart (`belief.multimodal`) has more of them: along that one the cost is
 looked at over its whole range, and every optimum on the way begins a descent (:func:`basins`).
 """
 
@@ -48,10 +48,6 @@ INSIDE = 1e-4
 #: Steps of a look at one place of the scan, and of the descent from an optimum of it.
 LOOK, DESCENT = 3, 8
 
-#: A parameter is multimodal where one uncertainty along its profile changes the data at little weight by this many
-#: deviations more than the tangent says; at most so many are scanned.
-CURVED, SCANS = 10.0, 2
-
 #: Of the ends of one hypothesis so many are followed, of a cost within this of the best: odds of 3000.
 KEPT, WINDOW = 3, 8.0
 
@@ -60,34 +56,6 @@ EXCESS = 1.5
 
 #: Two optima are one where their parameters differ by less than so many uncertainties.
 ALIKE = 0.3
-
-
-def multimodal(likelihood: Likelihood, x: Real) -> list[int]:
-    """Indices of the known parameters along whose profiles the data bend most, at an optimum x (p,) of little weight.
-
-    The profile of a parameter is where the optimum of all others goes when it moves: what these can make up for does
-    not bend anything.
-    """
-    model, level = likelihood.model, LEVELS[0]
-    known = np.arange(model.known)
-    prior = np.array([p.prior or 0.0 for p in model.parameters[:model.known]])
-    here = likelihood.objective(x, deviation=likelihood.spreads(level), free=known.tolist())
-    tangents = here.jacobian[:, known] * prior
-    covariance = np.linalg.inv(tangents.T @ tangents + np.eye(known.size))
-    found: list[tuple[float, int]] = []
-    for i in known:
-        profile = covariance[:, i] / covariance[i, i]
-        if model.parameters[i].is_bench or np.linalg.norm(tangents @ profile) < CURVED:
-            continue
-        bent = []
-        for side in (-1.0, 1.0):
-            y = x.copy()
-            y[known] += side * prior * profile
-            y = np.clip(y, *model.bounds(range(len(model.parameters))))
-            there = likelihood.objective(y, deviation=likelihood.spreads(level), free=())
-            bent.append(float(np.linalg.norm(there.vector - here.vector - side * tangents @ profile)))
-        found.append((max(bent), int(i)))
-    return [i for bent, i in sorted(found, reverse=True) if bent > CURVED][:SCANS]
 
 
 def basins(likelihood: Likelihood, hypothesis: Hypothesis, x: Real, along: Mapping[int, Real]) -> list[Optimum]:

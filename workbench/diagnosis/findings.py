@@ -17,12 +17,10 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """An optimum ``x`` (p,) of that ``cost`` where the data weigh little, and the standard deviations ``errors`` (p,)
-    there."""
+    """An optimum ``x`` (p,) of that ``cost`` where the data weigh little."""
 
     x: Real
     cost: float
-    errors: Real
 
 
 @dataclass(frozen=True, eq=False)

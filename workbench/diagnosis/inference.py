@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.belief import Belief
+from workbench.diagnosis.belief import Belief, multimodal
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.descent import (
     LEVELS,
@@ -27,7 +27,6 @@ from workbench.diagnosis.descent import (
     basins,
     distinct,
     followed,
-    multimodal,
     within_range,
 )
 from workbench.diagnosis.device import Model, model
@@ -63,8 +62,9 @@ TRIED, SHARE = 3, 0.3
 #: Descents begin in so many basins.
 BASINS = 4
 
-#: So many starts are drawn from what is believed, each with its opposite.
-PAIRS = 3
+#: So many starts are drawn from what is believed, each with its opposite; others lie so many uncertainties along what
+#: is multimodal, which is held at first.
+PAIRS, STEPS = 1, (-2.5, -1.25, 1.25, 2.5)
 
 #: Of the hypotheses at one stage so many go on to the next, of log evidences within this of the best: odds of 200000.
 GO_ON, CLOSE = (8, 4), 12.0
@@ -93,13 +93,14 @@ class Search:
     started: float = field(default_factory=time.perf_counter)
     interrupted: bool = False
     undone: list[str] = field(default_factory=list)
+    places: tuple[Real, ...] = ()
     _workers: Workers | None = None
 
     @classmethod
     def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation, cache: Path | None) -> Search:
         """A search for a worker, with its first models."""
         made = cls(model(campaign, accuracy=accuracy, cache=cache))
-        _ = made.wide
+        _ = made.narrow
         return made
 
     def say(self, *words: object) -> None:
@@ -114,23 +115,19 @@ class Search:
     @cached_property
     def belief(self) -> Belief:
         """Where the known numbers are, by the smallest body of several."""
-        prior, fitted = Belief.prior(self.model), self.model.fitted
-        size = {predictor: predictor.operators.size for predictor in fitted.predictors}
-        if len(size) == 1:
-            return prior
-        smallest = [r.name for r, p in zip(fitted.recordings, fitted.predictors, strict=True)
-                    if size[p] == min(size.values())]
-        near = fitted.of(smallest).near(prior.x, self._reach(prior), WIDE * LEVELS[1], only=range(self.model.known))
-        return prior.given(Likelihood.bare(self.model, near))
+        prior = Belief.prior(self.model)
+        smallest = prior.smallest(self.model.fitted)
+        return prior if smallest is None else prior.given(
+            Likelihood.bare(self.model, self._about(prior.x, prior, smallest)))
 
     @cached_property
     def known_reach(self) -> dict[str, float]:
         """How far models reach, by name."""
-        return self._reach(self.belief)
+        return self.belief.reach(self.model, FAR)
 
-    def _reach(self, belief: Belief) -> dict[str, float]:
-        names = [p.name for p in self.model.parameters[:self.model.known]]
-        return {name: FAR * float(each) for name, each in zip(names, belief.deviations, strict=True) if each > 0.0}
+    def _about(self, x: Real, belief: Belief, recordings: Objective) -> Objective:
+        """Recordings predicted about x (p,), as far as what is known may be believed to be from there."""
+        return recordings.near(x, belief.reach(self.model, FAR), WIDE * LEVELS[1], only=range(self.model.known))
 
     @cached_property
     def noise(self) -> float:
@@ -142,11 +139,33 @@ class Search:
         """Log evidence below which a hypothesis is not worth a look: its odds of being true would be too small."""
         return math.log(self.criteria.looked_at * self.model.hypotheses)
 
-    @cached_property
+    @property
     def wide(self) -> Objective:
-        """The recordings predicted all over what is believed of what is known."""
-        about, known = self.belief.x, range(self.model.known)
-        return self.model.fitted.near(about, self.known_reach, WIDE * LEVELS[1], only=known)
+        """The recordings predicted all over what is believed of what is known, and at :attr:`places` too."""
+        return self._made[1]
+
+    @cached_property
+    def narrow(self) -> Objective:
+        """The same, but for the places."""
+        return self._about(self.belief.x, self.belief, self.model.fitted)
+
+    def reaching(self, places: Sequence[Real]) -> Objective:
+        """The recordings predicted all over what is believed of what is known, and at some places (p,)."""
+        return self.narrow.solved_at(self.belief.x, places, WIDE * LEVELS[1])
+
+    @cached_property
+    def multimodal(self) -> list[int]:
+        """Indices of the known numbers along which there are several optima."""
+        return multimodal(Likelihood.bare(self.model, self.narrow), self.belief)
+
+    @property
+    def _made(self) -> tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]]:
+        """The present places, the models for these, and the likelihoods on them."""
+        if self._latest is None or self._latest[0] is not self.places:
+            self._latest = self.places, self.reaching(self.places) if self.places else self.narrow, {}
+        return self._latest
+
+    _latest: tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]] | None = None
 
     def bare(self) -> Likelihood:
         """Of noise alone, all over what is known."""
@@ -154,12 +173,11 @@ class Search:
 
     def likelihood(self, x: Real) -> Likelihood:
         """All over what is known, with what the model does not get right at x (p,)."""
-        key = x.tobytes()
-        if key not in self._likelihoods:
-            self._likelihoods = {key: self.bare().with_patterns(x)}
-        return self._likelihoods[key]
-
-    _likelihoods: dict[bytes, Likelihood] = field(default_factory=dict)
+        known = self._made[2]
+        if (key := x.tobytes()) not in known:
+            known.clear()
+            known[key] = self.bare().with_patterns(x)
+        return known[key]
 
     @property
     def is_over(self) -> bool:
@@ -191,10 +209,8 @@ class Search:
         self.progress("the best of them", 0.5)
         self.settle(plain, found, settled)
         if not _explained(settled) and not self.is_over:
-            along = multimodal(self.bare(), ends[0].x)
-            self.say("along", [self.model.parameters[i].name for i in along])
             self.progress("all that lengths may be", 0.7)
-            names = {self.model.parameters[i].name for i in along}
+            along, names = self.multimodal, {self.model.parameters[i].name for i in self.multimodal}
             about = [effect for effect in self.model.effects if names & set(effect.names)]
             found += self.tried(plain, ends, places, about, along, beside=little)[1]
             self.settle(plain, found, settled)
@@ -210,11 +226,13 @@ class Search:
         From where the known numbers are believed to be, and from draws of that.
         """
         nothing = Hypothesis()
-        starts = [self.belief.x, *self.belief.places(PAIRS, 0)]
-        found = self.work([("a start where nothing is wrong", "descended", (start,)) for start in starts], must=1)
+        starts = [(self.belief.x, ()), *((place, ()) for place in self.belief.places(PAIRS, 0)), *(
+            (place, (i,)) for i in self.multimodal for place in self.belief.along(i, STEPS))]
+        found = self.work([("a start where nothing is wrong", "descended", start) for start in starts], must=1)
         ends = distinct(self.bare(), [each for each in found if each is not None], lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
-        self.say("begun", [round(each.cost, 1) for each in ends])
+        self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
+        self.places = tuple(each.x for each in ends)
         further = [each for each in self.work([
             ("a basin where nothing is wrong", "furthered", (each,)) for each in ends], must=1) if each is not None]
         self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
@@ -225,22 +243,36 @@ class Search:
         assert plain is not None
         return ends, plain
 
-    def descended(self, x: Real) -> Begun | None:
-        """Where nothing being wrong leads from x (p,) with the data weighing little; None if to nothing."""
+    def descended(self, x: Real, held: tuple[int, ...] = ()) -> Begun | None:
+        """Where nothing being wrong leads from x (p,) with the data weighing little; None if to nothing.
+
+        Parameters of the indices `held` move only after the others.
+        """
         bare = self.bare()
+        if held:
+            bare = bare.on(self._about(x, self.belief, self.model.fitted))
         search = bare.search(Hypothesis())
         try:
-            end = bare.tempered(search, x, LEVELS[0], smoothing=SMOOTHED)
+            end = bare.tempered(search, x, LEVELS[0], smoothing=SMOOTHED, fixed=held)
             end = bare.tempered(search, end.x, LEVELS[0])
-            return Begun(end.x, end.cost, bare.weighed(Hypothesis(), end.x, LEVELS[0]).errors)
+            return Begun(end.x, end.cost)
         except NO_END:
             return None
 
     def furthered(self, begun: Begun) -> Weighed | None:
         """Where nothing being wrong leads with the data weighing more, on models of that place."""
-        nothing = Hypothesis()
-        likelihood = self.bare().on(self.near(self.model.fitted, nothing, begun.x, begun.errors, WIDE * LEVELS[1]))
-        found = followed(likelihood.with_patterns(begun.x), nothing, [begun.x], LEVELS[1])
+        nothing, likelihood = Hypothesis(), self.bare()
+        end = likelihood.weighed(nothing, begun.x, LEVELS[0])
+        try:
+            for _ in range(PLACES):
+                likelihood = likelihood.on(self.near(self.model.fitted, nothing, end.x, end.errors, WIDE * LEVELS[1]))
+                x = likelihood.tempered(likelihood.search(nothing), end.x, LEVELS[0]).x
+                end = likelihood.weighed(nothing, x, LEVELS[0])
+                if end.doubt < DOUBTED:
+                    break
+        except NO_END:
+            return None
+        found = followed(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1])
         return None if found is None else found.weighed
 
     def tried(
@@ -301,7 +333,7 @@ class Search:
             return self.is_over and index >= must
         try:
             if self._workers is not None:
-                self._workers.map(self, [task[1:] for task in tasks], results, is_over)
+                self._workers.map(self, [("within", (self.places, *task[1:])) for task in tasks], results, is_over)
             else:
                 for index, (_, name, given) in enumerate(tasks):
                     if not is_over(index):
@@ -312,6 +344,12 @@ class Search:
             self.interrupted = True
         self.undone += [task[0] for index, task in enumerate(tasks) if index not in results]
         return [results.get(index) for index in range(len(tasks))]
+
+    def within(self, places: tuple[Real, ...], name: str, given: tuple[Any, ...]) -> Any:
+        """What the method of that name returns on models that reach `places` (p,)."""
+        if [each.tobytes() for each in places] != [each.tobytes() for each in self.places]:
+            self.places = places
+        return getattr(self, name)(*given)
 
     def scored(self, x: Real, level: float) -> list[Score]:
         """The scores of all hypotheses at x (p,)."""

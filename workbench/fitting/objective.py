@@ -182,6 +182,17 @@ class Objective:
         own = self._acting(x, only)
         return own._placed(place, own._sharing().items())
 
+    def solved_at(self, x: Real, places: Sequence[Real], tolerance: float) -> Objective:
+        """The same, of :meth:`near` x (p,), on models that also hold the states at other `places` (p,)."""
+        def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
+            assert predictor.place is not None  # one of `near`
+            here, own = self._values(x, indices[0]), predictor.place.values
+            there = [self._values(each, indices[0]) for each in places]
+            return predictor.place.solved_at([{name: own[name] + values[name] - here[name] for name in own}
+                                              for values in there if values != here], predictor.frequencies, tolerance)
+
+        return self._placed(place, self._sharing().items())
+
     def with_every(self, x: Real) -> Objective:
         """The same at x (p,) alone, on models that say what every parameter would change there."""
         other = copy.copy(self)
