@@ -100,6 +100,19 @@ def test_a_corner_is_held_without_a_further_factorisation(
     assert off(wider, operators, stack.values) < TOLERANCE
 
 
+def test_states_elsewhere_are_held_by_full_solves_there(
+    place: Neighbourhood, operators: FullOperators, stack: Problem
+) -> None:
+    """Where the series of the check above does not converge: as right as at the centre, on fewer frequencies than that
+    was made of, and by a few more vectors."""
+    there = {**stack.values, f"{GEL}.sound_speed": 0.6 * stack.values[f"{GEL}.sound_speed"],
+             f"{PLA}.shear_modulus": 0.7 * stack.values[f"{PLA}.shear_modulus"]}
+    wider = place.solved_at([there], GRID, TOLERANCE)
+    assert off(wider, operators, there) < 2.0 * TOLERANCE < 1e-2 * off(place, operators, there)
+    assert off(wider, operators, stack.values) < TOLERANCE
+    assert wider.model.basis.shape[1] < 2 * place.model.basis.shape[1]
+
+
 def test_no_corner_no_change(place: Neighbourhood, stack: Problem) -> None:
     assert place.widened([dict(stack.values)], TOLERANCE) is place
 
@@ -151,6 +164,17 @@ def test_every_derivative_is_there_at_one_place(objective: Objective, x: Real) -
     size = np.abs(expected).max(axis=0)
     # Quadratic forms of the same states, but for what is left out of them: a millionth.
     assert (np.abs(found - expected) <= 1e-4 * size).all()
+
+
+def test_an_objective_holds_places_of_full_solves(objective: Objective, x: Real) -> None:
+    place = objective.near(x, {"couplant.thickness": 2e-6}, TOLERANCE, only=[0, 2])
+    there = x.copy()
+    there[2] *= 0.5
+    found = place.solved_at(x, [there], TOLERANCE)
+    full = found.predictors[0].full(found.settings(there, 0)[0], CHECKED)
+    error, before = (float(np.abs(each.predict(there, 0)[2].impedance[::10] / full - 1.0).max())
+                     for each in (found, place))
+    assert error < 2.0 * TOLERANCE < 1e-2 * before
 
 
 def test_a_wider_objective_holds_what_newly_moves(objective: Objective, x: Real) -> None:

@@ -114,6 +114,13 @@ def test_taken_apart_together_coefficients_are_what_each_is_alone() -> None:
             assert total == pytest.approx(exact, rel=1e-13)
 
 
+def test_what_acts_is_something_or_begins_to_be() -> None:
+    square, line, other = (Monomial(1.0, 0.0, factors) for factors in ((("a", 2.0),), (("a", 1.0),), (("b", 1.0),)))
+    found = Coefficients.of([Integral(each, "", ()) for each in (square, line, other)])
+    assert found.acting({"a": 0j, "b": 2.0 + 0j}).tolist() == [False, True, True]
+    assert found.acting({"a": 1.0 + 0j, "b": 0j}).tolist() == [True, True, True]
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # Operators by their derivatives
 

@@ -15,11 +15,11 @@ from workbench.diagnosis.belong import check_assignment
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, share
 from workbench.diagnosis.decision import HINT
-from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.findings import Found, Settled
-from workbench.diagnosis.inference import WIDE, Search
+from workbench.diagnosis.inference import Search
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
+from workbench.diagnosis.neighbourhoods import ROUGH
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Left, Place, estimates
@@ -79,10 +79,10 @@ def diagnose_model(
 
 def as_stated(search: Search) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
-    model, x = search.model, search.centre
-    impedances = search.bare().impedances(x)
+    model, x = search.model, search.models.centre
+    impedances = search.models.bare().impedances(x)
     if model.held_out is not None:
-        held = model.held_out.near(x, {}, WIDE * LEVELS[1], only=())
+        held = model.held_out.near(x, {}, ROUGH, only=())
         impedances += Likelihood.bare(model, held).impedances(x)
     return tuple(_fit(state, impedance) for state, impedance in
                  zip((*model.campaign.fitted, *model.campaign.held_out), impedances, strict=True))

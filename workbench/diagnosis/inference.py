@@ -18,7 +18,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.belief import Belief, multimodal
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.descent import (
     LEVELS,
@@ -33,12 +32,12 @@ from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.findings import Begun, Found, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
+from workbench.diagnosis.neighbourhoods import ROUGH, Neighbourhoods
 from workbench.diagnosis.odds import INACCURATE, Criteria
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.starts import STARTS, replaced, start, starts_of
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import Discretisation
-from workbench.fitting.objective import Objective
 from workbench.fitting.search import NO_END
 
 T = TypeVar("T")
@@ -48,12 +47,6 @@ Progress = Callable[[str, float], None]
 
 #: What is done, the name of a method, and what it is given.
 Named = tuple[str, str, tuple[Any, ...]]
-
-#: Error of Z that the first models are made for, and those about an optimum, relative to how far points deviate.
-WIDE, FINE = 0.03, 0.03
-
-#: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
-FAR, NEAR = 1.5, 2.0
 
 #: Of the hypotheses that promise most at any place, so many are tried, if they promise this share of what the best
 #: does.
@@ -93,14 +86,13 @@ class Search:
     started: float = field(default_factory=time.perf_counter)
     interrupted: bool = False
     undone: list[str] = field(default_factory=list)
-    places: tuple[Real, ...] = ()
     _workers: Workers | None = None
 
     @classmethod
     def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation, cache: Path | None) -> Search:
         """A search for a worker, with its first models."""
         made = cls(model(campaign, accuracy=accuracy, cache=cache))
-        _ = made.narrow
+        _ = made.models.narrow
         return made
 
     def say(self, *words: object) -> None:
@@ -108,76 +100,14 @@ class Search:
             self.trace(" ".join([f"{time.perf_counter() - self.started:6.1f}", *map(str, words)]))
 
     @cached_property
-    def centre(self) -> Real:
-        """What is stated (p,)."""
-        return np.array([p.start for p in self.model.parameters])
-
-    @cached_property
-    def belief(self) -> Belief:
-        """Where the known numbers are, by the smallest body of several."""
-        prior = Belief.prior(self.model)
-        smallest = prior.smallest(self.model.fitted)
-        return prior if smallest is None else prior.given(
-            Likelihood.bare(self.model, self._about(prior.x, prior, smallest)))
-
-    @cached_property
-    def known_reach(self) -> dict[str, float]:
-        """How far models reach, by name."""
-        return self.belief.reach(self.model, FAR)
-
-    def _about(self, x: Real, belief: Belief, recordings: Objective) -> Objective:
-        """Recordings predicted about x (p,), as far as what is known may be believed to be from there."""
-        return recordings.near(x, belief.reach(self.model, FAR), WIDE * LEVELS[1], only=range(self.model.known))
-
-    @cached_property
-    def noise(self) -> float:
-        """Relative standard deviation of a point, of the best recording."""
-        return min(float(np.median(state.noise)) for state in self.model.campaign.states)
+    def models(self) -> Neighbourhoods:
+        """What predicts the recordings."""
+        return Neighbourhoods(self.model)
 
     @cached_property
     def least(self) -> float:
         """Log evidence below which a hypothesis is not worth a look: its odds of being true would be too small."""
         return math.log(self.criteria.looked_at * self.model.hypotheses)
-
-    @property
-    def wide(self) -> Objective:
-        """The recordings predicted all over what is believed of what is known, and at :attr:`places` too."""
-        return self._made[1]
-
-    @cached_property
-    def narrow(self) -> Objective:
-        """The same, but for the places."""
-        return self._about(self.belief.x, self.belief, self.model.fitted)
-
-    def reaching(self, places: Sequence[Real]) -> Objective:
-        """The recordings predicted all over what is believed of what is known, and at some places (p,)."""
-        return self.narrow.solved_at(self.belief.x, places, WIDE * LEVELS[1])
-
-    @cached_property
-    def multimodal(self) -> list[int]:
-        """Indices of the known numbers along which there are several optima."""
-        return multimodal(Likelihood.bare(self.model, self.narrow), self.belief)
-
-    @property
-    def _made(self) -> tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]]:
-        """The present places, the models for these, and the likelihoods on them."""
-        if self._latest is None or self._latest[0] is not self.places:
-            self._latest = self.places, self.reaching(self.places) if self.places else self.narrow, {}
-        return self._latest
-
-    _latest: tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]] | None = None
-
-    def bare(self) -> Likelihood:
-        """Of noise alone, all over what is known."""
-        return Likelihood.bare(self.model, self.wide)
-
-    def likelihood(self, x: Real) -> Likelihood:
-        """All over what is known, with what the model does not get right at x (p,)."""
-        known = self._made[2]
-        if (key := x.tobytes()) not in known:
-            known.clear()
-            known[key] = self.bare().with_patterns(x)
-        return known[key]
 
     @property
     def is_over(self) -> bool:
@@ -191,7 +121,7 @@ class Search:
             NotEnriched, MeshError: the device as it is stated cannot be predicted.
         """
         self._workers = workers
-        self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.wide.predictors) if p.model])
+        self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.models.wide.predictors) if p.model])
         self.progress("nothing wrong", 0.1)
         ends, plain = self.begun()
         settled = dict[Candidate, Settled]()
@@ -210,7 +140,7 @@ class Search:
         self.settle(plain, found, settled)
         if not _explained(settled) and not self.is_over:
             self.progress("all that lengths may be", 0.7)
-            along, names = self.multimodal, {self.model.parameters[i].name for i in self.multimodal}
+            along, names = self.models.multimodal, {self.model.parameters[i].name for i in self.models.multimodal}
             about = [effect for effect in self.model.effects if names & set(effect.names)]
             found += self.tried(plain, ends, places, about, along, beside=little)[1]
             self.settle(plain, found, settled)
@@ -226,20 +156,20 @@ class Search:
         From where the known numbers are believed to be, and from draws of that.
         """
         nothing = Hypothesis()
-        starts = [(self.belief.x, ()), *((place, ()) for place in self.belief.places(PAIRS, 0)), *(
-            (place, (i,)) for i in self.multimodal for place in self.belief.along(i, STEPS))]
+        starts = [(self.models.belief.x, ()), *((place, ()) for place in self.models.belief.places(PAIRS, 0)), *(
+            (place, (i,)) for i in self.models.multimodal for place in self.models.belief.along(i, STEPS))]
         found = self.work([("a start where nothing is wrong", "descended", start) for start in starts], must=1)
-        ends = distinct(self.bare(), [each for each in found if each is not None], lambda each: each.cost)
+        ends = distinct(self.models.bare(), [each for each in found if each is not None], lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
-        self.places = tuple(each.x for each in ends)
+        self.models.places = tuple(each.x for each in ends)
         further = [each for each in self.work([
             ("a basin where nothing is wrong", "furthered", (each,)) for each in ends], must=1) if each is not None]
         self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
                              for w in sorted(further, key=lambda each: -each.log_evidence)])
         if not further:
-            further = [self.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1])]
-        plain = Candidate.of(self.bare(), nothing, further)
+            further = [self.models.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1])]
+        plain = Candidate.of(self.models.bare(), nothing, further)
         assert plain is not None
         return ends, plain
 
@@ -248,9 +178,9 @@ class Search:
 
         Parameters of the indices `held` move only after the others.
         """
-        bare = self.bare()
+        bare = self.models.bare()
         if held:
-            bare = bare.on(self._about(x, self.belief, self.model.fitted))
+            bare = bare.on(self.models.around(x, self.models.belief, self.model.fitted))
         search = bare.search(Hypothesis())
         try:
             end = bare.tempered(search, x, LEVELS[0], smoothing=SMOOTHED, fixed=held)
@@ -261,11 +191,11 @@ class Search:
 
     def furthered(self, begun: Begun) -> Weighed | None:
         """Where nothing being wrong leads with the data weighing more, on models of that place."""
-        nothing, likelihood = Hypothesis(), self.bare()
+        nothing, likelihood = Hypothesis(), self.models.bare()
         end = likelihood.weighed(nothing, begun.x, LEVELS[0])
         try:
             for _ in range(PLACES):
-                likelihood = likelihood.on(self.near(self.model.fitted, nothing, end.x, end.errors, WIDE * LEVELS[1]))
+                likelihood = likelihood.on(self.models.near(self.model.fitted, nothing, end.x, end.errors, ROUGH))
                 x = likelihood.tempered(likelihood.search(nothing), end.x, LEVELS[0]).x
                 end = likelihood.weighed(nothing, x, LEVELS[0])
                 if end.doubt < DOUBTED:
@@ -333,7 +263,8 @@ class Search:
             return self.is_over and index >= must
         try:
             if self._workers is not None:
-                self._workers.map(self, [("within", (self.places, *task[1:])) for task in tasks], results, is_over)
+                there = [("within", (self.models.places, *task[1:])) for task in tasks]
+                self._workers.map(self, there, results, is_over)
             else:
                 for index, (_, name, given) in enumerate(tasks):
                     if not is_over(index):
@@ -347,13 +278,13 @@ class Search:
 
     def within(self, places: tuple[Real, ...], name: str, given: tuple[Any, ...]) -> Any:
         """What the method of that name returns on models that reach `places` (p,)."""
-        if [each.tobytes() for each in places] != [each.tobytes() for each in self.places]:
-            self.places = places
+        if [each.tobytes() for each in places] != [each.tobytes() for each in self.models.places]:
+            self.models.places = places
         return getattr(self, name)(*given)
 
     def scored(self, x: Real, level: float) -> list[Score]:
         """The scores of all hypotheses at x (p,)."""
-        return ranked(self.bare(), x, level)
+        return ranked(self.models.bare(), x, level)
 
     def chosen(self, scores: Sequence[Sequence[Score]]) -> list[Effect]:
         """The hypotheses that promise most anywhere."""
@@ -378,10 +309,10 @@ class Search:
         hypothesis = Hypothesis((effect,))
         own = [model.index(each) for each in effect.names]
         scans = {i: within_range(model.parameters[i]) for i in along if i in own}
-        largest = max(starts, key=lambda y: float(np.abs(y[own] - self.centre[own]).sum()))
-        on_the_way = [replaced(self.centre, [i], value) for i, values in scans.items() for value in values[::3]]
+        largest = max(starts, key=lambda y: float(np.abs(y[own] - self.models.centre[own]).sum()))
+        on_the_way = [replaced(self.models.centre, [i], value) for i, values in scans.items() for value in values[::3]]
         further = starts if len(starts) > STARTS else [largest]
-        wider = self.likelihood(at).on(self.wider(hypothesis, [*further, *on_the_way]))
+        wider = self.models.likelihood(at).on(self.models.wider(hypothesis, [*further, *on_the_way]))
         if scans:
             found = basins(wider, hypothesis, x, scans)
             self.say("   scanned", [(round(e.cost, 1), float(e.x[own[0]])) for e in found[:6]])
@@ -396,9 +327,9 @@ class Search:
 
         The model's inaccuracy is that `at` a place (p,).
         """
-        hypothesis, likelihood = candidate.hypothesis, self.likelihood(at)
+        hypothesis, likelihood = candidate.hypothesis, self.models.likelihood(at)
         if candidate.weighed.doubt < DOUBTED:
-            likelihood = likelihood.on(self.wider(hypothesis, [candidate.x]))
+            likelihood = likelihood.on(self.models.wider(hypothesis, [candidate.x]))
         likelihood, little = self.renewed(likelihood, candidate, LEVELS[0])
         if little is None:
             return None
@@ -413,33 +344,13 @@ class Search:
             if candidate is None or candidate.weighed.doubt < DOUBTED:
                 break
             self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
-            likelihood = self.about(likelihood, candidate)
+            likelihood = self.models.about(likelihood, candidate)
             candidate = followed(likelihood, candidate.hypothesis, [candidate.x], level)
         return likelihood, candidate
 
-    def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
-        """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
-        own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        corners = [replaced(self.centre, own, place[own]) for place in places]
-        return self.wide.widened(self.centre, corners, WIDE * LEVELS[1], only=self.moving(hypothesis))
-
-    def moving(self, hypothesis: Hypothesis) -> list[int]:
-        """Indices of what moves under a hypothesis."""
-        return self.model.free(hypothesis.effects)[0]
-
-    def about(self, likelihood: Likelihood, candidate: Candidate) -> Likelihood:
-        """The likelihood on models for all that is known about where a candidate is."""
-        reach = dict(self.known_reach)
-        for effect in candidate.hypothesis.effects:
-            for name in effect.names:
-                i = self.model.index(name)
-                reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
-        return likelihood.on(self.model.fitted.near(candidate.x, reach, WIDE * LEVELS[1],
-                                                    only=self.moving(candidate.hypothesis)))
-
     def outside(self, plain: Candidate) -> list[Candidate]:
         """What is outside the catalogue, at the end of nothing being wrong: something in a region, or modes."""
-        every = self.likelihood(plain.x).beside(plain.hypothesis, plain.x, LEVELS[1], plain.weighed.accuracy)
+        every = self.models.likelihood(plain.x).beside(plain.hypothesis, plain.x, LEVELS[1], plain.weighed.accuracy)
         self.say("   outside", [(round(worth - plain.log_evidence, 1), each.name) for each, worth in every[:4]])
         return [Candidate(each, (plain.weighed._replace(log_evidence=worth, left=math.inf),))
                 for each, worth in every]
@@ -449,15 +360,15 @@ class Search:
 
         One that is far behind others is `hurried`: how far is all the same.
         """
-        hypothesis, likelihood = candidate.hypothesis, self.bare()
+        hypothesis, likelihood = candidate.hypothesis, self.models.bare()
         if hypothesis.effects:
-            likelihood = likelihood.on(self.wider(hypothesis, [candidate.x]))
+            likelihood = likelihood.on(self.models.wider(hypothesis, [candidate.x]))
         # Of several ends full weight tells on a model of its own which it is.
         hurry = HURRIED if hurried or len(candidate.ends) > 1 else {}
         placed = [self.placed(likelihood, hypothesis, end, hurry) for end in candidate.ends]
         likelihood, found = max(placed, key=lambda each: each[1].log_evidence)
         for _ in range(0 if hurried else PLACES - 1):
-            if found.doubt < TRUSTED * self.noise and not hurry:
+            if found.doubt < TRUSTED * self.models.noise and not hurry:
                 break
             end = Weighed(found.x, found.log_evidence, found.spread(found.x.size), found.accuracy, 1.0, found.doubt)
             hurry = {}
@@ -466,7 +377,7 @@ class Search:
                  float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
-            held = self.near(self.model.held_out, hypothesis, found.x, found.spread(found.x.size))
+            held = self.models.near(self.model.held_out, hypothesis, found.x, found.spread(found.x.size))
             seen = Likelihood.bare(self.model, held).impedances(found.x)
             # What they add to the evidence, with the optimum of all.
             whole = Likelihood.bare(self.model, likelihood.objective.joined(held)).with_patterns(found.x)
@@ -483,25 +394,14 @@ class Search:
         self, likelihood: Likelihood, hypothesis: Hypothesis, end: Weighed, hurry: Mapping[str, int]
     ) -> tuple[Likelihood, Explanation]:
         """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
-        if end.doubt > TRUSTED * self.noise:
-            likelihood = likelihood.on(self.near(self.model.fitted, hypothesis, end.x, end.errors))
+        if end.doubt > TRUSTED * self.models.noise:
+            likelihood = likelihood.on(self.models.near(self.model.fitted, hypothesis, end.x, end.errors))
         likelihood = likelihood.with_patterns(end.x)
         try:
             return likelihood, likelihood.settled(hypothesis, end.x, **hurry)
         except NO_END:
             self.say("   NO END", hypothesis.name)
             raise
-
-    def near(
-        self, recordings: Objective, hypothesis: Hypothesis, x: Real, errors: Real, tolerance: float | None = None
-    ) -> Objective:
-        """Recordings predicted about an optimum x (p,) of those standard deviations (p,).
-
-        To a relative error of Z of `tolerance`; far below the noise if that is None.
-        """
-        reach = {p.name: NEAR * float(error)
-                 for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
-        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis))
 
     def further(self, settled: Settled) -> list[Named]:
         """To settle: an explanation together with what promises most beside it."""

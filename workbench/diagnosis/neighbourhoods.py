@@ -1,0 +1,134 @@
+"""The models that a search predicts with, each for a neighbourhood: none of them is right all over what is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.diagnosis.belief import Belief, multimodal
+from workbench.diagnosis.descent import Candidate
+from workbench.diagnosis.device import Model
+from workbench.diagnosis.likelihood import Hypothesis, Likelihood
+from workbench.diagnosis.starts import replaced
+from workbench.fitting.objective import Objective
+
+Real = NDArray[np.float64]
+
+#: Error of Z that models are made for: for a search, and about an optimum, that relative to noise.
+ROUGH, FINE = 3e-4, 0.03
+
+#: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
+FAR, NEAR = 1.5, 2.0
+
+
+@dataclass(eq=False)
+class Neighbourhoods:
+    """The recordings of a model predicted where a search asks for it.
+
+    ``places`` (p,) of optima that :attr:`wide` has to be right at besides where the known numbers are believed to be.
+    """
+
+    model: Model
+    places: tuple[Real, ...] = ()
+
+    @cached_property
+    def centre(self) -> Real:
+        """What is stated (p,)."""
+        return np.array([p.start for p in self.model.parameters])
+
+    @cached_property
+    def belief(self) -> Belief:
+        """Where the known numbers are, by the smallest body of several."""
+        prior = Belief.prior(self.model)
+        smallest = prior.smallest(self.model.fitted)
+        return prior if smallest is None else prior.given(
+            Likelihood.bare(self.model, self.around(prior.x, prior, smallest)))
+
+    @cached_property
+    def known_reach(self) -> dict[str, float]:
+        """How far models reach, by name."""
+        return self.belief.reach(self.model, FAR)
+
+    def around(self, x: Real, belief: Belief, recordings: Objective) -> Objective:
+        """Recordings predicted about x (p,), as far as what is known may be believed to be from there."""
+        return recordings.near(x, belief.reach(self.model, FAR), ROUGH, only=range(self.model.known))
+
+    @cached_property
+    def noise(self) -> float:
+        """Relative standard deviation of a point, of the best recording."""
+        return min(float(np.median(state.noise)) for state in self.model.campaign.states)
+
+    @property
+    def wide(self) -> Objective:
+        """The recordings predicted all over what is believed of what is known, and at :attr:`places` too."""
+        return self._made[1]
+
+    @cached_property
+    def narrow(self) -> Objective:
+        """The same, but for the places."""
+        return self.around(self.belief.x, self.belief, self.model.fitted)
+
+    def reaching(self, places: Sequence[Real]) -> Objective:
+        """The recordings predicted all over what is believed of what is known, and at some places (p,)."""
+        return self.narrow.solved_at(self.belief.x, places, ROUGH)
+
+    @cached_property
+    def multimodal(self) -> list[int]:
+        """Indices of the known numbers along which there are several optima."""
+        return multimodal(Likelihood.bare(self.model, self.narrow), self.belief)
+
+    @property
+    def _made(self) -> tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]]:
+        """The present places, the models for these, and the likelihoods on them."""
+        if self._latest is None or self._latest[0] is not self.places:
+            self._latest = self.places, self.reaching(self.places) if self.places else self.narrow, {}
+        return self._latest
+
+    _latest: tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]] | None = None
+
+    def bare(self) -> Likelihood:
+        """Of noise alone, all over what is known."""
+        return Likelihood.bare(self.model, self.wide)
+
+    def likelihood(self, x: Real) -> Likelihood:
+        """All over what is known, with what the model does not get right at x (p,)."""
+        known = self._made[2]
+        if (key := x.tobytes()) not in known:
+            known.clear()
+            known[key] = self.bare().with_patterns(x)
+        return known[key]
+
+    def near(
+        self, recordings: Objective, hypothesis: Hypothesis, x: Real, errors: Real, tolerance: float | None = None
+    ) -> Objective:
+        """Recordings predicted about an optimum x (p,) of those standard deviations (p,).
+
+        To a relative error of Z of `tolerance`; far below the noise if that is None.
+        """
+        reach = {p.name: NEAR * float(error)
+                 for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
+        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis))
+
+    def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
+        """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
+        own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
+        corners = [replaced(self.centre, own, place[own]) for place in places]
+        return self.wide.widened(self.centre, corners, ROUGH, only=self.moving(hypothesis))
+
+    def moving(self, hypothesis: Hypothesis) -> list[int]:
+        """Indices of what moves under a hypothesis."""
+        return self.model.free(hypothesis.effects)[0]
+
+    def about(self, likelihood: Likelihood, candidate: Candidate) -> Likelihood:
+        """The likelihood on models for all that is known about where a candidate is."""
+        reach = dict(self.known_reach)
+        for effect in candidate.hypothesis.effects:
+            for name in effect.names:
+                i = self.model.index(name)
+                reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
+        return likelihood.on(self.model.fitted.near(candidate.x, reach, ROUGH,
+                                                    only=self.moving(candidate.hypothesis)))
