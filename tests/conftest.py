@@ -203,7 +203,7 @@ def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavel
 
     section = cut_section(chip)
     made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement=corner_refinement, growth=1.5,
-                          transducer_finer=1.5, gas_finer=0.5)
+                          transducer_finer=1.5, gas_finer=0.5, film_finer=0.65)
     size = made.mesh_size(section, materials, chip.band[1], skins=skins)
     return problem(mesh_section(section, size), materials, chip.band)
 

@@ -122,7 +122,8 @@ def test_a_change_of_a_few_cells_is_found_in_their_region(stated: Model, region:
         tangents, left=tangents.projected(noise) + 15.0 * hidden / np.linalg.norm(hidden)), ())
     print(found[:3])
     assert found[0][0] == region
-    assert 10.0 < found[0][2] < 16.0
+    # Two thirds of them at least, but for which cells of the mesh the ring is.
+    assert 0.65 * 15.0 < found[0][2] < 16.0
     nothing = located(stated, x, deviation, replace(tangents, left=tangents.projected(noise)), ())
     # Noise alone: the widths were chosen by it, which is worth a sigma or two.
     assert nothing[0][2] < 3.0

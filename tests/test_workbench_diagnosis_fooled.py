@@ -26,8 +26,8 @@ from workbench.diagnosis.refit import MODELLED, UNNEEDED, base_fit, checked, ref
 from workbench.diagnosis.score import scores_at
 from workbench.diagnosis.verdict import Diagnosis
 from workbench.files.errors import InputError
-from workbench.fitting.objective import through_bench
 from workbench.fitting.search import Search
+from workbench.fitting.seen import through_bench
 from workbench.operators import assemble
 from workbench.physics import bubbles
 from workbench.problem import build, fill, with_boundary_layers

@@ -19,10 +19,11 @@ from workbench.fitting import multistart
 from workbench.fitting.constrained import minimise
 from workbench.fitting.joint import FINE, FitError, FitResult, fit
 from workbench.fitting.multistart import prior_samples
-from workbench.fitting.objective import Objective, Recording, through_bench
+from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.predict import Predictor
 from workbench.fitting.search import SEARCHED_POINTS, Search
+from workbench.fitting.seen import through_bench
 from workbench.problem import Problem
 from workbench.reduction import NotEnriched
 from workbench.spectrum import Spectrum

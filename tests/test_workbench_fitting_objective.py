@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.kinds import Material
-from workbench.fitting.objective import Objective, Recording, log_ratio, lorentzian, through_bench
+from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import BENCH_ELEMENTS, Parameter, bench_parameter, parameters
 from workbench.fitting.predict import Predictor
+from workbench.fitting.seen import log_ratio, lorentzian, through_bench
 from workbench.parameter_names import LENGTHS
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum

@@ -14,10 +14,11 @@ from materials.kinds import Material, Piezoelectric
 from workbench.comparison import compare
 from workbench.dimensions import flexible
 from workbench.fitting.joint import FINE, reweighted_descent
-from workbench.fitting.objective import Objective, Recording, Residual, log_ratio
+from workbench.fitting.objective import Objective, Recording, Residual
 from workbench.fitting.parameter import Parameter, parameters
 from workbench.fitting.predict import Predictor
 from workbench.fitting.search import Search
+from workbench.fitting.seen import log_ratio
 from workbench.fitting.uncertainty import (
     CHI_SQUARE,
     DEVIATIONS,

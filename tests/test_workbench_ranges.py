@@ -44,7 +44,7 @@ PLA = "pla/acevedo_2026"
 #: Thicknesses by 10 %, the radius of disc and gel by 2 %, a modulus and its loss.
 RANGES = {"sample.thickness": (0.72e-3, 0.88e-3), "couplant.radius": (2.94e-3, 3.06e-3),
           f"{PLA}.shear_modulus": (0.85e9, 1.0e9), f"{PLA}.shear_modulus.loss": (-8e7, -2e7)}
-COARSE = Discretisation(4, 1.0, corner_refinement=0.5)
+COARSE = Discretisation(4, 1.0, corner_refinement=0.5, film_finer=0.65)
 TOLERANCE = 1e-3
 
 

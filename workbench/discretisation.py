@@ -104,6 +104,8 @@ def film_levels(
     """
     found = set[float]()
     for film in (each for each in section.rectangles if each.region in speeds):
+        if speeds[film.region] > materials[film.region].slowest_wave_speed():
+            continue  # thicker than a film: sound in it is slower
         depth = FILM_ROW * speeds[film.region] / (2.0 * math.pi * frequency)
         for solid in _beside(section, film):
             if isinstance(materials.get(solid.region), IsotropicSolid) and depth < 0.5 * (solid.z_top - solid.z_bottom):

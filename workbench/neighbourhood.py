@@ -38,10 +38,11 @@ DEPTH, TERMS = 6, 3
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A full solve at one frequency (Hz): the factorised system and the ``state`` (size,) at unit voltage."""
+    """A full solve at one frequency (Hz): the factorised system, None once it was let go, and the ``state`` (size,) at
+    unit voltage."""
 
     frequency: float
-    factor: Factor
+    factor: Factor | None
     state: Complex
     charge: complex
 
@@ -53,6 +54,10 @@ class Neighbourhood:
     model: ReducedModel
     values: Values
     nodes: tuple[Node, ...]
+
+    def closed(self) -> Neighbourhood:
+        """The same without the factors of its full solves: it cannot be :meth:`widened`."""
+        return replace(self, nodes=tuple(replace(node, factor=None) for node in self.nodes))
 
     def widened(self, corners: Sequence[Values], tolerance: float) -> Neighbourhood:
         """The same, holding also the states on the way to other values, `corners`, to an error of Z of `tolerance`.
@@ -120,6 +125,7 @@ class Neighbourhood:
         found = np.zeros((node.state.size, TERMS), dtype=complex)
         term = node.state / np.sqrt(abs(node.charge))
         factor = node.factor
+        assert factor is not None  # not one that was closed
         for k in range(TERMS):
             force = operators.images(term, change)[:-1, 0]
             found[:-1, k] = -factor.scale * factor.solve_scaled(factor.scale * force)

@@ -50,7 +50,7 @@ def resolved(transducer: Piezoelectric, wall: IsotropicSolid, fluid: Fluid, heig
     lines_r = (CAVITY_RADIUS - 2.5 * layer, CAVITY_RADIUS - 8.0 * layer, CAVITY_RADIUS + 3e-5)
     lines_z = (floor - 3e-5, *(x for s in (2.5, 8.0) for x in (floor + s * layer, ceiling - s * layer)))
     body = solver.Body(boxes, (CERAMIC, 0.0, RADIUS), (0.0, 0.0, RADIUS), (), lines_r, lines_z)
-    return Spectrum(frequency, solver.spectrum(body, frequency, order=5, tolerance=1e-5))
+    return Spectrum(frequency, solver.spectrum(body, frequency, order=9, tolerance=1e-6))
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_the_term_has_the_quality_and_frequency_of_a_resolved_layer(
     chip = stacked([("transducer", CERAMIC, RADIUS, None), ("substrate", PLATE, RADIUS, None),
                     ("sidewall", height, RADIUS, CAVITY_RADIUS), ("superstrate", PLATE, RADIUS, None)], band=band)
     materials = {"transducer": transducer, "cavity": fluid, **dict.fromkeys(WALLS, wall)}
-    problem = meshed(chip, materials, elements_per_wavelength=20.0)
+    problem = meshed(chip, materials, elements_per_wavelength=20.0, corner_refinement=0.1)
     layers = tuple(ViscousBoundaryLayer(interface("cavity", name), name, "cavity", "oil") for name in WALLS)
     found = {}
     for name, terms in (("without", problem.terms), ("with", problem.terms + layers)):
@@ -89,7 +89,8 @@ def test_the_term_has_the_quality_and_frequency_of_a_resolved_layer(
         found[name] = figures(Spectrum.from_solver(frequency, solution.impedance))
     print(f"resolved f0 {exact.f0:.1f} Hz, Q {exact.q:.2f}; term {found['with'].f0:.1f}, {found['with'].q:.2f}; "
           f"without {found['without'].f0:.1f}, {found['without'].q:.2f}")
+    # Corners and the wave along the film cost 1.3 % of Q at most; on elements half as large 0.04 %, and 3e-5 of f0.
     # It matters: without the term Q is off by more than half.
     assert found["without"].q > 1.5 * exact.q
     assert found["with"].q == pytest.approx(exact.q, rel=0.02)
-    assert found["with"].f0 == pytest.approx(exact.f0, rel=1e-3)
+    assert found["with"].f0 == pytest.approx(exact.f0, rel=3e-4)

@@ -22,8 +22,8 @@ from workbench.diagnosis.procedure import diagnose
 from workbench.diagnosis.record import contributions, record
 from workbench.diagnosis.state import spectrum_of
 from workbench.diagnosis.verdict import Diagnosis
-from workbench.fitting.objective import log_ratio
 from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.fitting.seen import log_ratio
 from workbench.readers import READ_AS
 from workbench.report.figures import measured_figures
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report

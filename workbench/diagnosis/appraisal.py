@@ -26,7 +26,7 @@ from workbench.diagnosis.outcome import Diagnosis, Established, Left, Place, est
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import ACCURACY, Discretisation
-from workbench.fitting.objective import log_ratio
+from workbench.fitting.seen import log_ratio
 from workbench.solve import one_thread
 
 Complex = NDArray[np.complex128]

@@ -13,7 +13,7 @@ from workbench.diagnosis.campaign import Campaign, DeviceState
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.refit import Refit, StateFit, base_fit
 from workbench.files.errors import InputError
-from workbench.fitting.objective import log_ratio
+from workbench.fitting.seen import log_ratio
 
 Real = NDArray[np.float64]
 

@@ -431,8 +431,9 @@ def _worth(settled: Settled) -> float:
 
 
 def _explained(settled: Mapping[Candidate, Settled]) -> bool:
-    """Whether the best explanation leaves no more than an accuracy that models have."""
-    return min(settled.values(), key=_worth).explanation.accuracy <= INACCURATE
+    """Whether the best explanation that the catalogue has leaves no more than an accuracy that models have."""
+    within = [each for each in settled.values() if not each.explanation.hypothesis.is_outside]
+    return min(within, key=_worth).explanation.accuracy <= INACCURATE
 
 
 def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:

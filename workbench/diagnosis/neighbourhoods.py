@@ -53,9 +53,9 @@ class Neighbourhoods:
         """How far models reach, by name."""
         return self.belief.reach(self.model, FAR)
 
-    def around(self, x: Real, belief: Belief, recordings: Objective) -> Objective:
+    def around(self, x: Real, belief: Belief, recordings: Objective, *, widens: bool = False) -> Objective:
         """Recordings predicted about x (p,), as far as what is known may be believed to be from there."""
-        return recordings.near(x, belief.reach(self.model, FAR), ROUGH, only=range(self.model.known))
+        return recordings.near(x, belief.reach(self.model, FAR), ROUGH, only=range(self.model.known), widens=widens)
 
     @cached_property
     def noise(self) -> float:
@@ -70,7 +70,7 @@ class Neighbourhoods:
     @cached_property
     def narrow(self) -> Objective:
         """The same, but for the places."""
-        return self.around(self.belief.x, self.belief, self.model.fitted)
+        return self.around(self.belief.x, self.belief, self.model.fitted, widens=True)
 
     def reaching(self, places: Sequence[Real]) -> Objective:
         """The recordings predicted all over what is believed of what is known, and at some places (p,)."""
@@ -111,7 +111,7 @@ class Neighbourhoods:
         """
         reach = {p.name: NEAR * float(error)
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
-        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis))
+        return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), widens=False)
 
     def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
         """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
@@ -131,4 +131,4 @@ class Neighbourhoods:
                 i = self.model.index(name)
                 reach[name] = 0.3 * abs(float(candidate.x[i]) - self.centre[i])
         return likelihood.on(self.model.fitted.near(candidate.x, reach, ROUGH,
-                                                    only=self.moving(candidate.hypothesis)))
+                                                    only=self.moving(candidate.hypothesis), widens=False))

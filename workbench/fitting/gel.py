@@ -16,8 +16,8 @@ from materials.registry import Registry
 from workbench.comparison import Comparison, compare
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.files.errors import InputError
-from workbench.fitting.objective import through_bench
 from workbench.fitting.prepare import Prepared
+from workbench.fitting.seen import through_bench
 from workbench.operators import assemble
 from workbench.parameter_names import placed
 from workbench.problem import build, fill

@@ -26,6 +26,7 @@ from geometry.stretch import tied
 from workbench.dimensions import flexible
 from workbench.fitting.parameter import Parameter, ranges_of_radii
 from workbench.fitting.predict import Prediction, Predictor
+from workbench.fitting.seen import log_ratio, lorentzian, through_bench
 from workbench.neighbourhood import Neighbourhood, neighbourhood
 from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName, part, placed
 from workbench.problem import Problem
@@ -132,17 +133,20 @@ class Objective:
             predictor.cover(values, moves, tolerance, [other for other in others if other != values])
 
     def near(
-        self, x: Real, reach: Mapping[str, float], tolerance: float, *, only: Collection[int] | None = None
+        self, x: Real, reach: Mapping[str, float], tolerance: float, *, only: Collection[int] | None = None,
+        widens: bool = True,
     ) -> Objective:
         """The same on models for the neighbourhood of x (p,), where parameters move by so much, by name.
 
         See `neighbourhood.neighbourhood`. Models do not grow, and nothing is taken over from those there are. Where
         nothing but the parameters of the indices `only` is going to move, models hold no more than that takes, and say
-        nothing of what others would change.
+        nothing of what others would change. Unless they are to be `widened`, the factors of the full solves, most of
+        their memory, are let go.
         """
         def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
-            return neighbourhood(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
+            made = neighbourhood(predictor.operators, predictor.frequencies, self._values(x, indices[0]),
                                  self._moves_about(x, indices, reach), tolerance=tolerance)
+            return made if widens else made.closed()
 
         own = self if only is None else self._acting(x, only)
         # Recordings of one model whose values differ, by their offsets, have a neighbourhood each.
@@ -206,10 +210,11 @@ class Objective:
         return {**self.recordings[index].problem.values, **self.settings(x, index)[0]}
 
     def _alike(self, x: Real, indices: Sequence[int]) -> list[list[int]]:
-        """Recordings, by index, in groups of the same values at x (p,)."""
+        """Recordings, by index, in groups of the same values at x (p,), of those that anything depends on."""
         groups: list[tuple[dict[str, complex], list[int]]] = []
         for index in indices:
-            values = self._values(x, index)
+            depending = self.predictors[index].operators.coefficients.parameters
+            values = {name: value for name, value in self._values(x, index).items() if name in depending}
             known = next((group for other, group in groups if other == values), None)
             if known is None:
                 groups.append((values, [index]))
@@ -459,53 +464,3 @@ def _moves(parameter: Parameter, recording: Recording) -> str | None:
         return parameter.parsed.key if parameter.parsed.key in values else None
     known = {} if recording.chip is None else tied(recording.chip)
     return next((key for name in parameter.names for key in (name, known.get(name, name)) if key in values), None)
-
-
-def log_ratio(model: Complex, measured: Complex) -> Complex:
-    """ln(model / measured) (n,), the phase as its principal value."""
-    ratio = model / measured
-    return np.asarray(np.log(np.abs(ratio)) + 1j * np.angle(ratio))
-
-
-def through_bench(
-    impedance: Complex, omega: Real, bench: Mapping[str, float]
-) -> tuple[Complex, Complex, dict[str, Complex]]:
-    """What an instrument sees of an impedance (n,), e^{+j w t}, through the elements named in `bench`.
-
-    A clock that is off shifts the spectrum by so little that its slope between the given points tells by how much.
-
-    Returns:
-        the impedance seen (n,), d ln seen / d ln impedance (n,), of the impedance at the generator's frequency, and
-        d ln seen / d element (n,) for every element; for the clock only where it is named.
-    """
-    def element(name: str) -> float:
-        return bench.get(BENCH + name, 0.0)
-
-    clock = BENCH + "clock" in bench
-    if clock:
-        logarithm = np.log(np.abs(impedance)) + 1j * np.unwrap(np.angle(impedance))
-        drift = np.gradient(logarithm, np.log(omega)) if omega.size > 1 else np.zeros(1)
-        impedance = impedance * np.exp(element("clock") * drift)
-    parallel = impedance / (1.0 + 1j * omega * element("parallel_capacitance") * impedance)
-    whole = element("series_resistance") + 1j * omega * element("series_inductance") + parallel
-    gain = np.exp(element("gain") + 1j * (element("phase") - omega * element("delay")))
-    one = np.ones(impedance.size, dtype=complex)
-    slopes = {
-        "series_resistance": 1.0 / whole,
-        "series_inductance": 1j * omega / whole,
-        "parallel_capacitance": -1j * omega * parallel**2 / whole,
-        "gain": one,
-        "phase": 1j * one,
-        "delay": -1j * omega,
-    }
-    device = parallel**2 / (impedance * whole)
-    if clock:
-        slopes["clock"] = device * drift
-    return gain * whole, device, {BENCH + name: slope for name, slope in slopes.items()}
-
-
-def lorentzian(frequency: Real, half_width: float) -> Real:
-    """Weights (n, n), rows of sum one, that smooth with a Lorentzian of that half width (Hz) on any grid."""
-    spacing = np.gradient(frequency)
-    weights = spacing[None, :] / ((frequency[:, None] - frequency[None, :]) ** 2 + half_width**2)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

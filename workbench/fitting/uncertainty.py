@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
 from workbench.comparison import Comparison
-from workbench.fitting.objective import Objective, log_ratio, through_bench
+from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import REFUSED, Optimum, Search, Weighted
+from workbench.fitting.seen import log_ratio, through_bench
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
