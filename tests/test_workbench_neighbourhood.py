@@ -17,6 +17,7 @@ from workbench.fitting.parameter import Parameter, parameters
 from workbench.fitting.predict import Predictor
 from workbench.neighbourhood import Neighbourhood, neighbourhood
 from workbench.operators import FullOperators, assemble
+from workbench.physics.softening import DRIVE_SQUARED, Softening
 from workbench.physics.surface_load import SurfaceLoad
 from workbench.problem import Problem
 from workbench.solve import solve_full
@@ -175,6 +176,39 @@ def test_an_objective_holds_places_of_full_solves(objective: Objective, x: Real)
     error, before = (float(np.abs(each.predict(there, 0)[2].impedance[::10] / full - 1.0).max())
                      for each in (found, place))
     assert error < 2.0 * TOLERANCE < 1e-2 * before
+
+
+def test_a_closed_model_says_the_same_and_has_let_its_factors_go(objective: Objective, x: Real) -> None:
+    reach = {p.name: 0.02 * p.scale for p in objective.parameters}
+    whole, closed = (objective.near(x, reach, TOLERANCE, widens=widens) for widens in (True, False))
+    assert whole(x, deviation=[0.01]).vector.tolist() == closed(x, deviation=[0.01]).vector.tolist()
+    place = closed.predictors[0].place
+    assert place is not None
+    assert all(node.factor is None for node in place.nodes)
+    there = x.copy()
+    there[2] *= 0.5
+    # Full solves elsewhere need none of the old ones.
+    assert closed.solved_at(x, [there], TOLERANCE).predictors[0].operators.integrals
+
+
+def test_states_share_a_model_until_something_depends_on_what_sets_them_apart(
+    stack: Problem, chip: Chip, wanted: tuple[Parameter, ...], x: Real
+) -> None:
+    """Two drives, and a softening that is nothing: one model. With some of it there are two."""
+    softer = stack.with_terms((Softening("transducer", PZT),),
+                              {f"{PZT}.softening": 0.0, f"{PZT}.drive_loss": 0.0, DRIVE_SQUARED: 1.0})
+    seen = Spectrum(GRID, np.full(GRID.size, 100.0 - 100.0j))
+
+    def models(softening: float) -> int:
+        drives = [replace(softer, values={**softer.values, f"{PZT}.softening": softening, DRIVE_SQUARED: squared})
+                  for squared in (1.0, 16.0)]
+        both = Objective([Recording(f"drive {k}", each, seen, chip) for k, each in enumerate(drives)], wanted,
+                         tolerance=np.inf)
+        assert len(set(both.predictors)) == 1
+        return len(set(both.near(x, {}, 1e-3, only=[0]).predictors))
+
+    assert models(0.0) == 1
+    assert models(1e-4) == 2
 
 
 def test_a_wider_objective_holds_what_newly_moves(objective: Objective, x: Real) -> None:
