@@ -73,8 +73,11 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
 
 @pytest.fixture(scope="module")
 def stated() -> Model:
-    """The model of a trial, with bases about what is stated."""
-    found = model(read_campaign(TRIAL / "campaign.toml"))
+    """The model of a trial, with bases about what is stated.
+
+    Which cells make up a ring depends on the mesh: on the default one, of larger cells, 9.9 of 15 sigmas are found.
+    """
+    found = model(read_campaign(TRIAL / "campaign.toml"), accuracy=2e-4)
     found.fitted.cover(np.array([p.start for p in found.parameters]), {}, UNNEEDED)
     return found
 
@@ -122,8 +125,7 @@ def test_a_change_of_a_few_cells_is_found_in_their_region(stated: Model, region:
         tangents, left=tangents.projected(noise) + 15.0 * hidden / np.linalg.norm(hidden)), ())
     print(found[:3])
     assert found[0][0] == region
-    # Two thirds of them at least, but for which cells of the mesh the ring is.
-    assert 0.65 * 15.0 < found[0][2] < 16.0
+    assert 10.0 < found[0][2] < 16.0
     nothing = located(stated, x, deviation, replace(tangents, left=tangents.projected(noise)), ())
     # Noise alone: the widths were chosen by it, which is worth a sigma or two.
     assert nothing[0][2] < 3.0

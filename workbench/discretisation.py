@@ -28,7 +28,7 @@ class Discretisation:
     ``transducer_finer`` times as many: its radial overtones are sharp and its losses small. A gas has ``gas_finer``
     times as many, that is fewer: behind solid walls all of it changes Z by 0.3 % at most, and its short waves would
     rule every element above and below. The wave along a film of fluid (:func:`film_speeds`) has ``film_finer`` times as
-    many; where that is fewer, because it takes little of the energy. What it moves in the solid beside it decays within
+    many: fewer will do where it takes little of the energy. What it moves in the solid beside it decays within
     1 / k, and has a row of elements there (:data:`FILM_ROW`): without these 3.7 % was left in Z of a chip with 24 um of
     gel, with them 0.4 %. The others as in `geometry.mesh_size.MeshSize`.
     """
@@ -133,8 +133,7 @@ ROWS: Mapping[float, Discretisation] = {
     1e-3: Discretisation(4, 1.8),  # 0.077 %, to 26 000
     # 0.045 %, 3 800 to 34 300. For Z alone 30 000 would do: two elements across a lid and more along the gel are for
     # the recovered fields (`tests/benchmarks/recovered_fields.py`).
-    5e-4: Discretisation(4, 1.9, through_quarter_wave=2, corner_refinement=0.16, growth=5.0, transducer_finer=1.54,
-                         film_finer=1.0),
+    5e-4: Discretisation(4, 1.9, through_quarter_wave=2, corner_refinement=0.16, growth=5.0, transducer_finer=1.54),
     2e-4: Discretisation(6, 1.2, transducer_finer=1.15, gas_finer=0.85),  # 0.018 %, to 31 000
     # 0.0098 %, to 53 000
     1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.descent import LEVELS, SMOOTHED, inside
+from workbench.diagnosis.descent import LEVELS, inside, smoothed
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.fitting.objective import Objective
@@ -54,35 +54,27 @@ class Belief:
         return {p.name: far * float(each)
                 for p, each in zip(model.parameters[:model.known], self.deviations, strict=True) if each > 0.0}
 
-    def smallest(self, recordings: Objective) -> Objective | None:
-        """Those recordings that are of the body of fewest unknowns; None if all are of one."""
-        size = {predictor: predictor.operators.size for predictor in recordings.predictors}
-        names = [each.name for each, predictor in zip(recordings.recordings, recordings.predictors, strict=True)
-                 if size[predictor] == min(size.values())]
-        return recordings.of(names) if len(size) > 1 else None
-
     def places(self, pairs: int, seed: int) -> list[Real]:
         """Draws (p,), each with its opposite, within what is admissible."""
         return [self.at(self.root @ (sign * white))
                 for white in np.random.default_rng(seed).standard_normal((pairs, len(self.root)))
                 for sign in (1.0, -1.0)]
 
-    def given(self, likelihood: Likelihood, level: float = LEVELS[0]) -> Belief:
-        """The same with what some recordings add whose points have a further deviation of `level`.
+    def given(self, likelihood: Likelihood) -> Belief:
+        """The same with what some recordings add where they weigh little.
 
         Of several optima the best. As it is where nothing can be predicted.
         """
         search, known, ends = likelihood.search(Hypothesis()), range(len(self.root)), []
         for start in [self.x, *self.places(DESCENTS, 0)[:DESCENTS - 1]]:
             try:
-                end = likelihood.tempered(search, start, level, smoothing=SMOOTHED)
-                ends.append(likelihood.tempered(search, end.x, level))
+                ends.append(smoothed(likelihood, search, start))
             except NO_END:
                 continue
         if not ends:
             return self
         x = min(ends, key=lambda end: end.cost).x
-        tangents = likelihood.objective(x, deviation=likelihood.spreads(level), free=frozenset(known)).jacobian
+        tangents = likelihood.objective(x, deviation=likelihood.spreads(LEVELS[0]), free=frozenset(known)).jacobian
         # root (I + B^T B)^-1 root^T with B what the data do per unit of white noise.
         _, sizes, directions = np.linalg.svd(tangents[:, known] @ self.root, full_matrices=False)
         root = self.root - (self.root @ directions.T * (1.0 - 1.0 / np.sqrt(1.0 + sizes**2))) @ directions
@@ -100,7 +92,15 @@ class Belief:
         return place
 
 
-def multimodal(likelihood: Likelihood, belief: Belief, level: float = LEVELS[0]) -> list[int]:
+def smallest(recordings: Objective) -> Objective | None:
+    """Those recordings that are of the body of fewest unknowns; None if all are of one."""
+    size = {predictor: predictor.operators.size for predictor in recordings.predictors}
+    names = [each.name for each, predictor in zip(recordings.recordings, recordings.predictors, strict=True)
+             if size[predictor] == min(size.values())]
+    return recordings.of(names) if len(size) > 1 else None
+
+
+def multimodal(likelihood: Likelihood, belief: Belief) -> list[int]:
     """Indices of the known numbers along whose profiles the data bend most, where they weigh little.
 
     The profile of a number is where the optimum of all others goes when it moves by one uncertainty: what these can
@@ -108,7 +108,7 @@ def multimodal(likelihood: Likelihood, belief: Belief, level: float = LEVELS[0])
     thickness, and they are many.
     """
     model, known = likelihood.model, np.arange(len(belief.root))
-    spreads = likelihood.spreads(level)
+    spreads = likelihood.spreads(LEVELS[0])
     here = likelihood.objective(belief.x, deviation=spreads, free=frozenset(map(int, known)))
     tangents = here.jacobian[:, known]
     by_noise = tangents @ belief.root

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
 from workbench.fitting.parameter import Parameter
-from workbench.fitting.search import NO_END, Optimum
+from workbench.fitting.search import NO_END, Optimum, Search
 
 Real = NDArray[np.float64]
 
@@ -56,6 +56,15 @@ EXCESS = 1.5
 
 #: Two optima are one where their parameters differ by less than so many uncertainties.
 ALIKE = 0.3
+
+
+def smoothed(likelihood: Likelihood, search: Search, x: Real, held: tuple[int, ...] = ()) -> Optimum:
+    """The optimum at little weight that smoothed admittances lead to from x (p,).
+
+    Parameters of the indices `held` move only after the others.
+    """
+    end = likelihood.tempered(search, x, LEVELS[0], smoothing=SMOOTHED, fixed=held)
+    return likelihood.tempered(search, end.x, LEVELS[0])
 
 
 def basins(likelihood: Likelihood, hypothesis: Hypothesis, x: Real, along: Mapping[int, Real]) -> list[Optimum]:

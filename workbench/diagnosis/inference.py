@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.descent import (
     LEVELS,
-    SMOOTHED,
     Candidate,
     basins,
     distinct,
     followed,
+    smoothed,
     within_range,
 )
 from workbench.diagnosis.device import Model, model
@@ -181,13 +181,11 @@ class Search:
         bare = self.models.bare()
         if held:
             bare = bare.on(self.models.around(x, self.models.belief, self.model.fitted))
-        search = bare.search(Hypothesis())
         try:
-            end = bare.tempered(search, x, LEVELS[0], smoothing=SMOOTHED, fixed=held)
-            end = bare.tempered(search, end.x, LEVELS[0])
-            return Begun(end.x, end.cost)
+            end = smoothed(bare, bare.search(Hypothesis()), x, held)
         except NO_END:
             return None
+        return Begun(end.x, end.cost)
 
     def furthered(self, begun: Begun) -> Weighed | None:
         """Where nothing being wrong leads with the data weighing more, on models of that place."""
@@ -278,8 +276,7 @@ class Search:
 
     def within(self, places: tuple[Real, ...], name: str, given: tuple[Any, ...]) -> Any:
         """What the method of that name returns on models that reach `places` (p,)."""
-        if [each.tobytes() for each in places] != [each.tobytes() for each in self.models.places]:
-            self.models.places = places
+        self.models.places = places
         return getattr(self, name)(*given)
 
     def scored(self, x: Real, level: float) -> list[Score]:
@@ -370,14 +367,13 @@ class Search:
         for _ in range(0 if hurried else PLACES - 1):
             if found.doubt < TRUSTED * self.models.noise and not hurry:
                 break
-            end = Weighed(found.x, found.log_evidence, found.spread(found.x.size), found.accuracy, 1.0, found.doubt)
             hurry = {}
-            likelihood, found = self.placed(likelihood, hypothesis, end, hurry)
+            likelihood, found = self.placed(likelihood, hypothesis, found.weighed, hurry)
         self.say("settled", hypothesis.name, found.log_evidence, *found.scales, "chi",
                  float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
-            held = self.models.near(self.model.held_out, hypothesis, found.x, found.spread(found.x.size))
+            held = self.models.near(self.model.held_out, hypothesis, found.x, found.errors)
             seen = Likelihood.bare(self.model, held).impedances(found.x)
             # What they add to the evidence, with the optimum of all.
             whole = Likelihood.bare(self.model, likelihood.objective.joined(held)).with_patterns(found.x)
@@ -408,17 +404,16 @@ class Search:
         best, tasks = settled.explanation, list[Named]()
         for score in settled.scores[:TRIED]:
             if score.evidence > self.least:
-                begin, errors = start(self.model, score.effect, best.x, score), best.spread(best.x.size)
+                begin, errors = start(self.model, score.effect, best.x, score), best.errors
                 for name, error in zip(score.effect.names, score.error, strict=True):
                     i = self.model.index(name)
                     errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
                 both = Hypothesis((*best.hypothesis.effects, score.effect))
-                place = Weighed(begin, best.log_evidence, errors, best.accuracy, 1.0, math.inf)
+                place = best.weighed._replace(x=begin, errors=errors, doubt=math.inf)
                 tasks.append((both.name, "settled", (Candidate(both, (place,)),)))
         if not best.hypothesis.effects:
-            place = Weighed(best.x, best.log_evidence, best.spread(best.x.size), best.accuracy, 1.0, best.doubt)
-            tasks += [(each.name, "settled", (Candidate(each, (place,)),)) for each, worth in settled.beside[:TRIED]
-                      if worth - best.log_evidence > self.least]
+            tasks += [(each.name, "settled", (Candidate(each, (best.weighed,)),))
+                      for each, worth in settled.beside[:TRIED] if worth - best.log_evidence > self.least]
         return tasks
 
 

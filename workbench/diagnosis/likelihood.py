@@ -164,11 +164,17 @@ class Explanation:
         at = self.free.index(index)
         return float(math.sqrt(max(self.covariance[at, at], 0.0)))
 
-    def spread(self, size: int) -> Real:
-        """Standard deviations of all of so many parameters, zero of those that do not move."""
-        found = np.zeros(size)
+    @property
+    def errors(self) -> Real:
+        """Standard deviations of all parameters (p,), zero of those that do not move."""
+        found = np.zeros(self.x.size)
         found[list(self.free)] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return found
+
+    @property
+    def weighed(self) -> Weighed:
+        """What the data are worth there, from where a search goes on."""
+        return Weighed(self.x, self.log_evidence, self.errors, self.accuracy, 1.0, self.doubt)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.belief import Belief, multimodal
+from workbench.diagnosis.belief import Belief, multimodal, smallest
 from workbench.diagnosis.descent import Candidate
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
@@ -44,9 +44,9 @@ class Neighbourhoods:
     def belief(self) -> Belief:
         """Where the known numbers are, by the smallest body of several."""
         prior = Belief.prior(self.model)
-        smallest = prior.smallest(self.model.fitted)
-        return prior if smallest is None else prior.given(
-            Likelihood.bare(self.model, self.around(prior.x, prior, smallest)))
+        first = smallest(self.model.fitted)
+        return prior if first is None else prior.given(
+            Likelihood.bare(self.model, self.around(prior.x, prior, first)))
 
     @cached_property
     def known_reach(self) -> dict[str, float]:
@@ -72,23 +72,20 @@ class Neighbourhoods:
         """The same, but for the places."""
         return self.around(self.belief.x, self.belief, self.model.fitted, widens=True)
 
-    def reaching(self, places: Sequence[Real]) -> Objective:
-        """The recordings predicted all over what is believed of what is known, and at some places (p,)."""
-        return self.narrow.solved_at(self.belief.x, places, ROUGH)
-
     @cached_property
     def multimodal(self) -> list[int]:
         """Indices of the known numbers along which there are several optima."""
         return multimodal(Likelihood.bare(self.model, self.narrow), self.belief)
 
     @property
-    def _made(self) -> tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]]:
-        """The present places, the models for these, and the likelihoods on them."""
-        if self._latest is None or self._latest[0] is not self.places:
-            self._latest = self.places, self.reaching(self.places) if self.places else self.narrow, {}
+    def _made(self) -> tuple[bytes, Objective, dict[bytes, Likelihood]]:
+        """What the present places are known by, the models for these, and the likelihoods on them."""
+        key = b"".join(each.tobytes() for each in self.places)
+        if self._latest is None or self._latest[0] != key:
+            self._latest = key, self.narrow.solved_at(self.belief.x, self.places, ROUGH), {}
         return self._latest
 
-    _latest: tuple[tuple[Real, ...], Objective, dict[bytes, Likelihood]] | None = None
+    _latest: tuple[bytes, Objective, dict[bytes, Likelihood]] | None = None
 
     def bare(self) -> Likelihood:
         """Of noise alone, all over what is known."""

@@ -176,12 +176,7 @@ class Objective:
         """
         def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
             assert predictor.place is not None  # one of `near`
-            here, own = self._values(x, indices[0]), predictor.place.values
-            there = [self._values(corner, indices[0]) for corner in corners]
-            # What leads from x to a corner, from where the solves were made.
-            moved = [{name: own[name] + values[name] - here[name] for name in own} for values in there
-                     if values != here]
-            return predictor.place.widened(moved, tolerance)
+            return predictor.place.widened(self._led(predictor.place, indices[0], x, corners), tolerance)
 
         own = self._acting(x, only)
         return own._placed(place, own._sharing().items())
@@ -190,12 +185,19 @@ class Objective:
         """The same, of :meth:`near` x (p,), on models that also hold the states at other `places` (p,)."""
         def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
             assert predictor.place is not None  # one of `near`
-            here, own = self._values(x, indices[0]), predictor.place.values
-            there = [self._values(each, indices[0]) for each in places]
-            return predictor.place.solved_at([{name: own[name] + values[name] - here[name] for name in own}
-                                              for values in there if values != here], predictor.frequencies, tolerance)
+            there = self._led(predictor.place, indices[0], x, places)
+            return predictor.place.solved_at(there, predictor.frequencies, tolerance)
 
         return self._placed(place, self._sharing().items())
+
+    def _led(self, place: Neighbourhood, index: int, x: Real, places: Sequence[Real]) -> list[dict[str, complex]]:
+        """The values of one recording where what leads from x (p,) to other places leads from where solves were made.
+
+        Without those that are the same as at x.
+        """
+        here, own = self._values(x, index), place.values
+        return [{name: own[name] + values[name] - here[name] for name in own}
+                for values in (self._values(each, index) for each in places) if values != here]
 
     def with_every(self, x: Real) -> Objective:
         """The same at x (p,) alone, on models that say what every parameter would change there."""
