@@ -63,7 +63,7 @@ def explanation(*effects: Effect, off: float = 0.0, region: str = "") -> Explana
 def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Settled:
     nothing = np.zeros((402, 0))
     return Settled(explanation(*effects, off=off, region=region), (), (), 0.0, (impedance(off),), nothing,
-                   Patterns(nothing, (), ()))
+                   Patterns(nothing, ()))
 
 
 def campaign() -> Any:

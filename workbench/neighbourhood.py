@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from workbench.dense import chebyshev, solve_dense
-from workbench.energy_norm import energy_matrix, random_probes
+from workbench.energy_norm import energy_matrix, estimated_error, random_probes
 from workbench.operators import FullOperators
 from workbench.physics.term import Values
 from workbench.reduced_basis import new_directions
@@ -28,12 +28,19 @@ from workbench.solve import Factor, System, one_thread
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Frequencies that are solved at: resonances of a band overlap, and each solve serves its neighbours.
-NODES = 5
+#: Frequencies that are solved at, first and at most: resonances of a band overlap, and each solve serves its neighbours.
+NODES, MOST = 3, 12
+
+#: The estimated error that is small enough, over the error that is asked for: the estimate is a bound, some hundred
+#: times what it bounds.
+ESTIMATED = 100.0
 
 #: Vectors from each factorisation: of the states at neighbouring frequencies, and of the Neumann series of a state at
 #: other parameter values.
-DEPTH, TERMS = 6, 3
+DEPTH, TERMS = 8, 3
+
+#: Joint moves of the parameters that are drawn at each frequency.
+DRAWS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +91,8 @@ class Neighbourhood:
             for place in places:
                 system = System(self.model.full, place)
                 states = np.column_stack([system.krylov(node.frequency, depth)[0] for node in self.nodes])
-                found.append(_in_band(system, new_directions(lift, states, self.model.weights), lift, looked_at))
+                columns = new_directions(lift, states, self.model.weights)
+                found.append(_in_band(system, columns, lift, looked_at, self.model.test)[0])
             return self._holding(found, tolerance)
 
     def _holding(self, states: Sequence[Complex], tolerance: float) -> Neighbourhood:
@@ -139,53 +147,68 @@ def neighbourhood(
 ) -> Neighbourhood:
     """A reduced model for parameters that move by about so much each about `values`.
 
-    From full solves at `nodes` of Chebyshev's frequencies: the states with their neighbours in frequency, and the
-    changes by the `moves` of the complex parameters. What an error of Z of `tolerance` (relative) does not need is left
-    out. Whether that is enough, :meth:`ReducedModel.error` says.
+    From full solves at `nodes` of Chebyshev's frequencies, and then where the estimated error about `values` is
+    largest: the states with their neighbours in frequency, and how draws of the `moves` of the complex parameters
+    change them. What an error of Z of `tolerance` (relative) does not need is left out. Whether that is enough
+    elsewhere, :meth:`ReducedModel.error` says.
 
     Raises:
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    at, looked_at = frequencies[chebyshev(frequencies.size, nodes)], watched(frequencies)
+    at, looked_at = list(frequencies[chebyshev(frequencies.size, nodes)]), watched(frequencies)
     least, names = smallest(tolerance), tuple(moves)
+    sizes = np.array([moves[name] for name in names])
+    # Each solve draws anew: together they span what all moves do.
+    white = np.random.default_rng(0)
     with one_thread():
         system = System(operators, values)
         middle = float(np.median(frequencies))
         energy = energy_matrix(system, middle)
-        weights = np.sqrt(np.abs(system.matrix(middle).diagonal()))
-        solved, states, changes, residual = [], [], [], 0.0
-        for frequency in at:
-            factor, found, left = system.neighbours(float(frequency), depth, tangents=names)
-            charge = system.charge(float(frequency), found[:, 0])
-            solved.append(Node(float(frequency), factor, found[:, 0], charge))
-            states.append(found[:, :depth])
-            changes.append(found[:, depth:] * np.array([moves[name] for name in names]) / np.sqrt(abs(charge)))
-            residual = max(residual, left)
-        lift = states[0][:, :1].real
-        wide = new_directions(lift, np.column_stack(states), weights)
-        basis = _grown(np.zeros((lift.size, 0)), _in_band(system, wide, lift, looked_at), energy, least)
-        basis = _grown(basis, np.column_stack(changes), energy, least)
         test = random_probes(energy, middle)
+        weights = np.sqrt(np.abs(system.matrix(middle).diagonal()))
+        solved, states, changes, residual = list[Node](), list[Complex](), list[Complex](), 0.0
+        while at:
+            for frequency in map(float, at):
+                draws = white.standard_normal((len(names), min(len(names), DRAWS)))
+                factor, found, left = system.neighbours(frequency, depth, tangents=names, moves=sizes[:, None] * draws)
+                charge = system.charge(frequency, found[:, 0])
+                solved.append(Node(frequency, factor, found[:, 0], charge))
+                states.append(found[:, :depth])
+                changes.append(found[:, depth:] / np.sqrt(abs(charge)))
+                residual = max(residual, left)
+            lift = states[0][:, :1].real
+            wide = new_directions(lift, np.column_stack(states), weights)
+            in_band, error = _in_band(system, wide, lift, looked_at, test)
+            worst = int(np.argmax(error))
+            is_enough = error[worst] <= ESTIMATED * tolerance or len(solved) >= MOST
+            at = [] if is_enough else [looked_at[worst]]
+        basis = _grown(np.zeros((lift.size, 0)), in_band, energy, least)
+        basis = _grown(basis, np.column_stack(changes), energy, least)
         whole = np.column_stack([basis, lift])
         matrices, sketch = projected_on(operators, whole, test)
     inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
-    model = ReducedModel(operators, inner, whole, weights, test, sketch, energy, at.size, residual)
+    model = ReducedModel(operators, inner, whole, weights, test, sketch, energy, len(solved), residual)
     return Neighbourhood(model, values, tuple(solved))
 
 
-def _in_band(system: System, columns: Real, lift: Real, frequencies: Real) -> Complex:
-    """The states (size, n) on some `columns` (size, k), without their share of the `lift`, over roots of charges."""
+def _in_band(system: System, columns: Real, lift: Real, frequencies: Real, test: Real) -> tuple[Complex, Real]:
+    """The states (size, n) on some `columns` (size, k), without their share of the `lift`, over roots of charges; and
+    their estimated errors (n,) by the probes `test`."""
     whole = np.column_stack([columns, lift])
-    matrices = np.stack([_small(matrix, whole) for matrix in system.group_matrices()])
-    found = solve_dense(system.factors(frequencies), matrices)
-    return np.asarray(columns @ (found.states[:-1] / np.sqrt(np.abs(found.charge))))
+    factors = system.factors(frequencies)
+    seen = np.column_stack([whole, test]).T
+    images = np.stack([seen @ _image(matrix, whole) for matrix in system.group_matrices()])
+    inner, probed = images[:, :whole.shape[1]], images[:, whole.shape[1]:]
+    found = solve_dense(factors, inner)
+    remainder = sum((each @ found.states) * h for h, each in zip(factors, probed, strict=True))
+    return (np.asarray(columns @ (found.states[:-1] / np.sqrt(np.abs(found.charge)))),
+            estimated_error(np.asarray(remainder), found.charge))
 
 
-def _small(matrix: sparse.csr_matrix, columns: Real) -> Complex:
-    """columns^T matrix columns of a complex symmetric matrix, (k, k)."""
-    parts = [columns.T @ (part @ columns) if part.data.any() else 0.0
-             for part in (matrix.real, matrix.imag)]
+def _image(matrix: sparse.csr_matrix, columns: Real) -> Complex:
+    """A complex matrix times real columns (size, k)."""
+    parts = [part @ columns if part.data.any() else 0.0 for part in (matrix.real, matrix.imag)]
     return np.asarray(parts[0] + 1j * parts[1], dtype=complex)
 
 
@@ -196,11 +219,12 @@ def _grown(basis: Real, vectors: Complex, energy: sparse.csr_matrix, least: floa
     large = np.sum(parts * images, axis=0) > least**2
     parts, images = parts[:, large], images[:, large]
     inside = basis[:-1]
-    # Twice, for what cancels.
-    for _ in range(2):
-        along = inside.T @ images
-        parts = parts - inside @ along
-        images = energy @ parts
+    if inside.shape[1]:
+        seen = energy @ inside
+        # Twice, for what cancels.
+        for _ in range(2):
+            along = inside.T @ images
+            parts, images = parts - inside @ along, images - seen @ along
     sizes, directions = scipy.linalg.eigh(parts.T @ images)
     kept = sizes > least**2
     new = parts @ (directions[:, kept] / np.sqrt(sizes[kept]))

@@ -268,14 +268,19 @@ class System:
         return self.neighbours(frequency, count, step=step, tangents=tangents)[1:]
 
     def neighbours(
-        self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = ()
+        self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = (),
+        moves: Real | None = None,
     ) -> tuple[Factor, Complex, float]:
-        """The factorisation at `frequency`, and the vectors and the residual of :meth:`krylov`."""
+        """The factorisation at `frequency`, and the vectors and the residual of :meth:`krylov`.
+
+        With `moves` (len(tangents), k) the derivatives along these directions of parameters, in place of by each.
+        """
         whole, factor = self.factored(frequency)
         free = whole.shape[0] - 1
         electrode = (whole @ np.append(np.zeros(free), 1.0))[:free]
         x, residual = factor.solve(-electrode)
-        states = np.zeros((free + 1, count + len(tangents)), dtype=complex)
+        along = np.eye(len(tangents)) if moves is None else moves
+        states = np.zeros((free + 1, count + along.shape[1]), dtype=complex)
         states[:, 0] = np.append(x, 1.0)
         if count > 1:
             change = self._stored(self._at(frequency * (1.0 + step)) - whole.data)
@@ -290,19 +295,19 @@ class System:
                 vector = np.append(factor.scale * found, 0.0)
                 states[:, k] = vector
         if tangents:
-            changes = self._changes(frequency, states[:, 0], tangents)[:free]
+            changes = self._changes(frequency, states[:, 0], tangents, along)[:free]
             states[:free, count:] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * changes)
         return factor, states, residual
 
-    def _changes(self, frequency: float, state: Complex, names: tuple[str, ...]) -> Complex:
-        """(dA / dtheta) x (size, len(names)) for complex parameters."""
+    def _changes(self, frequency: float, state: Complex, names: tuple[str, ...], moves: Real) -> Complex:
+        """(dA / dtheta) x (size, k) for complex parameters along `moves` (len(names), k)."""
         omega = np.array([2.0 * np.pi * frequency])
         coefficients = self.operators.coefficients
         slopes = np.zeros((coefficients.count, len(names)), dtype=complex)
         for column, by_shape in enumerate(coefficients.slopes(self.values, names)):
             for shape, constants in by_shape.items():
                 slopes[:, column] += shape(omega, self.values)[0] * constants
-        return self.operators.images(state, slopes)
+        return self.operators.images(state, slopes @ moves)
 
 
 def factorise(

@@ -140,9 +140,12 @@ class Candidate:
     ends: tuple[Weighed, ...]
 
     @classmethod
-    def of(cls, likelihood: Likelihood, hypothesis: Hypothesis, ends: Sequence[Weighed]) -> Candidate | None:
+    def of(cls, hypothesis: Hypothesis, ends: Sequence[Weighed]) -> Candidate | None:
         """Of the ends that differ, those that are not far behind the best; None of none."""
-        kept = distinct(likelihood, ends, lambda each: -each.log_evidence)
+        kept: list[Weighed] = []
+        for end in sorted(ends, key=lambda each: -each.log_evidence):
+            if not any(end.is_at(other) for other in kept):
+                kept.append(end)
         kept = [end for end in kept if end.log_evidence > kept[0].log_evidence - WINDOW][:KEPT]
         return cls(hypothesis, tuple(kept)) if kept else None
 
@@ -180,4 +183,4 @@ def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Re
             ends.append(likelihood.descended(hypothesis, search, start, level, DESCENT))
         except NO_END:
             continue
-    return Candidate.of(likelihood, hypothesis, ends)
+    return Candidate.of(hypothesis, ends)

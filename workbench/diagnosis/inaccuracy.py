@@ -41,21 +41,44 @@ POINTS = 121
 LEFT_OUT = 0.05
 
 
+#: A region, what is different there, and half waves along r and z.
+Key = tuple[str, str, int, int]
+
+
 @dataclass(frozen=True, eq=False)
 class Patterns:
     """What smooth changes within parts do to the data.
 
     ``columns`` (m, k) change of the real and then the imaginary parts of ln Z, recording after recording, by one
-    standard deviation of each pattern at a relative size of one; ``regions`` and ``kinds`` (k,) of each.
+    standard deviation of each pattern at a relative size of one; ``keys`` (k,) what each is: its region, its kind, and
+    the numbers of its cosine.
     """
 
     columns: Real
-    regions: tuple[str, ...]
-    kinds: tuple[str, ...]
+    keys: tuple[Key, ...]
+
+    @classmethod
+    def of(cls, columns: Mapping[Key, Real]) -> Patterns:
+        """From the column (m,) of each."""
+        return cls(np.stack(list(columns.values()), axis=1), tuple(columns))
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """The region of each (k,)."""
+        return tuple(region for region, *_ in self.keys)
 
     def within(self, region: str) -> Real:
         """The columns of one region."""
         return self.columns[:, [k for k, each in enumerate(self.regions) if each == region]]
+
+    def followed_by(self, other: Patterns) -> Patterns:
+        """The same of these recordings and then of others of the same device."""
+        ends = len(self.columns), len(self.columns) + len(other.columns)
+        columns = {key: np.zeros(ends[1]) for key in (*self.keys, *other.keys)}
+        for rows, each in ((slice(ends[0]), self), (slice(*ends), other)):
+            for key, column in zip(each.keys, each.columns.T, strict=True):
+                columns[key][rows] = column
+        return Patterns.of(columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +113,7 @@ def patterns(objective: Objective, x: Real) -> tuple[Patterns, Patterns]:
     """
     every = seen(objective.thinned(POINTS), x)
     total = sum(2 * recording.measured.frequency.size for recording in objective.recordings)
-    columns: tuple[dict[tuple[str, str, int, int], Real], ...] = ({}, {})
+    columns: tuple[dict[Key, Real], ...] = ({}, {})
     start = 0
     for each, recording in zip(every, objective.recordings, strict=True):
         frequency = recording.measured.frequency
@@ -105,9 +128,7 @@ def patterns(objective: Objective, x: Real) -> tuple[Patterns, Patterns]:
                 column = columns[which].setdefault((region, kind, *mode), np.zeros(total))
                 column[rows] += np.concatenate([slope.real, slope.imag])
         start = rows.stop
-    smooth, anything = (Patterns(np.stack(list(own.values()), axis=1), tuple(key[0] for key in own),
-                                 tuple(key[1] for key in own)) for own in columns)
-    return smooth, anything
+    return Patterns.of(columns[0]), Patterns.of(columns[1])
 
 
 def _of_recording(

@@ -56,8 +56,8 @@ TRIED, SHARE = 3, 0.3
 BASINS = 4
 
 #: So many starts are drawn from what is believed, each with its opposite; others lie so many uncertainties along what
-#: is multimodal, which is held at first.
-PAIRS, STEPS = 1, (-2.5, -1.25, 1.25, 2.5)
+#: is multimodal, which is held at first: the further ones where none of the nearer fits.
+PAIRS, STEPS = 1, ((-1.25, 1.25), (-2.5, 2.5))
 
 #: Of the hypotheses at one stage so many go on to the next, of log evidences within this of the best: odds of 200000.
 GO_ON, CLOSE = (8, 4), 12.0
@@ -66,9 +66,8 @@ GO_ON, CLOSE = (8, 4), 12.0
 HURRIED = {"rounds": 2, "limit": 8}
 
 #: An optimum is looked for on models made again about it, at most so many times, until their estimated error there is
-#: below the second number, relative to noise (it is some hundred times the true one); where the data weigh little,
-#: below the third.
-PLACES, TRUSTED, DOUBTED = 3, 20.0, 1.0
+#: no more than so many deviations of the points (it is some hundred times the true one).
+PLACES, TRUSTED = 3, 20.0
 
 
 @dataclass(eq=False)
@@ -108,6 +107,10 @@ class Search:
     def least(self) -> float:
         """Log evidence below which a hypothesis is not worth a look: its odds of being true would be too small."""
         return math.log(self.criteria.looked_at * self.model.hypotheses)
+
+    def doubts(self, doubt: float, level: float = 0.0) -> bool:
+        """Whether models of that estimated error are not trusted where points have a further deviation `level`."""
+        return doubt > TRUSTED * math.hypot(self.models.noise, level)
 
     @property
     def is_over(self) -> bool:
@@ -155,21 +158,37 @@ class Search:
 
         From where the known numbers are believed to be, and from draws of that.
         """
+        belief, ends, plain = self.models.belief, list[Begun](), None
+        starts = [(belief.x, ()), *((place, ()) for place in belief.places(PAIRS, 0))]
+        for steps in STEPS:
+            starts += [(place, (i,)) for i in self.models.multimodal for place in belief.along(i, steps)]
+            if plain is not None and (plain.fits or not starts):
+                break
+            ends, plain = self.led(starts, ends)
+            starts = []
+        assert plain is not None
+        return ends, plain
+
+    def led(self, starts: Sequence[tuple[Real, tuple[int, ...]]], known: Sequence[Begun]) -> tuple[
+            list[Begun], Candidate]:
+        """As :meth:`begun`, from some `starts` (p,), parameters of the indices beside them held at first, and ends that
+        are `known`."""
         nothing = Hypothesis()
-        starts = [(self.models.belief.x, ()), *((place, ()) for place in self.models.belief.places(PAIRS, 0)), *(
-            (place, (i,)) for i in self.models.multimodal for place in self.models.belief.along(i, STEPS))]
         found = self.work([("a start where nothing is wrong", "descended", start) for start in starts], must=1)
-        ends = distinct(self.models.bare(), [each for each in found if each is not None], lambda each: each.cost)
+        ends = distinct(self.models.bare(), [*known, *(each for each in found if each is not None)],
+                        lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
-        self.models.places = tuple(each.x for each in ends)
+        narrow = Likelihood.bare(self.model, self.models.narrow)
+        self.models.places = tuple(
+            each.x for each in ends if self.doubts(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
         further = [each for each in self.work([
             ("a basin where nothing is wrong", "furthered", (each,)) for each in ends], must=1) if each is not None]
         self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
                              for w in sorted(further, key=lambda each: -each.log_evidence)])
         if not further:
             further = [self.models.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1])]
-        plain = Candidate.of(self.models.bare(), nothing, further)
+        plain = Candidate.of(nothing, further)
         assert plain is not None
         return ends, plain
 
@@ -193,11 +212,11 @@ class Search:
         end = likelihood.weighed(nothing, begun.x, LEVELS[0])
         try:
             for _ in range(PLACES):
+                if not self.doubts(end.doubt, LEVELS[1]):
+                    break
                 likelihood = likelihood.on(self.models.near(self.model.fitted, nothing, end.x, end.errors, ROUGH))
                 x = likelihood.tempered(likelihood.search(nothing), end.x, LEVELS[0]).x
                 end = likelihood.weighed(nothing, x, LEVELS[0])
-                if end.doubt < DOUBTED:
-                    break
         except NO_END:
             return None
         found = followed(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1])
@@ -325,7 +344,7 @@ class Search:
         The model's inaccuracy is that `at` a place (p,).
         """
         hypothesis, likelihood = candidate.hypothesis, self.models.likelihood(at)
-        if candidate.weighed.doubt < DOUBTED:
+        if not self.doubts(candidate.weighed.doubt, LEVELS[0]):
             likelihood = likelihood.on(self.models.wider(hypothesis, [candidate.x]))
         likelihood, little = self.renewed(likelihood, candidate, LEVELS[0])
         if little is None:
@@ -338,7 +357,7 @@ class Search:
     ) -> tuple[Likelihood, Candidate | None]:
         """A candidate followed on models made again about it, as long as these are in doubt, and the last of them."""
         for _ in range(PLACES):
-            if candidate is None or candidate.weighed.doubt < DOUBTED:
+            if candidate is None or not self.doubts(candidate.weighed.doubt, level):
                 break
             self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
             likelihood = self.models.about(likelihood, candidate)
@@ -365,7 +384,7 @@ class Search:
         placed = [self.placed(likelihood, hypothesis, end, hurry) for end in candidate.ends]
         likelihood, found = max(placed, key=lambda each: each[1].log_evidence)
         for _ in range(0 if hurried else PLACES - 1):
-            if found.doubt < TRUSTED * self.models.noise and not hurry:
+            if not self.doubts(found.doubt) and not hurry:
                 break
             hurry = {}
             likelihood, found = self.placed(likelihood, hypothesis, found.weighed, hurry)
@@ -373,11 +392,12 @@ class Search:
                  float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
-            held = self.models.near(self.model.held_out, hypothesis, found.x, found.errors)
-            seen = Likelihood.bare(self.model, held).impedances(found.x)
+            held = Likelihood.bare(self.model, self.models.near(
+                self.model.held_out, hypothesis, found.x, found.errors)).with_patterns(found.x)
+            seen = held.impedances(found.x)
             # What they add to the evidence, with the optimum of all.
-            whole = Likelihood.bare(self.model, likelihood.objective.joined(held)).with_patterns(found.x)
-            every = whole.settled(hypothesis, found.x, **HURRIED)
+            every = likelihood.joined(held).settled(hypothesis, found.x, rounds=0 if hurried else 1,
+                                                    limit=HURRIED["limit"])
             density = every.log_evidence - found.log_evidence
             self.say("   with all", density, *every.scales, "doubt", every.doubt)
         scores = tuple(ranked(likelihood, found.x, 0.0, found)) if len(hypothesis.effects) < 2 else ()
@@ -390,11 +410,14 @@ class Search:
         self, likelihood: Likelihood, hypothesis: Hypothesis, end: Weighed, hurry: Mapping[str, int]
     ) -> tuple[Likelihood, Explanation]:
         """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
-        if end.doubt > TRUSTED * self.models.noise:
+        if self.doubts(end.doubt):
             likelihood = likelihood.on(self.models.near(self.model.fitted, hypothesis, end.x, end.errors))
+        self.say("      near", end.doubt)
         likelihood = likelihood.with_patterns(end.x)
         try:
-            return likelihood, likelihood.settled(hypothesis, end.x, **hurry)
+            found = likelihood.settled(hypothesis, end.x, **hurry)
+            self.say("      placed", found.log_evidence, found.doubt)
+            return likelihood, found
         except NO_END:
             self.say("   NO END", hypothesis.name)
             raise

@@ -53,6 +53,9 @@ ROUNDS, STRICTER = 6, 0.3
 #: Log evidences that differ by less are alike.
 ALIKE = 0.5
 
+#: Descents that end within so many standard deviations of each other have the same optimum before them.
+APART = 5.0
+
 #: A relative fall of chi-square that ends a fit, and its most steps.
 ENOUGH, STEPS = 1e-3, 25
 
@@ -133,6 +136,10 @@ class Weighed(NamedTuple):
     left: float
     doubt: float
 
+    def is_at(self, other: Weighed) -> bool:
+        """Whether both lead to one optimum: no parameter is further than :data:`APART` from where it is at the other."""
+        return bool((np.abs(self.x - other.x) <= APART * other.errors).all())
+
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
@@ -181,14 +188,15 @@ class Explanation:
 class Likelihood:
     """The recordings, the models that predict them in some neighbourhood, and what these do not get right.
 
-    ``columns`` (m, k) what the smooth changes within all parts do to ln Z at a relative size of one; ``anything`` the
-    same of every region, with losses of any size, for hypotheses of a region.
+    ``columns`` (m, k) what the smooth changes within all parts (``smooth``) do to ln Z at a relative size of one;
+    ``anything`` the same of every region, with losses of any size, for hypotheses of a region.
     """
 
     model: Model
     objective: Objective
     columns: Real
     anything: Patterns | None = None
+    smooth: Patterns | None = None
 
     @classmethod
     def bare(cls, model: Model, objective: Objective) -> Likelihood:
@@ -201,10 +209,18 @@ class Likelihood:
 
     def with_patterns(self, x: Real) -> Likelihood:
         """The same with what the model does not get right at x (p,)."""
-        whole, anything = patterns(self.objective, x)
+        return self._within(*patterns(self.objective, x))
+
+    def _within(self, smooth: Patterns, anything: Patterns) -> Likelihood:
         sizes = self.noise[:, None] / ACCURACIES[-1]
-        directions, lengths = principal(whole.columns / sizes, NEGLIGIBLE)
-        return replace(self, columns=directions * lengths * sizes, anything=anything)
+        directions, lengths = principal(smooth.columns / sizes, NEGLIGIBLE)
+        return replace(self, columns=directions * lengths * sizes, anything=anything, smooth=smooth)
+
+    def joined(self, other: Likelihood) -> Likelihood:
+        """Of these recordings and others, both with what their models do not get right."""
+        assert self.smooth and self.anything and other.smooth and other.anything
+        both = Likelihood.bare(self.model, self.objective.joined(other.objective))
+        return both._within(self.smooth.followed_by(other.smooth), self.anything.followed_by(other.anything))
 
     @cached_property
     def states(self) -> tuple[DeviceState, ...]:
@@ -293,7 +309,8 @@ class Likelihood:
             end = self.tempered(search, best.x, level, accuracy=strictness * best.accuracy, limit=limit)
             return self.weighed(hypothesis, end.x, level)
 
-        return _improved(self.weighed(hypothesis, x, level), again, lambda each: each.log_evidence, ROUNDS)
+        return _improved(self.weighed(hypothesis, x, level), again, lambda each: each.log_evidence, ROUNDS,
+                         lambda each: each.accuracy > level)
 
     def linearised(
         self, hypothesis: Hypothesis, search: Search, x: Real, level: float = 0.0, further: Real | None = None
@@ -434,18 +451,21 @@ class Likelihood:
         return sorted(zip(found, worth.tolist(), strict=True), key=lambda each: -each[1])
 
 
-def _improved(best: T, again: Callable[[T, float], T], worth: Callable[[T], float], rounds: int) -> T:
+def _improved(
+    best: T, again: Callable[[T, float], T], worth: Callable[[T], float], rounds: int,
+    is_lenient: Callable[[T], bool] = lambda _best: True,
+) -> T:
     """The best of so many rounds that each begin `again` from it, with an accuracy of the model times a factor.
 
-    That is one as long as it helps, and then :data:`STRICTER`: where little is asked of the model, much stays that it
-    could explain.
+    That is one as long as it helps, and then :data:`STRICTER` if it `is_lenient`: where little is asked of the model,
+    much stays that it could explain.
     """
     strictness = 1.0
     for _ in range(rounds):
         found = again(best, strictness)
         if worth(found) > worth(best) + ALIKE:
             best = found
-        elif strictness < 1.0:
+        elif strictness < 1.0 or not is_lenient(best):
             break
         else:
             strictness = STRICTER
