@@ -28,7 +28,7 @@ from workbench.solve import Factor, System, one_thread
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Frequencies that are solved at, first and at most: resonances of a band overlap, and each solve serves its neighbours.
+#: Frequencies that are solved at, first and at most: resonances of a band overlap, each solve serves its neighbours.
 NODES, MOST = 3, 12
 
 #: The estimated error that is small enough, over the error that is asked for: the estimate is a bound, some hundred
@@ -37,7 +37,7 @@ ESTIMATED = 100.0
 
 #: Vectors from each factorisation: of the states at neighbouring frequencies, and of the Neumann series of a state at
 #: other parameter values.
-DEPTH, TERMS = 8, 3
+DEPTH, TERMS = 8, 5
 
 #: Joint moves of the parameters that are drawn at each frequency.
 DRAWS = 16

@@ -54,7 +54,7 @@ MAKING = 60.0
 
 
 #: A diagnosis begins nothing new after so many minutes, and says what it knows by then.
-MINUTES = 4.0
+MINUTES = 8.0
 
 
 def schedule(seed: int) -> Iterator[tuple[str, ...]]:

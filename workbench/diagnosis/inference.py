@@ -384,7 +384,7 @@ class Search:
         placed = [self.placed(likelihood, hypothesis, end, hurry) for end in candidate.ends]
         likelihood, found = max(placed, key=lambda each: each[1].log_evidence)
         for _ in range(0 if hurried else PLACES - 1):
-            if not self.doubts(found.doubt) and not hurry:
+            if not self.doubts(found.doubt, found.accuracy) and not hurry:
                 break
             hurry = {}
             likelihood, found = self.placed(likelihood, hypothesis, found.weighed, hurry)
@@ -396,8 +396,8 @@ class Search:
                 self.model.held_out, hypothesis, found.x, found.errors)).with_patterns(found.x)
             seen = held.impedances(found.x)
             # What they add to the evidence, with the optimum of all.
-            every = likelihood.joined(held).settled(hypothesis, found.x, rounds=0 if hurried else 1,
-                                                    limit=HURRIED["limit"])
+            rounds = 0 if hurried or found.accuracy > INACCURATE else 1
+            every = likelihood.joined(held).settled(hypothesis, found.x, rounds=rounds, limit=HURRIED["limit"])
             density = every.log_evidence - found.log_evidence
             self.say("   with all", density, *every.scales, "doubt", every.doubt)
         scores = tuple(ranked(likelihood, found.x, 0.0, found)) if len(hypothesis.effects) < 2 else ()
@@ -410,14 +410,11 @@ class Search:
         self, likelihood: Likelihood, hypothesis: Hypothesis, end: Weighed, hurry: Mapping[str, int]
     ) -> tuple[Likelihood, Explanation]:
         """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
-        if self.doubts(end.doubt):
+        if self.doubts(end.doubt, end.accuracy):
             likelihood = likelihood.on(self.models.near(self.model.fitted, hypothesis, end.x, end.errors))
-        self.say("      near", end.doubt)
         likelihood = likelihood.with_patterns(end.x)
         try:
-            found = likelihood.settled(hypothesis, end.x, **hurry)
-            self.say("      placed", found.log_evidence, found.doubt)
-            return likelihood, found
+            return likelihood, likelihood.settled(hypothesis, end.x, **hurry)
         except NO_END:
             self.say("   NO END", hypothesis.name)
             raise

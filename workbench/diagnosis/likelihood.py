@@ -137,7 +137,7 @@ class Weighed(NamedTuple):
     doubt: float
 
     def is_at(self, other: Weighed) -> bool:
-        """Whether both lead to one optimum: no parameter is further than :data:`APART` from where it is at the other."""
+        """Whether both lead to one optimum: no parameter is further than :data:`APART` from that of the other."""
         return bool((np.abs(self.x - other.x) <= APART * other.errors).all())
 
 
@@ -218,7 +218,10 @@ class Likelihood:
 
     def joined(self, other: Likelihood) -> Likelihood:
         """Of these recordings and others, both with what their models do not get right."""
-        assert self.smooth and self.anything and other.smooth and other.anything
+        assert self.smooth is not None
+        assert self.anything is not None
+        assert other.smooth is not None
+        assert other.anything is not None
         both = Likelihood.bare(self.model, self.objective.joined(other.objective))
         return both._within(self.smooth.followed_by(other.smooth), self.anything.followed_by(other.anything))
 
@@ -458,10 +461,12 @@ def _improved(
     """The best of so many rounds that each begin `again` from it, with an accuracy of the model times a factor.
 
     That is one as long as it helps, and then :data:`STRICTER` if it `is_lenient`: where little is asked of the model,
-    much stays that it could explain.
+    much stays that it could explain. What the first round begins from is not an optimum, and far from one the tangents
+    promise too much: its worth does not count.
     """
     strictness = 1.0
-    for _ in range(rounds):
+    best = again(best, strictness) if rounds else best
+    for _ in range(rounds - 1):
         found = again(best, strictness)
         if worth(found) > worth(best) + ALIKE:
             best = found
