@@ -9,8 +9,8 @@ import pytest
 
 from workbench.commands.diagnosis_report import write_diagnosis_report
 from workbench.diagnosis.appraisal import diagnose
-from workbench.diagnosis.archive import contributions, record
 from workbench.diagnosis.campaign import read_campaign
+from workbench.diagnosis.record import contributions, record
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,6 @@ import pytest
 
 from workbench.commands import diagnosis_report
 from workbench.diagnosis.appraisal import established, located
-from workbench.diagnosis.archive import record
 from workbench.diagnosis.conclusion import Conclusion
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
 from workbench.diagnosis.findings import Found, Settled
@@ -24,6 +23,7 @@ from workbench.diagnosis.knowledge import Taken
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, Estimate, Left, Place
+from workbench.diagnosis.record import record
 from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
 from workbench.physics.term import Admissible

@@ -45,10 +45,10 @@ if TYPE_CHECKING:
     from workbench.design.study_result import StudyResult as StudyResult
     from workbench.design.tolerance import Tolerance as Tolerance
     from workbench.design.tolerance import tolerance as tolerance
+    from workbench.diagnosis.appraisal import diagnose as diagnose
     from workbench.diagnosis.campaign import Campaign as Campaign
     from workbench.diagnosis.campaign import read_campaign as read_campaign
-    from workbench.diagnosis.procedure import diagnose as diagnose
-    from workbench.diagnosis.verdict import Diagnosis as Diagnosis
+    from workbench.diagnosis.outcome import Diagnosis as Diagnosis
     from workbench.drive import parse_drive as parse_drive
     from workbench.files.errors import InputError as InputError
     from workbench.fitting.recordings import MaterialFit as MaterialFit
@@ -76,7 +76,7 @@ PUBLIC = {
     "Comparison": "workbench.comparison",
     "Design": "workbench.design.optimisation",
     "DesignModel": "workbench.design.model",
-    "Diagnosis": "workbench.diagnosis.verdict",
+    "Diagnosis": "workbench.diagnosis.outcome",
     "Evaluation": "workbench.design.evaluation",
     "Figures": "workbench.merit",
     "Goal": "workbench.design.goal",
@@ -95,7 +95,7 @@ PUBLIC = {
     "StudyResult": "workbench.design.study_result",
     "compare": "workbench.comparison",
     "design_model": "workbench.design.model",
-    "diagnose": "workbench.diagnosis.procedure",
+    "diagnose": "workbench.diagnosis.appraisal",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
     "draw_tolerance": "workbench.render.tolerances",

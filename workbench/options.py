@@ -292,6 +292,9 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
                      help="states of a device with their recordings, and what is known of it")
     _with_accuracy(sub)
     _with_materials(sub)
+    sub.add_argument("--jobs", type=int, metavar="N", help="processes that share the work (default: one for each core)")
+    sub.add_argument("--minutes", type=float, metavar="M",
+                     help="begin nothing new after so many minutes, and report what is known by then")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 

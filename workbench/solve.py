@@ -307,7 +307,7 @@ class System:
         for column, by_shape in enumerate(coefficients.slopes(self.values, names)):
             for shape, constants in by_shape.items():
                 slopes[:, column] += shape(omega, self.values)[0] * constants
-        return self.operators.images(state, slopes @ moves)
+        return self.operators.images(state, np.asarray(slopes @ moves, dtype=complex))
 
 
 def factorise(

@@ -24,12 +24,12 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.trial import make_trial  # noqa: E402
 from measurements import Measurements, measurements, with_json  # noqa: E402
-
-from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.criteria import gain  # noqa: E402
 from workbench.diagnosis.procedure import diagnose  # noqa: E402
 from workbench.diagnosis.refit import refit  # noqa: E402
 from workbench.diagnosis.score import score  # noqa: E402
+
+from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
 from workbench.solve import sweep  # noqa: E402

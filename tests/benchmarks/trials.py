@@ -41,8 +41,8 @@ from concealed.scoring import FAILED, read_outcomes, score, table  # noqa: E402
 from concealed.trial import make_trial  # noqa: E402
 
 from workbench.diagnosis.appraisal import diagnose  # noqa: E402
-from workbench.diagnosis.archive import record  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
+from workbench.diagnosis.record import record  # noqa: E402
 from workbench.files.writing import write_atomic  # noqa: E402
 
 #: In one round every mechanism of the catalogue is hidden once, and so many times nothing, something outside the

@@ -10,8 +10,8 @@ from pathlib import Path
 from geometry.names import whole
 from workbench.commands.tables import known_physics_table, merit_cells, origin_table
 from workbench.commands.terminal import print_line, print_table
-from workbench.diagnosis.archive import Contribution
 from workbench.diagnosis.outcome import Diagnosis, Estimate
+from workbench.diagnosis.record import Contribution
 from workbench.diagnosis.state import spectrum_of
 from workbench.fields import section_nodes
 from workbench.fitting.parameter import shown_factor, shown_unit

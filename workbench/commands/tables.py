@@ -11,7 +11,7 @@ from workbench.simulation import Simulation
 from workbench.spectrum import Origin
 
 if TYPE_CHECKING:
-    from workbench.diagnosis.archive import Contribution
+    from workbench.diagnosis.record import Contribution
 
 
 def model_table(runs: list[Simulation]) -> Table:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.belong import check_assignment
+from workbench.diagnosis.assignment import check_assignment
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, share
 from workbench.diagnosis.decision import HINT

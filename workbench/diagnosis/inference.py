@@ -159,7 +159,7 @@ class Search:
         From where the known numbers are believed to be, and from draws of that.
         """
         belief, ends, plain = self.models.belief, list[Begun](), None
-        starts = [(belief.x, ()), *((place, ()) for place in belief.places(PAIRS, 0))]
+        starts: list[tuple[Real, tuple[int, ...]]] = [(place, ()) for place in (belief.x, *belief.places(PAIRS, 0))]
         for steps in STEPS:
             starts += [(place, (i,)) for i in self.models.multimodal for place in belief.along(i, steps)]
             if plain is not None and (plain.fits or not starts):

@@ -1,0 +1,48 @@
+"""Whether the recordings of a campaign belong to the states that they are said to be of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.state import DeviceState, StateFit
+from workbench.files.errors import InputError
+from workbench.fitting.seen import log_ratio
+
+#: Two recordings are exchanged where that leaves less than this share of the rms residual of either state.
+EXCHANGED = 0.5
+
+#: States are compared where their frequencies overlap by this share of either band.
+OVERLAP = 0.8
+
+
+def check_assignment(campaign: Campaign, stated: Sequence[StateFit]) -> None:
+    """Refuse recordings that fit far better with the states of the two exchanged; `stated` are the states as stated.
+
+    Raises:
+        InputError: two are exchanged; it gives what both states leave, and what is left by exchanging them.
+    """
+    for one, other in itertools.combinations(zip(campaign.fitted, stated, strict=True), 2):
+        # Of the recording of `other`, and of that of `one`.
+        crossed = _rms(*one, other[0]), _rms(*other, one[0])
+        if crossed[0] < EXCHANGED * other[1].rms and crossed[1] < EXCHANGED * one[1].rms:
+            a, b = one[0].name, other[0].name
+            raise InputError(
+                campaign.file, f"states.{a}.recording", f"the one that states.{b} should have, it seems",
+                f"recordings that are not exchanged: ln(Z / Z_measured) has an rms of {one[1].rms:.2g} in {a} and "
+                f"{other[1].rms:.2g} in {b} as stated, but of {crossed[1]:.2g} and {crossed[0]:.2g} with the two "
+                "exchanged")
+
+
+def _rms(state: DeviceState, fit: StateFit, other: DeviceState) -> float:
+    """Rms of ln(Z / Z_measured) of a state's prediction and another's recording; infinite where bands differ."""
+    own, there = state.measured.frequency, other.measured.frequency
+    low, high = max(own[0], there[0]), min(own[-1], there[-1])
+    if high - low < OVERLAP * max(own[-1] - own[0], there[-1] - there[0]):
+        return float(np.inf)
+    inside = (there >= low) & (there <= high)
+    predicted = np.interp(there[inside], own, fit.impedance)
+    return float(np.sqrt(np.mean(np.abs(log_ratio(predicted, other.measured.impedance[inside])) ** 2)))
