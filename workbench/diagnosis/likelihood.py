@@ -33,6 +33,7 @@ from workbench.diagnosis.state import DeviceState
 from workbench.fitting.covariance import Covariance, principal
 from workbench.fitting.objective import Objective, Residual
 from workbench.fitting.search import Optimum, Search
+from workbench.fitting.uncertainty import correlation_length
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -160,6 +161,7 @@ class Explanation:
     occam: float
     residual: Residual
     doubt: float
+    correlation: float = 1.0
 
     @property
     def accuracy(self) -> float:
@@ -168,14 +170,13 @@ class Explanation:
 
     def error(self, index: int) -> float:
         """Standard deviation of the parameter of that index."""
-        at = self.free.index(index)
-        return float(math.sqrt(max(self.covariance[at, at], 0.0)))
+        return float(self.errors[index])
 
     @property
     def errors(self) -> Real:
         """Standard deviations of all parameters (p,), zero of those that do not move."""
         found = np.zeros(self.x.size)
-        found[list(self.free)] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        found[list(self.free)] = np.sqrt(self.correlation * np.maximum(np.diag(self.covariance), 0.0))
         return found
 
     @property
@@ -397,8 +398,16 @@ class Likelihood:
 
         x, local, worth, scales, average = _improved(at(x), again, lambda each: each[2], rounds)
         worth -= sum(mode.cost for mode in hypothesis.modes)
+        covariance = self._covariance(self._deviations(hypothesis, local.data, x), scales)
         return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth, scales,
-                           average.occam, replace(local.data, predictions=()), local.data.error)
+                           average.occam, replace(local.data, predictions=()), local.data.error,
+                           self._correlation(covariance.whitened(covariance.whitened(local.data.vector))))
+
+    def _correlation(self, noise: Real) -> float:
+        """How many neighbouring points carry the information of one where that much noise (m,) is left."""
+        parts = [np.split(noise[place], 2) for place in self.places]
+        lengths = [correlation_length(real + 1j * imaginary) for real, imaginary in parts]
+        return float(np.average(lengths, weights=[real.size for real, _ in parts]))
 
     def _deviations(
         self, hypothesis: Hypothesis, data: Residual, x: Real, level: float = 0.0
