@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from workbench.diagnosis.refit import UNNEEDED
 
 from workbench.cli import main
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import Model, model
+from workbench.diagnosis.record import UNNEEDED
 
 TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
 
@@ -68,11 +68,8 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
 
 @pytest.fixture(scope="module")
 def stated() -> Model:
-    """The model of a trial, with bases about what is stated.
-
-    Which cells make up a ring depends on the mesh: on the default one, of larger cells, 9.9 of 15 sigmas are found.
-    """
-    found = model(read_campaign(TRIAL / "campaign.toml"), accuracy=2e-4)
+    """The model of a trial, with bases about what is stated."""
+    found = model(read_campaign(TRIAL / "campaign.toml"))
     found.fitted.cover(np.array([p.start for p in found.parameters]), {}, UNNEEDED)
     return found
 

@@ -15,17 +15,14 @@ import pytest
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
-from materials.kinds import Fluid
 from materials.registry import user_registry
 from workbench.diagnosis.appraisal import diagnose_model
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.odds import TERM
 from workbench.diagnosis.outcome import Diagnosis, Estimate
 from workbench.files.errors import InputError
 from workbench.fitting.seen import through_bench
 from workbench.operators import assemble
-from workbench.physics import bubbles
 from workbench.problem import build, fill, with_boundary_layers
 from workbench.reduction import reduce
 from workbench.spectrum import Spectrum, write_csv
@@ -119,7 +116,7 @@ def test_a_ceramic_that_softens_is_seen_in_two_states_and_not_in_one(bench: Benc
 
 def test_a_wrong_density_of_the_transducer_is_not_laid_to_the_polymer(bench: Bench) -> None:
     """Density and stiffnesses by one factor, piezoelectric constants by its root: a free disc is the same disc."""
-    factor = 1.04
+    factor = 1.048
     heavier = {f"{PZT}.{name}": factor for name in ("density", "c11", "c12", "c13", "c33", "c44")}
     heavier |= {f"{PZT}.{name}": factor**0.5 for name in ("e31", "e33", "e15")}
     known = {**{f"{PZT}.{name}": "5 %" for name in ("c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15")},
@@ -180,24 +177,3 @@ def test_recordings_exchanged_between_states_are_refused(bench: Bench) -> None:
     with pytest.raises(InputError, match=r"campaign.toml: states\.short\.recording: received 'the one that "
                                          r"states\.long should have, it seems'; .*as stated, but of 0\.00"):
         bench.diagnosed(KNOWN)
-
-
-def test_an_effect_that_bends_far_away_from_its_tangent_is_found(bench: Bench) -> None:
-    """Gel that gas makes three times slower: its known parameters alone leave ten thousand times the noise."""
-    fraction = 7e-4
-    gel = user_registry([MATERIALS]).load("gel/trial")
-    assert isinstance(gel, Fluid)
-    gas = bubbles.AIR_IN_WATER["ambient_pressure"] * bubbles.AIR_IN_WATER["heat_capacity_ratio"]
-    liquid = gel.density * gel.sound_speed**2
-    # Wood: compressibility and density are those of the volume.
-    speed = ((1.0 - fraction) * ((1.0 - fraction) + fraction * liquid / gas)) ** -0.5
-    bench.record("disc", "disc")
-    bench.record("sample", "sample", factors={"gel/trial.density": 1.0 - fraction, "gel/trial.sound_speed": speed})
-    found = bench.diagnosed(KNOWN)
-    assert max(state.reduced for state in found.base) > 1e3
-    assert named(found) == ["bubbles in the couplant"]
-    assert max(state.reduced for state in found.best) < 1.3
-    told = estimate(found, "couplant bubbles.void_fraction")
-    assert told.low < fraction < told.high
-    # To the error of the term: noise alone would be known to a hundred times less.
-    assert told.high - told.low > TERM * fraction

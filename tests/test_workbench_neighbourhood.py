@@ -175,7 +175,8 @@ def test_an_objective_holds_places_of_full_solves(objective: Objective, x: Real)
     full = found.predictors[0].full(found.settings(there, 0)[0], CHECKED)
     error, before = (float(np.abs(each.predict(there, 0)[2].impedance[::10] / full - 1.0).max())
                      for each in (found, place))
-    assert error < 2.0 * TOLERANCE < 1e-2 * before
+    # Three frequencies are solved at there: the states between them are held to some times what is asked for here.
+    assert error < 5.0 * TOLERANCE < 1e-2 * before
 
 
 def test_a_closed_model_says_the_same_and_has_let_its_factors_go(objective: Objective, x: Real) -> None:

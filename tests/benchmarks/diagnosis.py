@@ -1,10 +1,10 @@
-"""What a diagnosis costs: a campaign of two states beside one full-order spectrum, and the score test beside refits.
+"""What a diagnosis costs: a campaign of two states beside one full-order spectrum, and the scores beside it.
 
     .venv/bin/python tests/benchmarks/diagnosis.py [--effects water_uptake gel_bubbles] [--seed 7] [--points 25]
 
-All times are of one run on one core. The campaign is a trial (`trials.py`) with two effects concealed, so that pairs
-are tried, cut down to its empty and its filled state of 481 frequencies. The full-order spectrum is that of the filled
-chip as `workbench simulate` meshes it, extrapolated from so many of its frequencies.
+All times are of one run on one core. The campaign is a trial (`trials.py`) with two effects concealed, cut down to its
+empty and its filled state of 481 frequencies. The full-order spectrum is that of the filled chip as `workbench`
+simulates it, extrapolated from so many of its frequencies.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
 from concealed.trial import make_trial  # noqa: E402
 from measurements import Measurements, measurements, with_json  # noqa: E402
-from workbench.diagnosis.criteria import gain  # noqa: E402
-from workbench.diagnosis.procedure import diagnose  # noqa: E402
-from workbench.diagnosis.refit import refit  # noqa: E402
-from workbench.diagnosis.score import score  # noqa: E402
 
+from workbench.diagnosis.appraisal import diagnose  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
+from workbench.diagnosis.likelihood import Likelihood  # noqa: E402
+from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
+from workbench.diagnosis.ranking import ranked  # noqa: E402
 from workbench.operators import assemble  # noqa: E402
 from workbench.problem import build  # noqa: E402
 from workbench.solve import sweep  # noqa: E402
@@ -53,11 +53,8 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         print("concealed:", ", ".join(f"{e.name} ({e.detectability:.0f} sigmas)" for e in truth.effects))
         campaign = read_campaign(folder / "campaign.toml")
         campaign = replace(campaign, states=tuple(s for s in campaign.states if s.name in ("empty", "filled")))
-        started = time.perf_counter()
         found = diagnose(campaign)
-        whole = time.perf_counter() - started
-        print(f"found: {found.verdict}, {' and '.join(e.name for e in found.effects) or 'no effect'}; "
-              f"{len(found.model.effects)} hypotheses, {len(found.singles)} refitted alone, {len(found.pairs)} pairs")
+        print(f"found: {found.headline} {len(found.model.effects)} hypotheses, {len(found.found.final)} settled")
 
         filled = campaign.states[-1]
         problem = build(filled.device,
@@ -69,23 +66,17 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
             pass
         full = (time.perf_counter() - started) * 481 / options.points
         print(f"full-order spectrum, {operators.size} unknowns, 481 frequencies (from {options.points}): {full:.0f} s")
-        print(f"diagnosis of two states: {whole:.0f} s, {whole / full:.2f} of it")
+        print(f"diagnosis of two states: {found.seconds:.0f} s, {found.seconds / full:.2f} of it")
 
-        base = found.base
-        here = base.search.evaluate(base.x, found.model.deviations())
+        models = Neighbourhoods(found.model)
+        bare = Likelihood.bare(found.model, models.narrow)
         started = time.perf_counter()
-        tangents = base.tangents()
-        scores = [score(found.model, base.x, here, tangents, effect) for effect in found.model.effects]
+        scores = ranked(bare, models.belief.x, 0.0)
         scored = time.perf_counter() - started
-        for name, value in (("diagnosis of two states", whole), ("full-order spectrum", full), ("scores", scored)):
-            kept.add(name, value, "s")
-        started = time.perf_counter()
-        refits = [(s.effect.name, refit(found.model, (s.effect,), base.x, [s])) for s in scores]
-        refitted = time.perf_counter() - started
-        best = max((fit for _, fit in refits if fit is not None), key=lambda fit: gain(base, fit))
-        first = max(scores, key=lambda s: s.evidence).effect.name
-        print(f"scores of {len(scores)} hypotheses: {scored:.2f} s; their refits: {refitted:.0f} s; ratio "
-              f"{scored / refitted:.4f}; best by either: {first}, {best.name}")
+        print(f"scores of {len(scores)} hypotheses: {scored:.2f} s; best {scores[0].effect.name}")
+        for label, value in (("diagnosis of two states", found.seconds), ("full-order spectrum", full),
+                             ("scores", scored)):
+            kept.add(label, value, "s")
 
 
 if __name__ == "__main__":
