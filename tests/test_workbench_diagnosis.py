@@ -44,6 +44,9 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
         # A 95 % interval misses one in twenty: here it need only come within twice its half width.
         half = 0.5 * (interval["high"] - interval["low"])
         assert abs(interval["value"] - expected) < 2.0 * half < 0.5 * expected
+    # What is left is noise to a per cent of its square; of 0.035^2 that is less than a hundredth of the mismatch.
+    assert effect["share"] > 0.97
+    assert found["headline"].startswith("Softening with the drive: softening 0.00027")
     assert found["scores"][0]["effect"] == "softening with the drive"
     for name, state in found["after"].items():
         assert state["reduced_chi_square"] < 1.3, name
@@ -63,6 +66,8 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
     assert {p.name for p in (tmp_path / "out").glob("*.png")} == {"states.png", "shares.png", "where.png"}
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "softening with the drive" in report
+    assert report.count("data:image/png") == 3
+    assert "10^" in report  # odds
     assert all(unit in report for unit in ("GPa", "mm", "kg/m^3"))
 
 
