@@ -15,6 +15,7 @@ from workbench.diagnosis.assignment import check_assignment
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, share
 from workbench.diagnosis.decision import HINT
+from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.inference import Search
@@ -81,6 +82,9 @@ def as_stated(search: Search) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
     model, x = search.model, search.models.centre
     impedances = search.models.bare().impedances(x)
+    if search.doubts(search.models.bare().data(Hypothesis(), x).error, LEVELS[1]):
+        # The smallest body says that the known numbers are elsewhere.
+        impedances = Likelihood.bare(model, model.fitted.near(x, {}, ROUGH, only=())).impedances(x)
     if model.held_out is not None:
         held = model.held_out.near(x, {}, ROUGH, only=())
         impedances += Likelihood.bare(model, held).impedances(x)

@@ -48,6 +48,10 @@ Progress = Callable[[str, float], None]
 #: What is done, the name of a method, and what it is given.
 Named = tuple[str, str, tuple[Any, ...]]
 
+#: Nothing else is looked for where nothing being wrong leaves noise by a model of this accuracy: what a larger one hides
+#: no tangent shows.
+INCONSPICUOUS = 1e-3
+
 #: Of the hypotheses that promise most at any place, so many are tried, if they promise this share of what the best
 #: does.
 TRIED, SHARE = 3, 0.3
@@ -130,7 +134,7 @@ class Search:
         settled = dict[Candidate, Settled]()
         if plain.fits:
             settled[plain] = self.settled(plain)
-            if _explained(settled):
+            if settled[plain].explanation.accuracy <= INCONSPICUOUS:
                 return self.concluded(plain, settled, [plain])
         self.progress("single hypotheses", 0.3)
         *places, last, outside = self.work([
