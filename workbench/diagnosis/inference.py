@@ -48,8 +48,8 @@ Progress = Callable[[str, float], None]
 #: What is done, the name of a method, and what it is given.
 Named = tuple[str, str, tuple[Any, ...]]
 
-#: Nothing else is looked for where nothing being wrong leaves noise by a model of this accuracy: what a larger one hides
-#: no tangent shows.
+#: Nothing else is looked for where nothing being wrong leaves noise by a model of this accuracy: what a larger one
+#: hides no tangent shows.
 INCONSPICUOUS = 1e-3
 
 #: Of the hypotheses that promise most at any place, so many are tried, if they promise this share of what the best
