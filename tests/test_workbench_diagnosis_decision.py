@@ -72,7 +72,15 @@ def test_what_adds_only_spare_parameters_is_no_rival() -> None:
     assert verdict(best, more).verdict == MISSING
     # Its own parameter is not consistent with nothing: it says something else.
     assert verdict(best, replace(more, away={"eps33": 7.0, "e33": 3.0})).verdict == AMBIGUOUS
-    assert verdict(best, effect("leads", 39.0, resistance=0.1)).verdict == AMBIGUOUS
+    assert verdict(best, effect("leads", 39.0, resistance=4.0)).verdict == AMBIGUOUS
+
+
+def test_an_effect_whose_numbers_are_all_consistent_with_nothing_is_not_said() -> None:
+    idle, outside = effect("delay", 60.0, delay=1.4), Evidence("something in the disc", -960.0, outside=True)
+    assert verdict(idle).verdict == EXPLAINED
+    found = verdict(idle, outside)
+    assert (found.verdict, found.chosen) == (UNEXPLAINED, outside)
+    assert verdict(effect("delay", 60.0, delay=2.1), outside).verdict == MISSING
 
 
 def test_of_those_that_say_the_same_the_one_that_says_least_is_named() -> None:

@@ -86,7 +86,9 @@ def decide(
     none = math.log(criteria.nothing_wrong) + nothing[0].of_all
     log_odds = {each.name: (0.0 if each.is_nothing else
                             share * max(len(each.effects), 1) + each.of_all - none) for each in evidences}
-    others = sorted((each for each in evidences if not each.is_nothing), key=lambda each: -log_odds[each.name])
+    # An effect of which no number is away from nothing says that nothing is wrong, whatever else fits better beside it.
+    others = sorted((each for each in evidences if not each.is_nothing and not _is_idle(each, criteria.spare)),
+                    key=lambda each: -log_odds[each.name])
     together = float(logsumexp([log_odds[each.name] for each in others])) if others else -math.inf
     if together < math.log(criteria.accepted):
         hint = together > math.log(criteria.hinted)
@@ -103,6 +105,11 @@ def decide(
     if best.outside:
         return Decision(UNEXPLAINED, best, rivals, log_odds)
     return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
+
+
+def _is_idle(each: Evidence, spare: float) -> bool:
+    """Whether an explanation by effects has all their parameters consistent with nothing."""
+    return bool(each.away) and not each.outside and all(abs(sigmas) < spare for sigmas in each.away.values())
 
 
 def _says_the_same(other: Evidence, best: Evidence, spare: float) -> bool:
