@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -130,15 +129,9 @@ class Search:
 
     def minimise(
         self, x: Real, deviation: Sequence[Real | float], *, smoothing: float = 0.0, limit: int = 40,
-        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (), trusted: float = np.inf,
+        tolerance: float = 1e-6, radius: float = 1.0, fixed: tuple[int, ...] = (),
     ) -> Optimum:
-        """The least cost near x; the parameters of the indices `fixed` stay where they are.
-
-        Steps that lead to where predictions have an estimated relative error above `trusted` are shortened.
-
-        Raises:
-            NotEnriched: that of x itself is above `trusted`.
-        """
+        """The least cost near x; the parameters of the indices `fixed` stay where they are."""
         free = np.setdiff1d(self.free, fixed)
         moved = frozenset(map(int, free))
 
@@ -149,8 +142,6 @@ class Search:
 
         def reduced(y: Real) -> Weighted:
             full = self.evaluate(whole(y), deviation, smoothing, moved)
-            if math.isfinite(trusted) and not full.data.error <= trusted:
-                raise NotEnriched(full.data.error, trusted, self.objective.solves)
             return Weighted(full.vector, full.jacobian[:, free], full.data)
 
         found = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],

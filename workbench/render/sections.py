@@ -115,17 +115,6 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
     return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
-def draw_cells(mesh: NodalMesh, values: FloatArray, path: Path, *, label: str, title: str) -> Path:
-    """One value (cells,) in every cell, none of them negative. Writes `path`."""
-    window = _window(mesh.points)
-    limits = (0.0, float(values.max()) or 1.0)
-    figure, axes, bar = _frame(window, title=title)
-    _show(axes, window, cell_raster(mesh, values, *_raster_points(window)), limits=limits, colours=PLAIN_COLOURS)
-    _outline(axes, mesh)
-    _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=label)
-    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
-
-
 def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: str) -> Path:
     """The regions in pale grey, those that are `marked` in colour. Writes `path`.
 
