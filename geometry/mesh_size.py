@@ -21,6 +21,8 @@ class MeshSize:
     at the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
     ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
     takes. ``levels``: heights (m) at which elements end besides: what a film moves beside it decays within there.
+    ``radii``: radii (m) at which they do: where a layer may end that the section has as a whole; not those very close
+    to another line.
     """
 
     slowest_wave: Mapping[str, float]
@@ -33,6 +35,7 @@ class MeshSize:
     growth: float = 4.0
     skins: Mapping[str, float] = field(default_factory=dict)
     levels: tuple[float, ...] = ()
+    radii: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         def refuse(name: str, value: object, expected: str) -> None:

@@ -21,6 +21,10 @@ COUPLANT = "couplant"
 FLUID_ROLES = (CAVITY, COUPLANT)
 
 
+#: A radius where a layer may end is taken for another line that is closer than this share of the section's radius.
+CLOSEST = 0.005
+
+
 @dataclass(frozen=True)
 class Panel:
     """Part of an interval between two breaks: `count` elements, each `ratio` times as long as the one before."""
@@ -64,6 +68,15 @@ def _panels(
                 nodes = [panel.start, panel.end] if q == 1.0 else panel.nodes().tolist()
                 panels += [Panel(i, low, high, n if q == 1.0 else 1, 1.0) for low, high in pairwise(nodes)]
     return panels
+
+
+def _apart(radii: Sequence[float], breaks: Sequence[float]) -> list[float]:
+    """Those radii that are no closer to a break, or to one before, than elements should be small."""
+    least, kept = CLOSEST * breaks[-1], list[float]()
+    for radius in sorted(radii):
+        if all(abs(radius - other) > least for other in (*breaks, *kept)):
+            kept.append(radius)
+    return kept
 
 
 def _divide(
@@ -148,6 +161,7 @@ def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]
     thick = np.diff(section.z_breaks) > 0.25 * size.elements_per_wavelength * rows
     least = np.maximum(size.minimum_through_thickness, np.where(thick, size.minimum_through_quarter_wave, 1))
     return (
-        _panels(section.r_breaks, columns, radii, size=size, minimum=np.ones(len(columns), dtype=int)),
+        _panels(section.r_breaks, columns, radii, size=size, minimum=np.ones(len(columns), dtype=int),
+                cuts=_apart(size.radii, section.r_breaks)),
         _panels(section.z_breaks, rows, heights, size=size, minimum=least, cuts=cuts),
     )

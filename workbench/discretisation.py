@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from geometry.mesh_size import MeshSize
@@ -51,9 +51,10 @@ class Discretisation:
 
     def mesh_size(
         self, section: Section, materials: Mapping[str, Material], frequency: float, *,
-        skins: Mapping[str, float] | None = None,
+        skins: Mapping[str, float] | None = None, radii: Sequence[float] = (),
     ) -> MeshSize:
-        """The size of the elements of a section at `frequency` (Hz); `skins` as in `geometry.mesh_size.MeshSize`."""
+        """The size of the elements of a section at `frequency` (Hz); `skins` and `radii` as in
+        `geometry.mesh_size.MeshSize`."""
         speeds, films = self.mesh_speeds(section.regions, materials), film_speeds(section, materials, frequency)
         for region, speed in films.items():
             speeds[region] = min(speeds[region], speed / self.film_finer)
@@ -62,7 +63,7 @@ class Discretisation:
                         minimum_through_thickness=self.through_thickness,
                         minimum_through_quarter_wave=self.through_quarter_wave,
                         corner_refinement=self.corner_refinement, growth=self.growth, skins=skins or {},
-                        levels=film_levels(section, materials, films, frequency))
+                        levels=film_levels(section, materials, films, frequency), radii=tuple(radii))
 
     def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
         """The speed (m/s) whose wavelength rules the mesh size in every region; infinite where there is nothing."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -191,12 +191,13 @@ def build(
     band: tuple[float, float] | None = None,
     accuracy: float | Discretisation = ACCURACY,
     skins: Mapping[str, float] | None = None,
+    radii: Sequence[float] = (),
     cache: Path | None = None,
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
 
-    The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` as in
-    `geometry.mesh_size.MeshSize`.
+    The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins`
+    and `radii` as in `geometry.mesh_size.MeshSize`.
 
     Raises:
         InputError: see `workbench.discretisation.discretisation`.
@@ -205,7 +206,7 @@ def build(
     fineness = discretisation(accuracy)
     low, high = device.chip.band if band is None else band
     check_use(device.materials.values(), band=(low, high))
-    size = fineness.mesh_size(device.section, device.materials, high, skins=skins)
+    size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
     made = problem(mesh_section(device.section, size, cache=cache), device.materials, (low, high), name=device.name)
     return replace(made, discretisation=fineness)
 

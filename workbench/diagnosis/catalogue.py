@@ -47,7 +47,7 @@ from workbench.physics import (
     surface_load,
     thin_layer,
 )
-from workbench.physics.rim import LIMIT, Rim
+from workbench.physics.rim import LIMIT, WIDTHS, Rim
 from workbench.physics.solid import IsotropicSolid as SolidTerm
 from workbench.physics.term import Admissible, Free
 
@@ -264,11 +264,13 @@ def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
     hole = 0.0 if held.cavity_radius is None else held.cavity_radius.value / own
     rim = min(held.radius.value / own, 1.0)
     skin = 0.0 if joint == below else -open_bond.SKIN
-    reach = min(LIMIT, HELD * (rim - hole))
+    reach = max(width for width in (*WIDTHS, LIMIT) if width <= HELD * (rim - hole))
+    outside = Rim(f"{joint} open at its rim", rim, reach)
     yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
-                     lambda _: [open_bond.OpenBond(joint, material, Rim(f"{joint} open at its rim", rim, reach), skin)])
+                     lambda _: [open_bond.OpenBond(joint, material, outside, skin)])
     if hole:
-        inside = Rim(f"{joint} open around the cavity", hole, reach, outwards=True)
+        widths = [width for width in outside.widths_from(hole) if width <= HELD * (rim - hole)]
+        inside = Rim(f"{joint} open around the cavity", hole, widths[-1], True, tuple(widths))
         yield with_terms(f"{region} loose around the cavity", joint, "geometry", "it is loose where the cavity begins",
                          states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
 

@@ -106,9 +106,11 @@ def model(
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
         terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
-        skins = {integral.place: abs(integral.skin) for term in terms for integral in term.integrals() if integral.skin}
-        problem = build(state.device, accuracy=accuracy,
-                        skins=skins, cache=cache,
+        integrals = [integral for term in terms for integral in term.integrals()]
+        skins = {integral.place: abs(integral.skin) for integral in integrals if integral.skin}
+        radii = {integral.beyond * state.chip.layer(integral.place).radius.value for integral in integrals
+                 if integral.beyond}
+        problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii), cache=cache,
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)
         for effect in hypotheses:

@@ -9,8 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.rim import SHARE, Rim
+from workbench.physics.rim import SHARE, Rim, hindered
 from workbench.physics.term import Free, Integral, Product, Term
+
+#: A layer with so much of its stiffness and mass holds a ring about half as well as the whole layer does: on rings of
+#: 0.1 to 0.3 mm this finds the edge to 0.005 of the radius; with one (patches that are wide beside the layer) it comes
+#: out 0.003 to 0.015 too far in.
+HALFWAY = 0.3
 
 
 @dataclass(frozen=True)
@@ -18,13 +23,14 @@ class MissingCouplant(Term):
     """Gas in the place of the fluid beyond the edge of a rim. Of a ring in which the share f of the area is gas,
 
         (1 / rho_f - 1 / rho) / w^2 grad(p) . grad(q) - (1 / K_f - 1 / K) p q,
-        rho_f = (1 - f) rho + f rho_g,  K_f = (1 - f) K + f K_g,  K = rho c^2,
+        rho_f = h rho + (1 - h) rho_g,  K_f = h K + (1 - h) K_g,  K = rho c^2,
+        h = s c / (1 - (1 - s) c),  c = 1 - f,  s = HALFWAY,
 
-    next to `fluid.Fluid` on the same region, for patches that are wide beside the layer's thickness: the walls move
-    each patch alike, so that stiffnesses and masses of unit area add, and p is the mean stress. f = 1 is the gas
-    itself. Rings are integrated over exactly, also where they begin within an element. A couplant missing elsewhere
-    than at the rim is another geometry. Parameters ``<rim>.width`` (see `rim.Rim`), ``<material>.density`` and
-    ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
+    next to `fluid.Fluid` on the same region. f = 1 is the gas itself, and exact where the mesh has a line of nodes at
+    the edge; between two edges the law is one between. With s = 1 it is that of patches that are wide beside the
+    layer's thickness: the walls move each patch alike, so that stiffnesses and masses of unit area add, and p is the
+    mean stress. A couplant missing elsewhere than at the rim is another geometry. Parameters ``<rim>.width`` (see
+    `rim.Rim`), ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
     """
 
     region: str
@@ -62,5 +68,7 @@ def _squeezed(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]
 
 def _mixed(f: complex, whole: complex, gas: complex) -> tuple[complex, complex, complex, complex]:
     """1 / ((1 - f) whole + f gas) - 1 / whole, and its derivatives by all three."""
-    mixed = (1.0 - f) * whole + f * gas
-    return (1.0 / mixed - 1.0 / whole, (whole - gas) / mixed**2, -(1.0 - f) / mixed**2 + 1.0 / whole**2, -f / mixed**2)
+    lacks, slope = hindered(f, HALFWAY)
+    mixed = (1.0 - lacks) * whole + lacks * gas
+    return (1.0 / mixed - 1.0 / whole, slope * (whole - gas) / mixed**2,
+            -(1.0 - lacks) / mixed**2 + 1.0 / whole**2, -lacks / mixed**2)
