@@ -39,6 +39,9 @@ ESTIMATED = 100.0
 #: other parameter values.
 DEPTH, TERMS = 8, 5
 
+#: How much the ratios of two changes of the operators differ by rounding where one is the other but for a factor.
+SAME_WAY = 1e-6
+
 #: Joint moves of the parameters that are drawn at each frequency.
 DRAWS = 16
 
@@ -70,11 +73,18 @@ class Neighbourhood:
         """The same, holding also the states on the way to other values, `corners`, to an error of Z of `tolerance`.
 
         With A the system here and A + D that at a corner, the state there is the sum of (-A^-1 D)^k x, of which the
-        first terms are taken: their span serves beyond where the sum converges. No system is factorised anew.
+        first terms are taken: their span serves beyond where the sum converges. No system is factorised anew. Corners
+        whose D is that of one before but for a factor have the same span.
         """
+        taken, changes = list[Values](), list[Complex]()
+        for corner in corners:
+            change = self._change(self.nodes[0], corner)
+            if not any(_is_along(change, other) for other in changes):
+                taken.append(corner)
+                changes.append(change)
         with one_thread():
-            return self._holding([np.column_stack([self._terms(node, corner) for node in self.nodes])
-                                  for corner in corners], tolerance)
+            found = [self._terms(node, taken) for node in self.nodes]
+            return self._holding([np.column_stack(of_corner) for of_corner in zip(*found, strict=True)], tolerance)
 
     def solved_at(
         self, places: Sequence[Values], frequencies: Real, tolerance: float, depth: int = DEPTH
@@ -125,20 +135,26 @@ class Neighbourhood:
         inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
         return replace(self, model=replace(model, full=operators, operators=inner, sketch=sketch))
 
-    def _terms(self, node: Node, corner: Values) -> Complex:
-        """The first terms (size, TERMS) of the series of the state at a corner, over the root of the charge."""
-        operators, omega = self.model.full, np.array([2.0 * np.pi * node.frequency])
-        there, here = (operators.coefficients(omega, values)[0] for values in (corner, self.values))
-        change = (there - here)[:, None]
-        found = np.zeros((node.state.size, TERMS), dtype=complex)
-        term = node.state / np.sqrt(abs(node.charge))
-        factor = node.factor
+    def _change(self, node: Node, corner: Values) -> Complex:
+        """What the coefficients (n,) of all integrals change by to a corner."""
+        omega = np.array([2.0 * np.pi * node.frequency])
+        there, here = (self.model.full.coefficients(omega, values)[0] for values in (corner, self.values))
+        return np.asarray(there - here)
+
+    def _terms(self, node: Node, corners: Sequence[Values]) -> list[Complex]:
+        """The first terms (size, TERMS) of the series of the state at every corner, over the root of the charge."""
+        operators, factor = self.model.full, node.factor
         assert factor is not None  # not one that was closed
-        for k in range(TERMS):
-            force = operators.images(term, change)[:-1, 0]
-            found[:-1, k] = -factor.scale * factor.solve_scaled(factor.scale * force)
-            term = found[:, k]
-        return found
+        changes = [self._change(node, corner)[:, None] for corner in corners]
+        terms = np.repeat((node.state / np.sqrt(abs(node.charge)))[:, None], len(corners), axis=1)
+        found = np.zeros((len(corners), node.state.size, TERMS), dtype=complex)
+        for k in range(TERMS if corners else 0):
+            forces = np.column_stack([operators.images(term, change)[:-1, 0]
+                                      for term, change in zip(terms.T, changes, strict=True)])
+            terms[-1] = 0.0
+            terms[:-1] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * forces)
+            found[:, :, k] = terms.T
+        return list(found)
 
 
 def neighbourhood(
@@ -190,6 +206,15 @@ def neighbourhood(
     inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
     model = ReducedModel(operators, inner, whole, weights, test, sketch, energy, len(solved), residual)
     return Neighbourhood(model, values, tuple(solved))
+
+
+def _is_along(one: Complex, other: Complex) -> bool:
+    """Whether two vectors (n,), neither of them nothing, are the same but for a factor."""
+    there = other != 0.0
+    if not there.any() or not np.array_equal(one != 0.0, there):
+        return False
+    ratios = one[there] / other[there]
+    return bool(np.abs(ratios - ratios[0]).max() <= SAME_WAY * abs(ratios[0]))
 
 
 def _in_band(system: System, columns: Real, lift: Real, frequencies: Real, test: Real) -> tuple[Complex, Real]:
