@@ -19,6 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: What takes more than some ten seconds.
 SLOW = ("wb.fit(", "wb.diagnose(", "wb.range_model(", "wb.design_model(", "wb.study(", "add_effect")
+#: The first line of a block that needs the one before it.
+GOES_ON = "# goes on"
 #: Words of a command that stand for something of the reader's.
 STANDS_FOR = {"DIR", "FOLDER", "RECORDING"}
 
@@ -29,6 +31,17 @@ def blocks(language: str) -> Iterator[tuple[str, str]]:
         found = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
         for number, text in enumerate(found, 1):
             yield f"{page.stem}-{number}", text
+
+
+def programs() -> Iterator[tuple[str, str]]:
+    """(page and number, text) of what runs by itself in Python: a block that says so goes on from the one before."""
+    whole: list[tuple[str, str]] = []
+    for name, text in blocks("python"):
+        if text.startswith(GOES_ON):
+            whole.append((name, whole.pop()[1] + text))
+        else:
+            whole.append((name, text))
+    yield from whole
 
 
 def commands() -> Iterator[tuple[str, str]]:
@@ -47,7 +60,7 @@ def test_the_walk_sees_what_there_is_to_see() -> None:
 
 @pytest.mark.parametrize(("name", "text"), [
     pytest.param(name, text, id=name, marks=pytest.mark.slow if any(word in name + text for word in SLOW) else ())
-    for name, text in blocks("python")])
+    for name, text in programs()])
 def test_python_that_is_printed_runs(name: str, text: str, tmp_path: Path) -> None:
     for folder in ("geometry", "examples", "tests"):
         (tmp_path / folder).symlink_to(ROOT / folder)

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from workbench.diagnosis.campaign import Campaign as Campaign
     from workbench.diagnosis.campaign import read_campaign as read_campaign
     from workbench.diagnosis.outcome import Diagnosis as Diagnosis
+    from workbench.diagnosis.posterior import Posterior as Posterior
     from workbench.drive import parse_drive as parse_drive
     from workbench.files.errors import InputError as InputError
     from workbench.fitting.recordings import MaterialFit as MaterialFit
@@ -83,6 +84,7 @@ PUBLIC = {
     "InputError": "workbench.files.errors",
     "MaterialFit": "workbench.fitting.recordings",
     "Operation": "workbench.design.evaluation",
+    "Posterior": "workbench.diagnosis.posterior",
     "RangeModel": "workbench.ranges",
     "Reading": "workbench.readers",
     "Registry": "materials.registry",

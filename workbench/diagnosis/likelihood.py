@@ -323,7 +323,7 @@ class Likelihood:
         free = search.free
         data = self.data(hypothesis, x, level)
         parameters = [self.model.parameters[i] for i in free]
-        deviations = list(self._deviations(hypothesis, data, x, level))
+        deviations = list(self.deviations(hypothesis, data, x, level))
         deviations += [np.zeros((self.noise.size, 0)) if further is None else further]
         problem = Linearised.of(
             data.jacobian[:, free], data.vector, np.column_stack(deviations),
@@ -363,7 +363,7 @@ class Likelihood:
     def whitening(self, explanation: Explanation) -> Covariance:
         """What deviates beside the noise where an explanation ended."""
         hypothesis, x = explanation.hypothesis, explanation.x
-        return self._covariance(self._deviations(hypothesis, self.data(hypothesis, x), x), explanation.scales)
+        return self._covariance(self.deviations(hypothesis, self.data(hypothesis, x), x), explanation.scales)
 
     @staticmethod
     def _covariance(deviations: Sequence[Real], scales: Scales) -> Covariance:
@@ -392,13 +392,13 @@ class Likelihood:
                     # What is admissible may be a million times what the data see.
                     width = search.high[i] - search.low[i]
                     search.scale[i] = float(np.clip(10.0 * deviation, 1e-9 * width, width))
-            deviations = self._deviations(hypothesis, local.data, x)
+            deviations = self.deviations(hypothesis, local.data, x)
             under = search.under(self._covariance(deviations, scales._replace(accuracy=strictness * scales.accuracy)))
             return at(under.minimise(x, self.spreads(), limit=limit, tolerance=ENOUGH).x)
 
         x, local, worth, scales, average = _improved(at(x), again, lambda each: each[2], rounds)
         worth -= sum(mode.cost for mode in hypothesis.modes)
-        covariance = self._covariance(self._deviations(hypothesis, local.data, x), scales)
+        covariance = self._covariance(self.deviations(hypothesis, local.data, x), scales)
         return Explanation(hypothesis, x, tuple(map(int, search.free)), average.covariance, worth, scales,
                            average.occam, replace(local.data, predictions=()), local.data.error,
                            self._correlation(covariance.whitened(covariance.whitened(local.data.vector))))
@@ -409,7 +409,7 @@ class Likelihood:
         lengths = [correlation_length(real + 1j * imaginary) for real, imaginary in parts]
         return float(np.average(lengths, weights=[real.size for real, _ in parts]))
 
-    def _deviations(
+    def deviations(
         self, hypothesis: Hypothesis, data: Residual, x: Real, level: float = 0.0
     ) -> tuple[Real, Real, Real]:
         """What deviates beside the noise (m, k), at a size of one: within all parts, within one, and of the term."""

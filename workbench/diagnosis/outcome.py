@@ -15,9 +15,10 @@ from workbench.diagnosis.decision import VERDICTS
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.hypothesis import Effect
-from workbench.diagnosis.likelihood import Explanation
+from workbench.diagnosis.likelihood import Explanation, Scales
 from workbench.diagnosis.next_measurement import Option, in_words
 from workbench.diagnosis.odds import Criteria
+from workbench.diagnosis.posterior import Posterior, posterior_of
 from workbench.diagnosis.ranking import Score
 from workbench.diagnosis.state import DeviceState, StateFit, spectrum_of
 from workbench.fitting.joint import refused_steps
@@ -150,6 +151,18 @@ class Diagnosis(Shown):
         """The parameters of an explanation's effects."""
         effects = settled.explanation.hypothesis.effects
         return estimates(self.model, settled.explanation, [name for each in effects for name in each.names])
+
+    def posterior(self, name: str = "", *, scales: Scales | None = None) -> Posterior:
+        """The posterior of the hypothesis of that name ("nothing" for none), of what was chosen by default.
+
+        It is made when it is asked for, with reduced models for the neighbourhood of the optimum. A hypothesis of the
+        catalogue that the search did not settle is followed to its optimum first. `scales` as of a `Posterior`.
+
+        Raises:
+            ValueError: no hypothesis of that name, or nothing near its place is admissible.
+            NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
+        """
+        return posterior_of(self.model, self.found, name or self.conclusion.decision.chosen.name, scales=scales)
 
     @property
     def headline(self) -> str:

@@ -1,0 +1,68 @@
+"""Campaigns whose recordings are those of their own model, with noise and with something concealed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.diagnosis.campaign import Campaign, read_campaign
+from workbench.diagnosis.device import model
+from workbench.spectrum import Spectrum, write_csv
+
+Real = NDArray[np.float64]
+
+#: Lossy materials of no particular maker.
+MATERIALS = Path(__file__).parent / "data" / "trials" / "0000" / "materials"
+
+#: Relative standard deviation of a point.
+NOISE = 3e-3
+
+#: A disc between 0.88 and 1.12 MHz.
+DISC = """
+[chip]
+name = "small"
+band = ["0.88 MHz", "1.12 MHz"]
+
+[[layers]]
+role = "transducer"
+material = "pzt/trial"
+thickness = "2 mm"
+radius = "3 mm"
+electrodes = { live = "top" }
+"""
+
+
+def conceal(
+    folder: Path, files: Mapping[str, str], recorded: Real, values: Mapping[str, float], *, accuracy: float
+) -> tuple[Campaign, Real]:
+    """A campaign that was recorded with other values of some parameters of its own model, and all of these (p,).
+
+    Args:
+        files: the texts of the campaign, ``campaign.toml``, and of its chips, by the names of files; every state has
+            its recording in the file that has its own name.
+        recorded: frequencies (n,) Hz.
+        accuracy: of the mesh that the recordings are made on.
+    """
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    path = folder / "campaign.toml"
+    # Any resonance, so that the campaign can be read: what is recorded comes from its model.
+    omega = 2.0 * np.pi * recorded
+    resonance = 100.0 + 0.01j * omega * (1.0 - (2.0 * np.pi * np.mean(recorded) / omega) ** 2)
+    any_other = 1.0 / (1j * omega * 1e-10 + 1.0 / resonance)
+    for line in files["campaign.toml"].splitlines():
+        if line.startswith("recording = "):
+            write_csv(Spectrum(recorded, any_other, NOISE * np.abs(any_other)), folder / line.split('"')[1])
+    device = model(read_campaign(path, materials=[MATERIALS]), accuracy=accuracy)
+    x = np.array([p.start for p in device.parameters])
+    for name, value in values.items():
+        x[device.index(name)] = value
+    near, rng = device.fitted.near(x, {}, 1e-5), np.random.default_rng(5)
+    for index, recording in enumerate(near.recordings):
+        clean, noise = near.predict(x, index, ())[0], rng.standard_normal((2, recorded.size))
+        seen = clean * (1.0 + NOISE * (noise[0] + 1j * noise[1]))
+        write_csv(Spectrum(recorded, seen, NOISE * np.abs(seen)), folder / f"{recording.name}.csv")
+    return read_campaign(path, materials=[MATERIALS]), x
