@@ -14,7 +14,7 @@ import pytest
 
 from workbench.commands import diagnosis_report
 from workbench.diagnosis.appraisal import established, located
-from workbench.diagnosis.conclusion import Conclusion
+from workbench.diagnosis.conclusion import Conclusion, share
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.hypothesis import Effect
@@ -74,6 +74,7 @@ def campaign() -> Any:
 def model() -> Any:
     return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, whole=SimpleNamespace(solves=7),
                            index=[p.name for p in PARAMETERS].index,
+                           free=lambda effects: ([0, 1, 2], [2] if GLASS in effects else []),
                            fitted=SimpleNamespace(refusals=[], recordings=()))
 
 
@@ -153,8 +154,8 @@ def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at
 def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
     base, single, pair = settled(off=0.05), settled(LEADS, off=0.02), settled(LEADS, GLASS, off=0.01)
     found = established(model(), Found(base, (pair, single, base), ()), pair.explanation)
-    # Of |ln Z|^2 less what noise makes of it, 2 s^2 a point.
-    whole = 0.05**2 - 2 * 0.002**2
+    # Of chi-square less what noise makes of it, one a datum.
+    whole = 0.05**2 - 0.002**2
     assert [each.effect.name for each in found] == ["leads", GLASS.name]
     assert [each.share for each in found] == [pytest.approx((0.05**2 - 0.02**2) / whole, rel=1e-12),
                                               pytest.approx((0.02**2 - 0.01**2) / whole, rel=1e-12)]
@@ -164,6 +165,14 @@ def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
     limits = {"glass.shear_modulus": Admissible(26e9, 30e9, "Pa", "this glass")}
     outside = replace(GLASS, admissible=limits)
     assert not established(model(), Found(base, (base,), ()), explanation(outside))[0].admissible
+
+
+def test_what_known_parameters_had_to_leave_is_a_mismatch() -> None:
+    """Nothing is left of Z, with a modulus one uncertainty from what is known of it, until that is released."""
+    device = model()
+    device.known = 3
+    assert share(device, explanation(), explanation(GLASS)) == pytest.approx(1.0)
+    assert share(device, explanation(), explanation(LEADS)) == 0.0
 
 
 def test_regions_that_the_search_settled_come_first() -> None:

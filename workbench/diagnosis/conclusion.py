@@ -65,13 +65,24 @@ def mismatch(found: Explanation) -> float:
 
 
 def share(model: Model, base: Explanation, found: Explanation) -> float:
-    """The share of the mismatch that the known parameters leave, beyond noise, that an explanation takes away."""
-    noise = float(sum(2.0 * np.sum(state.noise**2) for state in model.campaign.fitted))
-    before = mismatch(base) - noise
-    return float(np.clip((mismatch(base) - mismatch(found)) / before, 0.0, 1.0)) if before > 0.0 else 0.0
+    """The share of the mismatch, beyond noise, that an explanation takes away from where nothing is wrong.
+
+    That is of chi-square, of the recordings and of what is known: a part that known parameters only take up where they
+    leave what is known of them is no less a mismatch.
+    """
+    before, after = (float(np.sum(each.residual.vector**2)) + _pull(model, each) for each in (base, found))
+    # Noise leaves as much as there are data, or what it is seen to leave.
+    beyond = before - min(after, base.residual.vector.size)
+    return float(np.clip((before - after) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0
 
 
 def _is_as_stated(model: Model, base: Explanation) -> bool:
     """Whether no known parameter had to leave what is stated, in units of what is known of it."""
-    moved = [(float(base.x[i]) - p.start) / p.prior for i, p in enumerate(model.parameters[:model.known]) if p.prior]
-    return float(np.sum(np.square(moved))) < 1.0
+    return _pull(model, base) < 1.0
+
+
+def _pull(model: Model, found: Explanation) -> float:
+    """How far the known parameters had to leave what is stated: a sum of squares in units of what is known of them."""
+    released = model.free(found.hypothesis.effects)[1]
+    return float(sum(((found.x[i] - p.start) / p.prior) ** 2 for i, p in enumerate(model.parameters[:model.known])
+                     if p.prior and i not in released))

@@ -1,14 +1,13 @@
 """The one search: from places that the prior allows, with the weight of the data raised in a few steps.
 
 Spectra have many optima, one for every way to lay the overtones of the model on those of the recording. Where points
-weigh little (:data:`LEVELS`), and admittances are smoothed at first, there are few. A hypothesis that frees a parameter
-which shifts overtones by more than they are apart (`belief.multimodal`) has more of them: along that one the cost is
-looked at over its whole range, and every optimum on the way begins a descent (:func:`basins`).
+weigh little (:data:`LEVELS`), and admittances are smoothed at first, there are few. The ends that differ are kept on
+the way, as long as they are not far behind the best.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
-from workbench.fitting.parameter import Parameter
+from workbench.diagnosis.odds import CLOSE
 from workbench.fitting.search import NO_END, Optimum, Search
 
 Real = NDArray[np.float64]
@@ -38,18 +37,14 @@ LEVELS = (0.05, 0.01)
 #: what is left of the overtones on a recording.
 SMOOTHED = 0.01
 
-#: The ratio of neighbouring places where the cost is looked at over all that a length may be, and how many places where
-#: a range begins at nothing.
-RATIO, SCANNED = 1.3, 9
-
 #: What begins does so no closer to the ends of its range than this share of it.
 INSIDE = 1e-4
 
-#: Steps of a look at one place of the scan, and of the descent from an optimum of it.
-LOOK, DESCENT = 3, 8
+#: Steps of a descent.
+DESCENT = 8
 
-#: Of the ends of one hypothesis so many are followed, of a cost within this of the best: odds of 3000.
-KEPT, WINDOW = 3, 8.0
+#: Of the ends of one hypothesis so many are followed, if they are not far behind (`odds.CLOSE`).
+KEPT = 3
 
 #: Chi-square relative to noise from which on other basins are looked at.
 EXCESS = 1.5
@@ -65,51 +60,6 @@ def smoothed(likelihood: Likelihood, search: Search, x: Real, held: tuple[int, .
     """
     end = likelihood.tempered(search, x, LEVELS[0], smoothing=SMOOTHED, fixed=held)
     return likelihood.tempered(search, end.x, LEVELS[0])
-
-
-def basins(likelihood: Likelihood, hypothesis: Hypothesis, x: Real, along: Mapping[int, Real]) -> list[Optimum]:
-    """The optima at little weight near x (p,) and on the way along some parameters from there, best first.
-
-    Args:
-        along: places (k,), rising, at which the parameter of each index is held.
-    """
-    search, level = likelihood.search(hypothesis), LEVELS[0]
-    end = likelihood.tempered(search, x, level)
-    found = [end]
-    for i, places in along.items():
-        costs, ends = np.full(places.size, np.inf), [end.x] * places.size
-        nearest = int(np.argmin(np.abs(places - end.x[i])))
-        # From where the end is to either side, each place from the optimum of its neighbour.
-        for order in (range(nearest, places.size), range(nearest - 1, -1, -1)):
-            y = end.x
-            for k in order:
-                y = y.copy()
-                y[i] = places[k]
-                try:
-                    held = likelihood.tempered(search, y, level, limit=LOOK, fixed=(i,))
-                except NO_END:
-                    break
-                costs[k], ends[k], y = held.cost, held.x, held.x
-        lowest = [k for k in range(places.size)
-                  if np.isfinite(costs[k]) and costs[k] <= min(costs[max(k - 1, 0):k + 2])]
-        for k in lowest:
-            try:
-                found.append(likelihood.tempered(search, ends[k], level, limit=DESCENT))
-            except NO_END:
-                continue
-    return distinct(likelihood, found, lambda each: each.cost)
-
-
-def within_range(parameter: Parameter) -> Real:
-    """Where along a parameter to look for optima within all that it may be, (k,)."""
-    low, high = parameter.low, parameter.high
-    if low > 0.0:
-        return _inside(parameter, np.geomspace(low, high, 2 + int(np.log(high / low) / np.log(RATIO))))
-    return _inside(parameter, np.linspace(low, high, SCANNED))
-
-
-def _inside(parameter: Parameter, values: Real) -> Real:
-    return np.unique(inside(values, parameter.low, parameter.high))
 
 
 def inside(values: Real, low: Real | float, high: Real | float) -> Real:
@@ -146,7 +96,7 @@ class Candidate:
         for end in sorted(ends, key=lambda each: -each.log_evidence):
             if not any(end.is_at(other) for other in kept):
                 kept.append(end)
-        kept = [end for end in kept if end.log_evidence > kept[0].log_evidence - WINDOW][:KEPT]
+        kept = [end for end in kept if end.log_evidence > kept[0].log_evidence - CLOSE][:KEPT]
         return cls(hypothesis, tuple(kept)) if kept else None
 
     @property

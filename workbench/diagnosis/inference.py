@@ -22,20 +22,19 @@ from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.descent import (
     LEVELS,
     Candidate,
-    basins,
     distinct,
     followed,
     smoothed,
-    within_range,
 )
 from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.findings import Begun, Found, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.neighbourhoods import ROUGH, Neighbourhoods
-from workbench.diagnosis.odds import INACCURATE, Criteria
+from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
 from workbench.diagnosis.ranking import Score, ranked
-from workbench.diagnosis.starts import STARTS, replaced, start, starts_of
+from workbench.diagnosis.starts import start, starts_of
+from workbench.diagnosis.sweep import corners, swept
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import Discretisation
 from workbench.fitting.search import NO_END
@@ -48,13 +47,12 @@ Progress = Callable[[str, float], None]
 #: What is done, the name of a method, and what it is given.
 Named = tuple[str, str, tuple[Any, ...]]
 
-#: Nothing else is looked for where nothing being wrong leaves noise by a model of this accuracy: what a larger one
-#: hides no tangent shows.
-INCONSPICUOUS = 1e-3
-
 #: Of the hypotheses that promise most at any place, so many are tried, if they promise this share of what the best
 #: does.
 TRIED, SHARE = 3, 0.3
+
+#: Of all hypotheses in any size, so many are tried.
+SWEPT = 4
 
 #: Descents begin in so many basins.
 BASINS = 4
@@ -63,8 +61,8 @@ BASINS = 4
 #: is multimodal, which is held at first: the further ones where none of the nearer fits.
 PAIRS, STEPS = 1, ((-1.25, 1.25), (-2.5, 2.5))
 
-#: Of the hypotheses at one stage so many go on to the next, of log evidences within this of the best: odds of 200000.
-GO_ON, CLOSE = (8, 4), 12.0
+#: Of the hypotheses at one stage so many go on to the next, if they are not far behind (`odds.CLOSE`).
+GO_ON = (8, 4)
 
 #: Rounds and steps of a fit that is far behind.
 HURRIED = {"rounds": 2, "limit": 8}
@@ -136,21 +134,19 @@ class Search:
             settled[plain] = self.settled(plain)
             if settled[plain].explanation.accuracy <= INCONSPICUOUS:
                 return self.concluded(plain, settled, [plain])
-        self.progress("single hypotheses", 0.3)
-        *places, last, outside = self.work([
-            *((f"scores {k}", "scored", (end.x, LEVELS[0])) for k, end in enumerate(ends)),
-            ("scores", "scored", (plain.x, LEVELS[1])), ("what is outside the catalogue", "outside", (plain,))])
-        chosen = self.chosen([each for each in (*places, last, *(base.scores for base in settled.values())) if each])
-        little, found = self.tried(plain, ends, places, chosen)
-        found += outside or []
-        self.progress("the best of them", 0.5)
-        self.settle(plain, found, settled)
-        if not _explained(settled) and not self.is_over:
-            self.progress("all that lengths may be", 0.7)
-            along, names = self.models.multimodal, {self.model.parameters[i].name for i in self.models.multimodal}
-            about = [effect for effect in self.model.effects if names & set(effect.names)]
-            found += self.tried(plain, ends, places, about, along, beside=little)[1]
+        self.progress("what is outside the catalogue", 0.2)
+        found: list[Candidate] = self.work([("what is outside the catalogue", "outside", (plain,))])[0] or []
+        searches = [self.by_score, self.by_size]
+        # No tangent counts where more is left than the points were allowed to deviate by.
+        if ends[0].cost > 0.5 * sum(2 * state.noise.size for state in self.model.campaign.fitted):
+            searches.reverse()
+        for number, search in enumerate(searches):
+            self.progress("single hypotheses", 0.3 + 0.3 * number)
+            found += search(plain, ends, settled)
+            self.progress("the best of them", 0.45 + 0.3 * number)
             self.settle(plain, found, settled)
+            if self.is_over or _explained(settled):
+                break
         best: dict[str, Candidate] = {}
         for each in sorted(found, key=lambda each: -each.log_evidence):
             best.setdefault(each.hypothesis.name, each)
@@ -226,28 +222,52 @@ class Search:
         found = followed(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1])
         return None if found is None else found.weighed
 
-    def tried(
-        self, plain: Candidate, ends: Sequence[Begun], places: Sequence[Sequence[Score] | None],
-        effects: Sequence[Effect], along: Sequence[int] = (), *, beside: Sequence[Candidate] = (),
-    ) -> tuple[list[Candidate], list[Candidate]]:
-        """Where hypotheses lead with the data weighing little, and with more those that are not far behind the others.
+    def by_score(
+        self, plain: Candidate, ends: Sequence[Begun], settled: Mapping[Candidate, Settled]
+    ) -> list[Candidate]:
+        """Where the hypotheses lead that promise most, from where nothing being wrong ends."""
+        *places, last = self.work([
+            *((f"scores {k}", "scored", (end.x, LEVELS[0])) for k, end in enumerate(ends)),
+            ("scores", "scored", (plain.x, LEVELS[1]))])
+        chosen = self.chosen([each for each in (*places, last, *(base.scores for base in settled.values())) if each])
+        return self.tried(plain, plain.x, [(effect, starts_of(self.model, effect, ends, places)) for effect in chosen])
 
-        From the `ends` where nothing is wrong by their scores there (`places`), and along their own parameters of the
-        indices `along`; others were looked at `beside`.
-        """
-        at = plain.x
+    def by_size(
+        self, plain: Candidate, _ends: Sequence[Begun], _settled: Mapping[Candidate, Settled]
+    ) -> list[Candidate]:
+        """Where the hypotheses lead that leave least in any size, from where the known numbers are believed to be."""
+        effects = self.model.effects
+        swept = self.work([(f"{effect.name} of any size", "swept", (effect.name,)) for effect in effects])
+        best = sorted(((each, effect) for each, effect in zip(swept, effects, strict=True) if each),
+                      key=lambda both: both[0][0].cost)[:SWEPT]
+        for each, effect in best:
+            self.say("   swept", effect.name, [(round(e.cost, 1), e.x[[*map(self.model.index, effect.names)]])
+                                               for e in each])
+        return self.tried(plain, self.models.belief.x, [(effect, [at.x for at in each]) for each, effect in best])
+
+    def swept(self, name: str) -> list[Begun]:
+        """The sizes of an effect that leave least where the known numbers are believed to be."""
+        effect, x = self.effect(name), self.models.belief.x
+        wider = self.models.wider(Hypothesis((effect,)), corners(self.model, effect, x))
+        return swept(self.models.bare().on(wider), effect, x)
+
+    def effect(self, name: str) -> Effect:
+        """The hypothesis of that name."""
+        return next(each for each in self.model.effects if each.name == name)
+
+    def tried(self, plain: Candidate, at: Real, starts: Sequence[tuple[Effect, Sequence[Real]]]) -> list[Candidate]:
+        """Where hypotheses lead from some starts (p,) with the data weighing little, and with more those that are not
+        far behind the others; the model's inaccuracy is that `at` a place (p,)."""
         little = [each for each in self.work([
-            (effect.name, "explain", (effect.name, at, ends[0].x, along,
-                                      starts_of(self.model, effect, ends, places, further=not plain.fits)))
-            for effect in effects]) if each is not None]
-        best = _best([*beside, *little], GO_ON[0], _promise)
+            (effect.name, "explain", (effect.name, at, own)) for effect, own in starts if len(own)])
+            if each is not None]
         further = [each for each in self.work([
-            (f"{each.hypothesis.name}, further", "onward", (each, at)) for each in best if each not in beside])
+            (f"{each.hypothesis.name}, further", "onward", (each, at)) for each in _best(little, GO_ON[0], _promise)])
             if each is not None]
         for candidate in further:
             self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence,
                      candidate.weighed.accuracy, candidate.weighed.left, candidate.weighed.doubt)
-        return little, further
+        return further
 
     def settle(self, plain: Candidate, found: Sequence[Candidate], settled: dict[Candidate, Settled]) -> None:
         """Add the best of what was found at its own place to what is settled, and nothing being wrong."""
@@ -317,29 +337,16 @@ class Search:
         self.say("chosen", list(found))
         return list(found.values())
 
-    def explain(
-        self, name: str, at: Real, x: Real, along: Sequence[int], starts: Sequence[Real]
-    ) -> Candidate | None:
-        """Where a hypothesis leads from some `starts` (p,), and from optima along those of its own parameters that are
-        multimodal; the model's inaccuracy is that `at` a place (p,), and x (p,) the end without the hypothesis."""
-        if not starts:
-            return None
-        model = self.model
-        effect = next(each for each in model.effects if each.name == name)
-        hypothesis = Hypothesis((effect,))
-        own = [model.index(each) for each in effect.names]
-        scans = {i: within_range(model.parameters[i]) for i in along if i in own}
+    def explain(self, name: str, at: Real, starts: Sequence[Real]) -> Candidate | None:
+        """Where a hypothesis leads from some `starts` (p,); the model's inaccuracy is that `at` a place (p,)."""
+        hypothesis = Hypothesis((self.effect(name),))
+        own = [self.model.index(each) for each in hypothesis.effects[0].names]
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.models.centre[own]).sum()))
-        on_the_way = [replaced(self.models.centre, [i], value) for i, values in scans.items() for value in values[::3]]
-        further = starts if len(starts) > STARTS else [largest]
-        wider = self.models.likelihood(at).on(self.models.wider(hypothesis, [*further, *on_the_way]))
-        if scans:
-            found = basins(wider, hypothesis, x, scans)
-            self.say("   scanned", [(round(e.cost, 1), float(e.x[own[0]])) for e in found[:6]])
-            starts = [*starts, *(each.x for each in found[:BASINS])]
-        candidate = followed(wider, hypothesis, starts, LEVELS[0])
+        likelihood = self.models.likelihood(at).on(self.models.wider(hypothesis, [largest]))
+        candidate = followed(likelihood, hypothesis, starts, LEVELS[0])
         if candidate is not None:
-            self.say("   little", hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
+            self.say("   little", name, candidate.log_evidence, candidate.weighed.doubt,
+                     [float(candidate.x[i]) for i in own])
         return candidate
 
     def onward(self, candidate: Candidate, at: Real) -> Candidate | None:
@@ -414,7 +421,8 @@ class Search:
         self, likelihood: Likelihood, hypothesis: Hypothesis, end: Weighed, hurry: Mapping[str, int]
     ) -> tuple[Likelihood, Explanation]:
         """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
-        if self.doubts(end.doubt, end.accuracy):
+        # What is inaccurate may be so for its models.
+        if self.doubts(likelihood.data(hypothesis, end.x).error, end.accuracy if hurry else 0.0):
             likelihood = likelihood.on(self.models.near(self.model.fitted, hypothesis, end.x, end.errors))
         likelihood = likelihood.with_patterns(end.x)
         try:
@@ -433,7 +441,7 @@ class Search:
                     i = self.model.index(name)
                     errors[i] = max(abs(begin[i] - best.x[i]), error if np.isfinite(error) else 0.0)
                 both = Hypothesis((*best.hypothesis.effects, score.effect))
-                place = best.weighed._replace(x=begin, errors=errors, doubt=math.inf)
+                place = best.weighed._replace(x=begin, errors=errors)
                 tasks.append((both.name, "settled", (Candidate(both, (place,)),)))
         if not best.hypothesis.effects:
             tasks += [(each.name, "settled", (Candidate(each, (best.weighed,)),))
@@ -456,6 +464,6 @@ def _explained(settled: Mapping[Candidate, Settled]) -> bool:
 
 
 def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:
-    """At most so many, best first, of a worth within :data:`CLOSE` of the best."""
+    """At most so many, best first, of a worth within `odds.CLOSE` of the best."""
     ordered = sorted(found, key=lambda each: -worth(each))
     return [each for each in ordered if worth(each) > worth(ordered[0]) - CLOSE][:most]

@@ -11,8 +11,14 @@ import numpy as np
 ACCURACIES = np.logspace(-4.0, -1.5, 11)
 REGION_SIZES = np.logspace(-3.0, 0.0, 7)
 
-#: An accuracy beyond which what is left is no inaccuracy of the model: no part is that different from place to place.
-INACCURATE = 0.005
+#: Nothing else is looked for where nothing being wrong leaves noise by a model of the first accuracy: what a larger one
+#: hides no tangent shows. Beyond the second the search goes on for a better explanation: hardly a part is that
+#: different from place to place. What a verdict asks for is :attr:`Criteria.inaccurate`.
+INCONSPICUOUS, INACCURATE = 0.001, 0.005
+
+#: Log evidences that are further behind the best are given up on the way: odds of 160000, where a final optimum has
+#: been seen to change hardly one by a tenth of that.
+CLOSE = 12.0
 
 #: A term describes its effect to this share of it.
 TERM = 0.02

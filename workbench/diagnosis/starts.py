@@ -1,4 +1,4 @@
-"""Where the descents of a hypothesis begin: where its score says, and further where no score can say."""
+"""Where the descents of a hypothesis begin: where its score says."""
 
 from __future__ import annotations
 
@@ -18,30 +18,17 @@ Real = NDArray[np.float64]
 #: A hypothesis begins at so many of the ends without it.
 STARTS = 2
 
-#: Where nothing fits it also begins with so many times what its score asks for.
-FURTHER = (2.0, 4.0, 8.0)
-
 
 def starts_of(
-    model: Model, effect: Effect, ends: Sequence[Begun], scores: Sequence[Sequence[Score] | None], *, further: bool
+    model: Model, effect: Effect, ends: Sequence[Begun], scores: Sequence[Sequence[Score] | None]
 ) -> list[Real]:
-    """Where (p,) a hypothesis begins: at those ends where its score promises most, all told.
-
-    `further` also with more than is asked for there: no tangent says how large an effect is that changes much.
-    """
+    """Where (p,) a hypothesis begins: at those ends where its score promises most, all told."""
     found = []
     for end, scored in zip(ends, scores, strict=True):
         own = next((each for each in scored or () if each.effect.name == effect.name), None)
         if own is not None:
             found.append((own.evidence - end.cost, start(model, effect, end.x, own)))
-    chosen = [x for _, x in sorted(found, key=lambda both: -both[0])[:STARTS]]
-    if not chosen or not further:
-        return chosen
-    indices = [model.index(name) for name in effect.names]
-    low, high = model.bounds(indices)
-    stated = np.array([model.parameters[i].start for i in indices])
-    moved = chosen[0][indices] - stated
-    return [*chosen, *(replaced(chosen[0], indices, inside(stated + ratio * moved, low, high)) for ratio in FURTHER)]
+    return [x for _, x in sorted(found, key=lambda both: -both[0])[:STARTS]]
 
 
 def start(model: Model, effect: Effect, x: Real, score: Score) -> Real:

@@ -1,0 +1,100 @@
+"""Effects of any size: a strong one leaves least in its own size, though nothing near explains the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from own_recordings import DISC, conceal
+
+from workbench.diagnosis.descent import LEVELS
+from workbench.diagnosis.device import Model, model
+from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.inference import Search
+from workbench.diagnosis.likelihood import Hypothesis
+from workbench.diagnosis.sweep import HELD, SIZES, corners, swept, ways
+
+Real = NDArray[np.float64]
+
+FREQUENCIES = np.linspace(0.9e6, 1.1e6, 81)
+
+CAMPAIGN = """
+[campaign]
+known = "named"
+
+[states.disc]
+chip = "disc.toml"
+recording = "disc.csv"
+drive = "2 Vpp"
+
+[known]
+"pzt/trial.c33" = "0.5 %"
+"pzt/trial.eps33" = "1 %"
+"""
+
+WIDTH = "bare rim.width"
+
+
+def searched(folder: Path, values: Mapping[str, float]) -> Search:
+    """A search on a disc that was recorded with other values."""
+    campaign, _ = conceal(folder, {"disc.toml": DISC, "campaign.toml": CAMPAIGN}, FREQUENCIES, values, accuracy=5e-4)
+    return Search(model(campaign))
+
+
+def effect(device: Model, name: str) -> Effect:
+    return next(each for each in device.effects if each.name == name)
+
+
+def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path) -> None:
+    """A fifth of the radius without an electrode."""
+    search = searched(tmp_path, {WIDTH: 0.2})
+    found = {each.name: search.swept(each.name) for each in search.model.effects}
+    ordered = sorted((name for name, places in found.items() if places), key=lambda name: found[name][0].cost)
+    best = found["electrode that ends before the rim"]
+    print([(name, round(found[name][0].cost, 1)) for name in ordered[:3]])
+    assert ordered[0] == "electrode that ends before the rim"
+    at = best[0].x[search.model.index(WIDTH)]
+    # Sizes are tenths of its range apart, and those beside the best were halved twice.
+    assert abs(at - 0.2) < 0.02
+    assert [each.cost for each in best] == sorted(each.cost for each in best)
+    # No tangent at nothing asks for that much.
+    (score,) = (each for each in search.scored(search.models.belief.x, LEVELS[0]) if each.effect.name == ordered[0])
+    print("score", score.amplitude)
+    assert abs(score.amplitude[0] - 0.2) > 0.1
+
+
+def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) -> None:
+    """The cost of a size is the least that the linear data leave, with what is known of the numbers."""
+    search = searched(tmp_path, {WIDTH: 0.1})
+    own = effect(search.model, "electrode that ends before the rim")
+    likelihood = search.models.bare().on(search.models.wider(Hypothesis((own,)), corners(search.model, own,
+                                                                                         search.models.belief.x)))
+    best = swept(likelihood, own, search.models.belief.x)[0]
+    problem = likelihood.search(Hypothesis((own,)))
+    here = problem.evaluate(best.x, likelihood.spreads(LEVELS[0]))
+    free = [i for i in problem.free if search.model.parameters[i].name != WIDTH]
+    step = np.linalg.lstsq(here.jacobian[:, free], -here.vector, rcond=None)[0]
+    least = 0.5 * float(np.sum((here.vector + here.jacobian[:, free] @ step) ** 2))
+    # There on every point, in the search on some 61 of 81.
+    assert best.cost == pytest.approx(least, rel=0.05)
+    assert best.cost < 0.5 * float(here.vector @ here.vector)
+
+
+def test_the_ways_go_to_all_that_each_number_may_be_and_to_all_at_once(tmp_path: Path) -> None:
+    device = searched(tmp_path, {}).model
+    own = effect(device, "complex piezoelectric constant")
+    indices = [device.index(name) for name in own.names]
+    low, high = device.bounds(indices)
+    start = np.array([device.parameters[i].start for i in indices])
+    found = list(ways(device, own))
+    assert np.allclose(found, [(bound - start) * which for bound in (low, high) for which in ([1, 0], [0, 1], [1, 1])])
+    assert np.abs(found).max(axis=1).min() > 0.0
+    x = np.array([p.start for p in device.parameters])
+    expected = [size * way for way in found for size in HELD]
+    # Inside of what is admissible by some millionths of the range.
+    np.testing.assert_allclose([place[indices] - start for place in corners(device, own, x)], expected, rtol=1e-3)
+    assert min(SIZES) > 0.0
+    assert max(SIZES) < 1.0
