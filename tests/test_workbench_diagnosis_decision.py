@@ -161,6 +161,13 @@ def test_the_accuracy_a_model_may_have_changes_a_verdict() -> None:
     assert decide((left,), COUNT, stated_explains=False, criteria=Criteria(inaccurate=0.05)).verdict == EXPLAINED
 
 
+def test_an_effect_that_leaves_more_than_models_are_inaccurate_by_explains_nothing() -> None:
+    left = replace(effect("leads", 40.0), accuracy=0.03)
+    found = decide((NOTHING, left), COUNT, stated_explains=False)
+    assert (found.verdict, found.chosen, found.rivals) == (UNEXPLAINED, NOTHING, ())
+    assert decide((NOTHING, left), COUNT, stated_explains=False, criteria=Criteria(inaccurate=0.05)).verdict == MISSING
+
+
 @pytest.mark.parametrize("wrong", [
     {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"spare": 0.0}, {"inaccurate": 0.0},
     {"at_odds": 0.0}])

@@ -104,6 +104,9 @@ def decide(
     rivals = tuple(each for each in close if each is not best and not _says_the_same(each, best, criteria.spare))
     if best.outside:
         return Decision(UNEXPLAINED, best, rivals, log_odds)
+    if best.accuracy > criteria.inaccurate:
+        # It leaves what is no inaccuracy, and evidences that rest on one that large mean little.
+        return Decision(UNEXPLAINED, nothing[0], (), log_odds)
     return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
 
 

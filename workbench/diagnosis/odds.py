@@ -39,8 +39,8 @@ class Criteria:
         spare: standard deviations from nothing within which a further parameter is spare: an explanation that has the
             best one's parameters, and beside these only spare ones, says the same.
         inaccurate: accuracy of the model, relative changes of stiffness, mass and loss, beyond which what is left is no
-            inaccuracy: nothing being wrong does not explain it then. No part is a per cent different from place to
-            place. Doubled, mismatches twice as large pass for inaccuracy.
+            inaccuracy: neither nothing being wrong nor an effect explains it then. No part is a per cent different from
+            place to place. Doubled, mismatches twice as large pass for inaccuracy.
         at_odds: standard uncertainties from what is known of it beyond which a parameter is at odds with that: of a
             hundred parameters, one in twenty campaigns. Doubled, mistakes that campaigns state are not mentioned.
     """
