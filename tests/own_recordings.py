@@ -33,6 +33,34 @@ thickness = "2 mm"
 radius = "3 mm"
 electrodes = { live = "top" }
 """
+#: Its one recording; what is known of it follows.
+DISC_RECORDED = """
+[campaign]
+known = "named"
+
+[states.disc]
+chip = "disc.toml"
+recording = "disc.csv"
+drive = "2 Vpp"
+"""
+
+
+def any_recordings(folder: Path, files: Mapping[str, str], recorded: Real) -> Campaign:
+    """A campaign whose recordings, at the frequencies `recorded` (n,) Hz, are any resonance: it can be read.
+
+    Args:
+        files: the texts of the campaign, ``campaign.toml``, and of its chips, by the names of files; every state has
+            its recording in the file that has its own name.
+    """
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    omega = 2.0 * np.pi * recorded
+    resonance = 100.0 + 0.01j * omega * (1.0 - (2.0 * np.pi * np.mean(recorded) / omega) ** 2)
+    any_other = 1.0 / (1j * omega * 1e-10 + 1.0 / resonance)
+    for line in files["campaign.toml"].splitlines():
+        if line.startswith("recording = "):
+            write_csv(Spectrum(recorded, any_other, NOISE * np.abs(any_other)), folder / line.split('"')[1])
+    return read_campaign(folder / "campaign.toml", materials=[MATERIALS])
 
 
 def conceal(
@@ -40,23 +68,9 @@ def conceal(
 ) -> tuple[Campaign, Real]:
     """A campaign that was recorded with other values of some parameters of its own model, and all of these (p,).
 
-    Args:
-        files: the texts of the campaign, ``campaign.toml``, and of its chips, by the names of files; every state has
-            its recording in the file that has its own name.
-        recorded: frequencies (n,) Hz.
-        accuracy: of the mesh that the recordings are made on.
+    `files` and `recorded` as of :func:`any_recordings`; `accuracy` of the mesh that the recordings are made on.
     """
-    for name, text in files.items():
-        (folder / name).write_text(text)
-    path = folder / "campaign.toml"
-    # Any resonance, so that the campaign can be read: what is recorded comes from its model.
-    omega = 2.0 * np.pi * recorded
-    resonance = 100.0 + 0.01j * omega * (1.0 - (2.0 * np.pi * np.mean(recorded) / omega) ** 2)
-    any_other = 1.0 / (1j * omega * 1e-10 + 1.0 / resonance)
-    for line in files["campaign.toml"].splitlines():
-        if line.startswith("recording = "):
-            write_csv(Spectrum(recorded, any_other, NOISE * np.abs(any_other)), folder / line.split('"')[1])
-    device = model(read_campaign(path, materials=[MATERIALS]), accuracy=accuracy)
+    device = model(any_recordings(folder, files, recorded), accuracy=accuracy)
     x = np.array([p.start for p in device.parameters])
     for name, value in values.items():
         x[device.index(name)] = value
@@ -65,4 +79,4 @@ def conceal(
         clean, noise = near.predict(x, index, ())[0], rng.standard_normal((2, recorded.size))
         seen = clean * (1.0 + NOISE * (noise[0] + 1j * noise[1]))
         write_csv(Spectrum(recorded, seen, NOISE * np.abs(seen)), folder / f"{recording.name}.csv")
-    return read_campaign(path, materials=[MATERIALS]), x
+    return read_campaign(folder / "campaign.toml", materials=[MATERIALS]), x

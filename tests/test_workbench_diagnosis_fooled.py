@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from own_recordings import MATERIALS, NOISE
 
 from geometry.chip import read_chip
 from materials.registry import user_registry
@@ -34,11 +35,7 @@ pytestmark = pytest.mark.slow
 FREQUENCIES = np.linspace(0.9e6, 1.1e6, 121)
 #: Meshes are made for what they are filled with: what they leave must be small beside the noise, whatever fills them.
 ACCURACY = 1e-4
-NOISE = 3e-3
 PZT, PLA = "pzt/trial", "pla/trial"
-
-#: Lossy materials of no particular maker.
-MATERIALS = Path(__file__).parent / "data" / "trials" / "0000" / "materials"
 
 HEAD = '[chip]\nname = "small"\nband = ["0.88 MHz", "1.12 MHz"]\n'
 LAYER = '[[layers]]\nrole = "{}"\nmaterial = "{}"\nthickness = "{}"\nradius = "4 mm"\n'

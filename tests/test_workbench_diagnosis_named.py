@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_recordings import DISC, conceal
+from own_recordings import DISC, any_recordings, conceal
 
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.catalogue import effects
+from workbench.diagnosis.hypothesis import Device
 
 pytestmark = pytest.mark.slow
 
@@ -109,6 +111,15 @@ def test_a_cavity_that_is_higher_than_stated_is_named(tmp_path: Path) -> None:
     # The known parameters explain the recordings too, five of its uncertainties away from what is known of the height.
     assert named.share > 0.9
     assert max(state.reduced for state in found.best) < 1.3
+
+
+def test_a_joint_narrower_than_any_ring_may_come_off_but_for_a_tenth(tmp_path: Path) -> None:
+    narrow = CHIP.replace('cavity_radius = "1.6 mm"', 'cavity_radius = "2.95 mm"')
+    files = {"disc.toml": DISC, "chip.toml": narrow, "campaign.toml": CAMPAIGN}
+    campaign = any_recordings(tmp_path, files, FREQUENCIES)
+    found = effects(Device(campaign.states, campaign.known, campaign.fixed, campaign.registry))
+    most = [limit.highest for each in found for name, limit in each.admissible.items() if name.startswith("bond open")]
+    assert most == pytest.approx(2 * [0.9 * 0.05 / 3.0])
 
 
 def test_a_diagnosis_whose_time_is_over_says_what_it_knows_and_what_it_did_not_look_at(tmp_path: Path) -> None:

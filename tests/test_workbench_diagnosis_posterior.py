@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from own_recordings import DISC, NOISE, conceal
+from own_recordings import DISC, DISC_RECORDED, NOISE, conceal
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
@@ -32,15 +32,7 @@ FREQUENCIES = np.linspace(0.9e6, 1.1e6, 61)
 #: Of the material (Pa).
 C33 = 1.213e11
 
-CAMPAIGN = """
-[campaign]
-known = "named"
-
-[states.disc]
-chip = "disc.toml"
-recording = "disc.csv"
-drive = "2 Vpp"
-
+CAMPAIGN = DISC_RECORDED + """
 [known]
 "pzt/trial.c33" = "0.05 %"
 "pzt/trial.eps33" = "0.05 %"

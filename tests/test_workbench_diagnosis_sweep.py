@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from own_recordings import DISC, conceal
+from own_recordings import DISC, DISC_RECORDED, conceal
 
 from workbench.diagnosis.descent import LEVELS
-from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.device import model
 from workbench.diagnosis.inference import Search
 from workbench.diagnosis.likelihood import Hypothesis
 from workbench.diagnosis.sweep import HELD, SIZES, corners, swept, ways
@@ -21,15 +20,7 @@ Real = NDArray[np.float64]
 
 FREQUENCIES = np.linspace(0.9e6, 1.1e6, 81)
 
-CAMPAIGN = """
-[campaign]
-known = "named"
-
-[states.disc]
-chip = "disc.toml"
-recording = "disc.csv"
-drive = "2 Vpp"
-
+CAMPAIGN = DISC_RECORDED + """
 [known]
 "pzt/trial.c33" = "0.5 %"
 "pzt/trial.eps33" = "1 %"
@@ -42,10 +33,6 @@ def searched(folder: Path, values: Mapping[str, float]) -> Search:
     """A search on a disc that was recorded with other values."""
     campaign, _ = conceal(folder, {"disc.toml": DISC, "campaign.toml": CAMPAIGN}, FREQUENCIES, values, accuracy=5e-4)
     return Search(model(campaign))
-
-
-def effect(device: Model, name: str) -> Effect:
-    return next(each for each in device.effects if each.name == name)
 
 
 def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path) -> None:
@@ -69,10 +56,11 @@ def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path)
 def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) -> None:
     """The cost of a size is the least that the linear data leave, with what is known of the numbers."""
     search = searched(tmp_path, {WIDTH: 0.1})
-    own = effect(search.model, "electrode that ends before the rim")
-    likelihood = search.models.bare().on(search.models.wider(Hypothesis((own,)), corners(search.model, own,
-                                                                                         search.models.belief.x)))
-    best = swept(likelihood, own, search.models.belief.x)[0]
+    own = search.effect("electrode that ends before the rim")
+    at = search.models.belief.x
+    wider = search.models.wider(Hypothesis((own,)), corners(search.model, own, at))
+    likelihood = search.models.bare().on(wider)
+    best = swept(likelihood, own, at)[0]
     problem = likelihood.search(Hypothesis((own,)))
     here = problem.evaluate(best.x, likelihood.spreads(LEVELS[0]))
     free = [i for i in problem.free if search.model.parameters[i].name != WIDTH]
@@ -84,8 +72,8 @@ def test_known_numbers_make_up_for_what_they_can_to_first_order(tmp_path: Path) 
 
 
 def test_the_ways_go_to_all_that_each_number_may_be_and_to_all_at_once(tmp_path: Path) -> None:
-    device = searched(tmp_path, {}).model
-    own = effect(device, "complex piezoelectric constant")
+    search = searched(tmp_path, {})
+    device, own = search.model, search.effect("complex piezoelectric constant")
     indices = [device.index(name) for name in own.names]
     low, high = device.bounds(indices)
     start = np.array([device.parameters[i].start for i in indices])

@@ -264,13 +264,18 @@ def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
     hole = 0.0 if held.cavity_radius is None else held.cavity_radius.value / own
     rim = min(held.radius.value / own, 1.0)
     skin = 0.0 if joint == below else -open_bond.SKIN
-    reach = max(width for width in (*WIDTHS, LIMIT) if width <= HELD * (rim - hole))
-    outside = Rim(f"{joint} open at its rim", rim, reach)
+
+    def reach(widths: Sequence[float]) -> float:
+        """The largest of some widths that leaves something of the joint; of none, all that does."""
+        most = HELD * (rim - hole)
+        return max((width for width in widths if width <= most), default=most)
+
+    outside = Rim(f"{joint} open at its rim", rim, reach((*WIDTHS, LIMIT)))
     yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
                      lambda _: [open_bond.OpenBond(joint, material, outside, skin)])
     if hole:
-        widths = [width for width in outside.widths_from(hole) if width <= HELD * (rim - hole)]
-        inside = Rim(f"{joint} open around the cavity", hole, widths[-1], True, tuple(widths))
+        widths = outside.widths_from(hole)
+        inside = Rim(f"{joint} open around the cavity", hole, reach(widths), True, widths)
         yield with_terms(f"{region} loose around the cavity", joint, "geometry", "it is loose where the cavity begins",
                          states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
 
