@@ -20,7 +20,6 @@ COUPLANT = "couplant"
 #: Regions with these roles hold a fluid, or nothing.
 FLUID_ROLES = (CAVITY, COUPLANT)
 
-
 #: A radius where a layer may end is taken for another line that is closer than this share of the section's radius.
 CLOSEST = 0.005
 

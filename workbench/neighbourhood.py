@@ -79,9 +79,11 @@ class Neighbourhood:
         taken, changes = list[Values](), list[Complex]()
         for corner in corners:
             change = self._change(self.nodes[0], corner)
-            if not any(_is_along(change, other) for other in changes):
+            if change.any() and not any(_is_along(change, other) for other in changes):
                 taken.append(corner)
                 changes.append(change)
+        if not taken:
+            return self
         with one_thread():
             found = [self._terms(node, taken) for node in self.nodes]
             return self._holding([np.column_stack(of_corner) for of_corner in zip(*found, strict=True)], tolerance)
@@ -148,7 +150,7 @@ class Neighbourhood:
         changes = [self._change(node, corner)[:, None] for corner in corners]
         terms = np.repeat((node.state / np.sqrt(abs(node.charge)))[:, None], len(corners), axis=1)
         found = np.zeros((len(corners), node.state.size, TERMS), dtype=complex)
-        for k in range(TERMS if corners else 0):
+        for k in range(TERMS):
             forces = np.column_stack([operators.images(term, change)[:-1, 0]
                                       for term, change in zip(terms.T, changes, strict=True)])
             terms[-1] = 0.0
@@ -211,7 +213,7 @@ def neighbourhood(
 def _is_along(one: Complex, other: Complex) -> bool:
     """Whether two vectors (n,), neither of them nothing, are the same but for a factor."""
     there = other != 0.0
-    if not there.any() or not np.array_equal(one != 0.0, there):
+    if not np.array_equal(one != 0.0, there):
         return False
     ratios = one[there] / other[there]
     return bool(np.abs(ratios - ratios[0]).max() <= SAME_WAY * abs(ratios[0]))

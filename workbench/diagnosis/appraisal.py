@@ -81,10 +81,11 @@ def diagnose_model(
 def as_stated(search: Search) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
     model, x = search.model, search.models.centre
-    impedances = search.models.bare().impedances(x)
-    if search.doubts(search.models.bare().data(Hypothesis(), x).error, LEVELS[1]):
+    fitted = search.models.bare()
+    if search.doubts(fitted.data(Hypothesis(), x).error, LEVELS[1]):
         # The smallest body says that the known numbers are elsewhere.
-        impedances = Likelihood.bare(model, model.fitted.near(x, {}, ROUGH, only=())).impedances(x)
+        fitted = Likelihood.bare(model, model.fitted.near(x, {}, ROUGH, only=()))
+    impedances = fitted.impedances(x)
     if model.held_out is not None:
         held = model.held_out.near(x, {}, ROUGH, only=())
         impedances += Likelihood.bare(model, held).impedances(x)

@@ -136,13 +136,13 @@ class Search:
                 return self.concluded(plain, settled, [plain])
         self.progress("what is outside the catalogue", 0.2)
         found: list[Candidate] = self.work([("what is outside the catalogue", "outside", (plain,))])[0] or []
-        searches = [self.by_score, self.by_size]
+        searches = [lambda: self.by_score(plain, ends, settled), lambda: self.by_size(plain)]
         # No tangent counts where more is left than the points were allowed to deviate by.
         if ends[0].cost > 0.5 * sum(2 * state.noise.size for state in self.model.campaign.fitted):
             searches.reverse()
         for number, search in enumerate(searches):
             self.progress("single hypotheses", 0.3 + 0.3 * number)
-            found += search(plain, ends, settled)
+            found += search()
             self.progress("the best of them", 0.45 + 0.3 * number)
             self.settle(plain, found, settled)
             if self.is_over or _explained(settled):
@@ -232,9 +232,7 @@ class Search:
         chosen = self.chosen([each for each in (*places, last, *(base.scores for base in settled.values())) if each])
         return self.tried(plain, plain.x, [(effect, starts_of(self.model, effect, ends, places)) for effect in chosen])
 
-    def by_size(
-        self, plain: Candidate, _ends: Sequence[Begun], _settled: Mapping[Candidate, Settled]
-    ) -> list[Candidate]:
+    def by_size(self, plain: Candidate) -> list[Candidate]:
         """Where the hypotheses lead that leave least in any size, from where the known numbers are believed to be."""
         effects = self.model.effects
         swept = self.work([(f"{effect.name} of any size", "swept", (effect.name,)) for effect in effects])

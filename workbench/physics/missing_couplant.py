@@ -67,7 +67,7 @@ def _squeezed(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]
 
 
 def _mixed(f: complex, whole: complex, gas: complex) -> tuple[complex, complex, complex, complex]:
-    """1 / ((1 - f) whole + f gas) - 1 / whole, and its derivatives by all three."""
+    """1 / (h whole + (1 - h) gas) - 1 / whole, and its derivatives by all three."""
     lacks, slope = hindered(f, HALFWAY)
     mixed = (1.0 - lacks) * whole + lacks * gas
     return (1.0 / mixed - 1.0 / whole, slope * (whole - gas) / mixed**2,
