@@ -161,8 +161,15 @@ def test_the_accuracy_a_model_may_have_changes_a_verdict() -> None:
     assert decide((left,), COUNT, stated_explains=False, criteria=Criteria(inaccurate=0.05)).verdict == EXPLAINED
 
 
-def test_an_effect_that_leaves_more_than_models_are_inaccurate_by_explains_nothing() -> None:
-    left = replace(effect("leads", 40.0), accuracy=0.03)
+def test_an_effect_that_takes_all_but_a_trace_is_said_whatever_the_trace_is() -> None:
+    left = replace(effect("leads", 40.0), accuracy=0.03, share=0.95)
+    found = decide((NOTHING, left), COUNT, stated_explains=False)
+    assert (found.verdict, found.chosen) == (MISSING, left)
+    assert decide((NOTHING, left), COUNT, stated_explains=False, criteria=Criteria(most=0.96)).verdict == UNEXPLAINED
+
+
+def test_an_effect_that_leaves_more_than_models_are_inaccurate_by_and_no_trace_explains_nothing() -> None:
+    left = replace(effect("leads", 40.0), accuracy=0.03, share=0.85)
     found = decide((NOTHING, left), COUNT, stated_explains=False)
     assert (found.verdict, found.chosen, found.rivals) == (UNEXPLAINED, NOTHING, ())
     assert decide((NOTHING, left), COUNT, stated_explains=False, criteria=Criteria(inaccurate=0.05)).verdict == MISSING
@@ -170,7 +177,7 @@ def test_an_effect_that_leaves_more_than_models_are_inaccurate_by_explains_nothi
 
 @pytest.mark.parametrize("wrong", [
     {"accepted": 0.5}, {"hinted": 0.0}, {"rival": 1.0}, {"nothing_wrong": 1.0}, {"spare": 0.0}, {"inaccurate": 0.0},
-    {"at_odds": 0.0}])
+    {"at_odds": 0.0}, {"most": 0.0}, {"most": 1.1}])
 def test_criteria_that_decide_nothing_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"odds above zero|between 0 and 1|uncertainties above zero"):
         Criteria(**wrong)

@@ -59,15 +59,25 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """A reduced ``model`` for the parameters about ``values``, with the full solves that it was made from."""
+    """A reduced ``model`` for the parameters about ``values``, with the full solves that it was made from.
+
+    ``sizes`` (rank - 1,) say how much of each direction of the basis states have, in the root of energy over charge.
+    """
 
     model: ReducedModel
     values: Values
     nodes: tuple[Node, ...]
+    sizes: Real
 
     def closed(self) -> Neighbourhood:
         """The same without the factors of its full solves: it cannot be :meth:`widened`."""
         return replace(self, nodes=tuple(replace(node, factor=None) for node in self.nodes))
+
+    def coarser(self, tolerance: float) -> Neighbourhood:
+        """The same on no more directions than an error of Z of `tolerance` needs."""
+        kept = np.append(np.flatnonzero(self.sizes > smallest(tolerance)), self.sizes.size)
+        part = np.eye(self.sizes.size + 1)[:, kept]
+        return replace(self, model=self.model.within(part), sizes=self.sizes[kept[:-1]])
 
     def widened(self, corners: Sequence[Values], tolerance: float) -> Neighbourhood:
         """The same, holding also the states on the way to other values, `corners`, to an error of Z of `tolerance`.
@@ -109,16 +119,16 @@ class Neighbourhood:
 
     def _holding(self, states: Sequence[Complex], tolerance: float) -> Neighbourhood:
         """The same with what some states (size, n), without the lift and over roots of charges, have beside it."""
-        model = self.model
+        model, sizes = self.model, self.sizes
         basis, lift = model.basis[:, :-1], model.basis[:, -1:]
         for each in states:
-            basis = _grown(basis, each, model.energy, smallest(tolerance))
+            basis, sizes = _grown(basis, sizes, each, model.energy, smallest(tolerance))
         if basis.shape[1] == model.basis.shape[1] - 1:
             return self
         whole = np.column_stack([basis, lift])
         matrices, sketch = projected_on(model.full, whole, model.test, model)
         wider = replace(model, operators=replace(model.operators, matrices=matrices), basis=whole, sketch=sketch)
-        return replace(self, model=wider)
+        return replace(self, model=wider, sizes=sizes)
 
     def of(self, operators: FullOperators) -> Neighbourhood:
         """The same of other integrals of the same unknowns, those that are new being nothing here."""
@@ -147,11 +157,11 @@ class Neighbourhood:
         """The first terms (size, TERMS) of the series of the state at every corner, over the root of the charge."""
         operators, factor = self.model.full, node.factor
         assert factor is not None  # not one that was closed
-        changes = [self._change(node, corner)[:, None] for corner in corners]
+        changes = [operators.summed(self._change(node, corner)) for corner in corners]
         terms = np.repeat((node.state / np.sqrt(abs(node.charge)))[:, None], len(corners), axis=1)
         found = np.zeros((len(corners), node.state.size, TERMS), dtype=complex)
         for k in range(TERMS):
-            forces = np.column_stack([operators.images(term, change)[:-1, 0]
+            forces = np.column_stack([change.times(term)[:-1]
                                       for term, change in zip(terms.T, changes, strict=True)])
             terms[-1] = 0.0
             terms[:-1] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * forces)
@@ -201,13 +211,13 @@ def neighbourhood(
             worst = int(np.argmax(error))
             is_enough = error[worst] <= ESTIMATED * tolerance or len(solved) >= MOST
             at = [] if is_enough else [looked_at[worst]]
-        basis = _grown(np.zeros((lift.size, 0)), in_band, energy, least)
-        basis = _grown(basis, np.column_stack(changes), energy, least)
+        basis, found_sizes = _grown(np.zeros((lift.size, 0)), np.zeros(0), in_band, energy, least)
+        basis, found_sizes = _grown(basis, found_sizes, np.column_stack(changes), energy, least)
         whole = np.column_stack([basis, lift])
         matrices, sketch = projected_on(operators, whole, test)
     inner = ReducedOperators(operators.integrals, operators.coefficients, matrices, operators.forms)
     model = ReducedModel(operators, inner, whole, weights, test, sketch, energy, len(solved), residual)
-    return Neighbourhood(model, values, tuple(solved))
+    return Neighbourhood(model, values, tuple(solved), found_sizes)
 
 
 def _is_along(one: Complex, other: Complex) -> bool:
@@ -239,8 +249,13 @@ def _image(matrix: sparse.csr_matrix, columns: Real) -> Complex:
     return np.asarray(parts[0] + 1j * parts[1], dtype=complex)
 
 
-def _grown(basis: Real, vectors: Complex, energy: sparse.csr_matrix, least: float) -> Real:
-    """`basis` (size, r), of unit energy each, with the directions of `vectors` of more than `least` beside it."""
+def _grown(
+    basis: Real, sizes: Real, vectors: Complex, energy: sparse.csr_matrix, least: float
+) -> tuple[Real, Real]:
+    """`basis` (size, r), of unit energy each, with the directions of `vectors` of more than `least` beside it.
+
+    And the `sizes` (r,) of its directions, likewise.
+    """
     parts = np.column_stack([vectors.real, vectors.imag])[:-1]
     images = energy @ parts
     large = np.sum(parts * images, axis=0) > least**2
@@ -252,7 +267,8 @@ def _grown(basis: Real, vectors: Complex, energy: sparse.csr_matrix, least: floa
         for _ in range(2):
             along = inside.T @ images
             parts, images = parts - inside @ along, images - seen @ along
-    sizes, directions = scipy.linalg.eigh(parts.T @ images)
-    kept = sizes > least**2
-    new = parts @ (directions[:, kept] / np.sqrt(sizes[kept]))
-    return np.column_stack([basis, np.vstack([new, np.zeros((1, new.shape[1]))])])
+    squares, directions = scipy.linalg.eigh(parts.T @ images)
+    kept = squares > least**2
+    new = parts @ (directions[:, kept] / np.sqrt(squares[kept]))
+    return (np.column_stack([basis, np.vstack([new, np.zeros((1, new.shape[1]))])]),
+            np.append(sizes, np.sqrt(squares[kept])))

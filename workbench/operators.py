@@ -37,7 +37,7 @@ from workbench.physics.term import (
     Term,
 )
 from workbench.places import Place, place_of
-from workbench.sparsity import Block, Free, Kind, Pattern
+from workbench.sparsity import Block, Free, Kind, Pattern, Symmetric
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -206,63 +206,20 @@ class FullOperators:
 
     def images(self, state: Complex, constants: Complex) -> Complex:
         """sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k)."""
-        # The entry after the last takes what is no unknown.
-        result = np.zeros((self.size + 1, constants.shape[1]), dtype=complex)
-        for place_name, group in self._by_place.items():
-            place = self.places[place_name]
-            of_group = constants[[self._index[id(integral)] for integral in group]]
-            acting = np.flatnonzero(of_group.any(axis=0))
-            if not acting.size:
-                continue
-            used = _operators_of(group)
-            seen = self.evaluate(place, used, state[:, None])
-            columns = np.concatenate([seen[name].reshape(-1, 1) for name in used], axis=1)
-            # What is tested with each operator under each measure, as a combination of the operators seen.
-            mixed: dict[tuple[str, Radial | None], Complex] = {}
-            for integral, weights in zip(group, of_group[:, acting], strict=True):
-                if not weights.any():
-                    continue
-                for p in integral.products:
-                    for row, column in ((p.row, p.column), (p.column, p.row)):
-                        key = row, integral.radial
-                        if key not in mixed:
-                            mixed[key] = np.zeros((len(used), acting.size), dtype=complex)
-                        mixed[key][used.index(column)] += 0.5 * p.weight * weights
-            rows, forces = [], []
-            for (name, radial), combination in mixed.items():
-                flux = place.measure(radial)[:, :, None] * (columns @ combination).reshape(*place.weights.shape, -1)
-                parts = np.concatenate([flux.real, flux.imag], axis=2)  # shapes are real, and so are these products
-                for unknowns, shape in self._test(name, place):
-                    rows.append(unknowns)
-                    forces.append((shape.transpose(0, 2, 1) @ parts).transpose(1, 0, 2).reshape(unknowns.size, -1))
-            target = np.concatenate(rows)
-            count = target.size
-            gather = sparse.csr_array((np.ones(count), (target, np.arange(count))), shape=(self.size + 1, count))
-            found = gather @ np.concatenate(forces)
-            result[:, acting] += found[:, :acting.size] + 1j * found[:, acting.size:]
-        return result[:-1]
+        return np.stack([self.summed(each).times(state) for each in constants.T], axis=1)
 
-    def _test(self, operator: str, place: Place) -> list[tuple[NDArray[np.int64], Real]]:
-        """Unknowns (nb * ne,) and shapes (ne, nq, nb) of every part of an operator, for testing with it."""
-        parts = []
-        for component, kind, factor in OPERATORS[operator]:
-            shape = place.shapes[kind] * place.factor(factor)[:, :, None] if factor else place.shapes[kind]
-            rows = self.numbering[component][place.dofs].ravel()
-            parts.append((np.where(rows < 0, self.size, rows), shape))
-        return parts
+    def summed(self, constants: Complex) -> Symmetric:
+        """sum_q constants_q A_q (size, size) for `constants` (number of integrals,)."""
+        upper = np.zeros(self._pattern.keys.size, dtype=complex)
+        for block in self._blocks:
+            weights = block.mixing @ constants
+            if weights.any():
+                upper[block.positions] += combined(weights, block.entries)
+        return Symmetric(self._pattern, upper)
 
     def matrix(self, constants: Complex) -> NDArray[np.complex128]:
         """The stored entries of sum_q constants_q A_q on :attr:`pattern`: (number of entries,) complex."""
-        upper = np.zeros(self._pattern.upper, dtype=complex)
-        for place_name, group in self._by_place.items():
-            kinds = self._kinds(group, constants)
-            if not kinds:
-                continue
-            for block in self._blocks[place_name]:
-                weights = np.array([kinds.get(key, 0.0) for key in block.keys])
-                if weights.any():
-                    upper[block.positions] += combined(weights, block.entries)
-        return upper[self._pattern.mirror]
+        return self.summed(constants).stored
 
     @property
     def pattern(self) -> sparse.csc_matrix:
@@ -286,35 +243,28 @@ class FullOperators:
         used = {part[0] for i in group for p in i.products for name in (p.row, p.column) for part in OPERATORS[name]}
         return [c for c in COMPONENTS if c in used]
 
-    def _kinds(self, group: list[Integral], constants: Complex) -> dict[Kind, complex]:
-        """Coefficient of every pair of operator parts under every measure; each pair counts once for both orders."""
-        pairs: dict[Kind, complex] = {}
-        for integral in group:
-            constant = complex(constants[self._index[id(integral)]])
-            if constant == 0.0:
-                continue
-            for p in integral.products:
-                for a in OPERATORS[p.row]:
-                    for b in OPERATORS[p.column]:
-                        key = (min(a, b), max(a, b), integral.radial)
-                        pairs[key] = pairs.get(key, 0.0) + p.weight * constant
-        return pairs
-
     @cached_property
-    def _blocks(self) -> dict[str, list[Block]]:
-        """The real matrices that :meth:`matrix` combines, by place: of every pair of parts under every measure."""
-        found: dict[str, list[Block]] = {}
+    def _blocks(self) -> tuple[Block, ...]:
+        """The real matrices that everything here is a sum of: of every pair of parts under every measure."""
+        found: list[Block] = []
         for place_name, group in self._by_place.items():
-            place = self.places[place_name]
+            # How much of every pair of parts each integral holds; a pair counts once for both orders.
+            held: dict[Kind, NDArray[np.float64]] = {}
+            for integral in group:
+                for p in integral.products:
+                    for a in OPERATORS[p.row]:
+                        for b in OPERATORS[p.column]:
+                            kind = min(a, b), max(a, b), integral.radial
+                            row = held.setdefault(kind, np.zeros(len(self.integrals)))
+                            row[self._index[id(integral)]] += p.weight
             by_components: dict[tuple[str, str], list[Kind]] = {}
-            kinds = {(min(a, b), max(a, b), integral.radial) for integral in group for p in integral.products
-                     for a in OPERATORS[p.row] for b in OPERATORS[p.column]}
-            for kind in sorted(kinds, key=repr):
+            for kind in sorted(held, key=repr):
                 by_components.setdefault((kind[0][0], kind[1][0]), []).append(kind)
-            found[place_name] = [self._block(place, pair, kinds) for pair, kinds in by_components.items()]
-        return found
+            found += [self._block(self.places[place_name], components, kinds, np.stack([held[k] for k in kinds]))
+                      for components, kinds in by_components.items()]
+        return tuple(found)
 
-    def _block(self, place: Place, components: tuple[str, str], kinds: list[Kind]) -> Block:
+    def _block(self, place: Place, components: tuple[str, str], kinds: list[Kind], mixing: Real) -> Block:
         rows, columns = (self.numbering[component][place.dofs].T for component in components)  # (ne, nb) each
         rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
         kept = ((rows >= 0) & (columns >= 0)).ravel()
@@ -333,7 +283,7 @@ class FullOperators:
                 # Its two triangles fall on one.
                 product = 0.5 * (product + product.transpose(0, 2, 1))
             entries[k] = 0.5 * np.bincount(inverse, weights=product.ravel()[kept] * twice, minlength=positions.size)
-        return Block(kinds, positions, entries)
+        return Block(mixing, positions, entries)
 
     @cached_property
     def _pattern(self) -> Pattern:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from workbench.factorisation import Factorisation
 from workbench.physics.term import Part, Radial
 
 Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 #: Two parts of operators in order, and the further factor of the measure.
 Kind = tuple[Part, Part, Radial | None]
@@ -19,24 +21,30 @@ Kind = tuple[Part, Part, Radial | None]
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Real matrices (kinds, m) of pairs of parts at one place, by their ``positions`` (m,) in the upper triangle."""
+    """Real matrices of some kinds of pairs of parts at one place.
 
-    keys: list[Kind]
+    ``entries`` (kinds, m) at the ``positions`` (m,) of the upper triangle; ``mixing`` (kinds, integrals) how much of
+    each kind the integrals hold.
+    """
+
+    mixing: Real
     positions: NDArray[np.int64]
     entries: Real
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A symmetric sparsity pattern: ``upper`` entries in its upper triangle, ``mirror`` which of them each stored is.
+    """A symmetric sparsity pattern: ``mirror`` says which entry of its upper triangle each stored one is.
 
-    ``keys`` (upper,) are column * size + row, ascending.
+    ``rows`` (upper,) of the entries of the upper triangle, by columns, of which each begins at one of ``starts``
+    (size + 1,); ``keys`` (upper,) are column * size + row, ascending.
     """
 
     matrix: sparse.csc_matrix
-    upper: int
     mirror: NDArray[np.int64]
     keys: NDArray[np.int64]
+    rows: NDArray[np.int32]
+    starts: NDArray[np.int32]
 
     @classmethod
     def of(cls, rows: NDArray[np.int64], columns: NDArray[np.int64], size: int) -> Pattern:
@@ -54,12 +62,36 @@ class Pattern:
         both.sort_indices()
         mirror = both.data - 1
         both.data = np.ones(mirror.size, dtype=np.float32)
-        return cls(both, int(keys.size), mirror, keys)
+        return cls(both, mirror, keys, once.indices, once.indptr)
 
     def position(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where in the upper triangle entries (k,) belong, of either triangle."""
         wanted = np.maximum(rows, columns).astype(np.int64) * self.matrix.shape[0] + np.minimum(rows, columns)
         return np.searchsorted(self.keys, wanted)
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetric:
+    """A symmetric matrix (size, size) by its entries (upper,) in the upper triangle of a pattern."""
+
+    pattern: Pattern
+    upper: Complex
+
+    @property
+    def stored(self) -> Complex:
+        """Its entries as `Pattern.matrix` stores them."""
+        return self.upper[self.pattern.mirror]
+
+    def times(self, state: NDArray[np.inexact]) -> Complex:
+        """Its product with a state (size,)."""
+        triangle, diagonal = self._triangle
+        return np.asarray(triangle @ state + triangle.T @ state - diagonal * state)
+
+    @cached_property
+    def _triangle(self) -> tuple[sparse.csc_array, Complex]:
+        triangle = sparse.csc_array((self.upper, self.pattern.rows, self.pattern.starts),
+                                    shape=self.pattern.matrix.shape)
+        return triangle, triangle.diagonal()
 
 
 @dataclass(frozen=True, eq=False)

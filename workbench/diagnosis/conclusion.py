@@ -30,15 +30,19 @@ def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Co
     # Noise that goes together from point to point says less than as much that does not.
     best = max(found.final, key=lambda each: each.explanation.log_evidence)
     points = best.explanation.correlation
-    evidences = {each.explanation.hypothesis.name: (evidence(model, each, points), each) for each in found.final}
+    base = found.base.explanation
+    evidences = {each.explanation.hypothesis.name: (evidence(model, each, base, points), each) for each in found.final}
     decision = decide([both[0] for both in evidences.values()], model.hypotheses,
-                      stated_explains=_is_as_stated(model, found.base.explanation), criteria=criteria)
+                      stated_explains=_is_as_stated(model, base), criteria=criteria)
     return Conclusion(decision, evidences[decision.chosen.name][1],
                       tuple(evidences[each.name][1] for each in decision.rivals))
 
 
-def evidence(model: Model, settled: Settled, points: float = 1.0) -> Evidence:
-    """What the recordings say of an explanation, those held out among them, where so many `points` count as one."""
+def evidence(model: Model, settled: Settled, base: Explanation, points: float = 1.0) -> Evidence:
+    """What the recordings say of an explanation, those held out among them, where so many `points` count as one.
+
+    `base` says that nothing is wrong.
+    """
     found = settled.explanation
     hypothesis = found.hypothesis
     away = {}
@@ -48,7 +52,8 @@ def evidence(model: Model, settled: Settled, points: float = 1.0) -> Evidence:
             error = found.error(i)
             away[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
     return Evidence(hypothesis.name, found.log_evidence / points, tuple(effect.name for effect in hypothesis.effects),
-                    hypothesis.is_outside, away, settled.held_out / points, found.accuracy)
+                    hypothesis.is_outside, away, settled.held_out / points, found.accuracy,
+                    share(model, base, found))
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:

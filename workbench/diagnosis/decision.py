@@ -30,7 +30,7 @@ class Evidence:
     catalogue does not have it; ``log_evidence`` natural, of the recordings that were fitted, and ``held_out`` the log
     of the density that it predicted for the others, both up to what all hypotheses share; ``away`` how many standard
     deviations each parameter that it moves is from where nothing is wrong, by name; ``accuracy`` of the model that it
-    needs, relative.
+    needs, relative; ``share`` of the mismatch that it takes away.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Evidence:
     away: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     held_out: float = 0.0
     accuracy: float = 0.0
+    share: float = 0.0
 
     @property
     def of_all(self) -> float:
@@ -104,8 +105,8 @@ def decide(
     rivals = tuple(each for each in close if each is not best and not _says_the_same(each, best, criteria.spare))
     if best.outside:
         return Decision(UNEXPLAINED, best, rivals, log_odds)
-    if best.accuracy > criteria.inaccurate:
-        # It leaves what is no inaccuracy, and evidences that rest on one that large mean little.
+    if best.accuracy > criteria.inaccurate and best.share < criteria.most:
+        # What it leaves is no inaccuracy, and no trace.
         return Decision(UNEXPLAINED, nothing[0], (), log_odds)
     return Decision(AMBIGUOUS if rivals else MISSING, best, rivals, log_odds)
 

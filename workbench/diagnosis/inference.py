@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.conclusion import share
 from workbench.diagnosis.descent import (
     LEVELS,
     Candidate,
@@ -145,7 +146,7 @@ class Search:
             found += search()
             self.progress("the best of them", 0.45 + 0.3 * number)
             self.settle(plain, found, settled)
-            if self.is_over or _explained(settled):
+            if self.is_over or self.explained(settled[plain], settled.values()):
                 break
         best: dict[str, Candidate] = {}
         for each in sorted(found, key=lambda each: -each.log_evidence):
@@ -246,7 +247,7 @@ class Search:
     def swept(self, name: str) -> list[Begun]:
         """The sizes of an effect that leave least where the known numbers are believed to be."""
         effect, x = self.effect(name), self.models.belief.x
-        wider = self.models.wider(Hypothesis((effect,)), corners(self.model, effect, x))
+        wider = self.models.coarsely_wider(Hypothesis((effect,)), corners(self.model, effect, x))
         return swept(self.models.bare().on(wider), effect, x)
 
     def effect(self, name: str) -> Effect:
@@ -278,6 +279,12 @@ class Search:
         done = self.work([(each.hypothesis.name, "settled", (each, each not in leading)) for each in new],
                          must=0 if settled else 2)
         settled |= {each: own for each, own in zip(new, done, strict=True) if own is not None}
+
+    def explained(self, base: Settled, settled: Iterable[Settled]) -> bool:
+        """Whether the best explanation that the catalogue has leaves no more than an accuracy that models have, or a
+        trace of what nothing being wrong leaves, the `base`."""
+        best = min((each for each in settled if not each.explanation.hypothesis.is_outside), key=_worth).explanation
+        return best.accuracy <= INACCURATE or share(self.model, base.explanation, best) >= self.criteria.most
 
     def concluded(self, plain: Candidate, settled: dict[Candidate, Settled], candidates: Sequence[Candidate]) -> Found:
         """What was found, with what promises most beside the best that is one effect."""
@@ -453,12 +460,6 @@ def _promise(candidate: Candidate) -> float:
 
 def _worth(settled: Settled) -> float:
     return -settled.explanation.log_evidence
-
-
-def _explained(settled: Mapping[Candidate, Settled]) -> bool:
-    """Whether the best explanation that the catalogue has leaves no more than an accuracy that models have."""
-    within = [each for each in settled.values() if not each.explanation.hypothesis.is_outside]
-    return min(within, key=_worth).explanation.accuracy <= INACCURATE
 
 
 def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.belief import Belief, multimodal, smallest
-from workbench.diagnosis.descent import Candidate
+from workbench.diagnosis.descent import LEVELS, Candidate
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
@@ -20,6 +20,10 @@ Real = NDArray[np.float64]
 
 #: Error of Z that models are made for: for a search, and about an optimum, that relative to noise.
 ROUGH, FINE = 3e-4, 0.03
+
+#: The same where sizes are looked at, a fiftieth of the deviation that points have then (`descent.LEVELS`): at a tenth
+#: of it a rim was found a tenth too wide.
+COARSE = 0.02 * LEVELS[0]
 
 #: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
 FAR, NEAR = 1.5, 2.0
@@ -112,9 +116,22 @@ class Neighbourhoods:
 
     def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
         """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""
+        return self._wider(self.wide, hypothesis, places, ROUGH)
+
+    def coarsely_wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
+        """As :meth:`wider`, no better than it takes where points have a deviation of the first of `descent.LEVELS`."""
+        return self._wider(self._coarse, hypothesis, places, COARSE)
+
+    @cached_property
+    def _coarse(self) -> Objective:
+        return self.narrow.coarser(COARSE)
+
+    def _wider(
+        self, objective: Objective, hypothesis: Hypothesis, places: Sequence[Real], tolerance: float
+    ) -> Objective:
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
         corners = [replaced(self.centre, own, place[own]) for place in places]
-        return self.wide.widened(self.centre, corners, ROUGH, only=self.moving(hypothesis))
+        return objective.widened(self.centre, corners, tolerance, only=self.moving(hypothesis))
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of what moves under a hypothesis."""

@@ -39,8 +39,10 @@ class Criteria:
         spare: standard deviations from nothing within which a further parameter is spare: an explanation that has the
             best one's parameters, and beside these only spare ones, says the same.
         inaccurate: accuracy of the model, relative changes of stiffness, mass and loss, beyond which what is left is no
-            inaccuracy: neither nothing being wrong nor an effect explains it then. No part is a per cent different from
-            place to place. Doubled, mismatches twice as large pass for inaccuracy.
+            inaccuracy: neither nothing being wrong nor an effect explains all then. No part is a per cent different
+            from place to place. Doubled, mismatches twice as large pass for inaccuracy.
+        most: share of the mismatch that an effect has to take away to be said where more than that is left: all but a
+            tenth, so that nobody takes the rest for the larger part.
         at_odds: standard uncertainties from what is known of it beyond which a parameter is at odds with that: of a
             hundred parameters, one in twenty campaigns. Doubled, mistakes that campaigns state are not mentioned.
     """
@@ -52,14 +54,15 @@ class Criteria:
     nothing_wrong: float = 0.5
     spare: float = 2.0
     inaccurate: float = 0.01
+    most: float = 0.9
     at_odds: float = 3.5
 
     def __post_init__(self) -> None:
         if not (self.accepted >= self.hinted > 0.0 and self.rival > 1.0 and self.spare > 0.0):
             raise ValueError(f"{self}: odds above zero, of a hint at most those of what is accepted, of a rival above "
                              "1")
-        if not (self.inaccurate > 0.0 and self.at_odds > 0.0):
-            raise ValueError(f"{self}: an accuracy and standard uncertainties above zero")
+        if not (self.inaccurate > 0.0 and 0.0 < self.most <= 1.0 and self.at_odds > 0.0):
+            raise ValueError(f"{self}: an accuracy and standard uncertainties above zero, and a share of one at most")
         if not 0.0 < self.nothing_wrong < 1.0:
             raise ValueError(f"a prior probability of {self.nothing_wrong:g} that nothing is wrong must lie between 0 "
                              "and 1")

@@ -181,6 +181,14 @@ class Objective:
         own = self._acting(x, only)
         return own._placed(place, own._sharing().items())
 
+    def coarser(self, tolerance: float) -> Objective:
+        """The same, of :meth:`near`, on no more of its models than an error of Z of `tolerance` needs."""
+        def place(predictor: Predictor, _indices: Sequence[int]) -> Neighbourhood:
+            assert predictor.place is not None  # one of `near`
+            return predictor.place.coarser(tolerance)
+
+        return self._placed(place, self._sharing().items())
+
     def solved_at(self, x: Real, places: Sequence[Real], tolerance: float) -> Objective:
         """The same, of :meth:`near` x (p,), on models that also hold the states at other `places` (p,)."""
         def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
