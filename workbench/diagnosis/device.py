@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -31,6 +31,7 @@ from workbench.fitting.parameter import (
     stretchable,
 )
 from workbench.parameter_names import Kind, ParameterName
+from workbench.physics.rim import ASIDE, OfRim
 from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
@@ -50,7 +51,9 @@ class Model:
 
     Known are the numbers that all states share, then what one state adds to them; all of these have a prior.
     ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those over either kind (None without states
-    held out); ``effects`` the hypotheses, whose parameters follow the known ones.
+    held out); ``effects`` the hypotheses, whose parameters follow the known ones. Meshes are of that ``accuracy``, kept
+    in the folder ``cache``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are given,
+    at those of the rims that are so wide.
     """
 
     campaign: Campaign
@@ -60,6 +63,26 @@ class Model:
     whole: Objective
     fitted: Objective
     held_out: Objective | None
+    accuracy: float | Discretisation
+    cache: Path | None
+    widths: Mapping[str, float]
+    _made: list[Model] = field(default_factory=list)
+
+    def about(self, chosen: Sequence[Effect], x: Real) -> Model:
+        """The same with lines of nodes at the edges of the rims that some hypotheses have at x (p,).
+
+        This one where there are none, or one made before whose edges are where they should be (`rim.ASIDE`).
+        """
+        sizes = {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
+        wanted = {name: size for name, size in sizes.items() if size > 0.0}
+        if not wanted:
+            return self
+        for known in self._made:
+            if known.widths.keys() == wanted.keys() and all(
+                    abs(known.widths[name] - size) <= 0.5 * ASIDE for name, size in wanted.items()):
+                return known
+        self._made.append(model(self.campaign, accuracy=self.accuracy, cache=self.cache, widths=wanted))
+        return self._made[-1]
 
     @cached_property
     def _places(self) -> Mapping[str, int]:
@@ -92,24 +115,24 @@ class Model:
 
 def model(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY, cache: Path | None = None,
-    progress: Callable[[float], None] = lambda _share: None,
+    progress: Callable[[float], None] = lambda _share: None, widths: Mapping[str, float] | None = None,
 ) -> Model:
-    """Mesh every state and put known physics and all hypotheses into its problem.
+    """Mesh every state and put known physics and all hypotheses into its problem; see :class:`Model`.
 
     Raises:
         InputError: as `workbench.problem.build`.
         MeshError: a mesh could not be made.
     """
     device = Device(campaign.states, campaign.known, campaign.fixed, campaign.registry)
-    hypotheses = effects(device)
+    hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in effects(device))
     problems: list[Problem] = []
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
         terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
-        integrals = [integral for term in terms for integral in term.integrals()]
-        skins = {integral.place: abs(integral.skin) for integral in integrals if integral.skin}
-        radii = {integral.beyond * state.chip.layer(integral.place).radius.value for integral in integrals
-                 if integral.beyond}
+        integrals = [(term, integral) for term in terms for integral in term.integrals()]
+        skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
+        radii = {integral.beyond * state.chip.layer(integral.place).radius.value for term, integral in integrals
+                 if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
         problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii), cache=cache,
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)
@@ -140,7 +163,7 @@ def model(
     whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
     return Model(campaign, parameters, len(known), hypotheses, whole, whole.of(fitted),
-                 whole.of(held_out) if held_out else None)
+                 whole.of(held_out) if held_out else None, accuracy, cache, dict(widths or {}))
 
 
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:

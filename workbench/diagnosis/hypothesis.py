@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from materials.kinds import Fluid, IsotropicSolid, Material
 from materials.registry import Registry
 from workbench.diagnosis.campaign import DeviceState, value_of
 from workbench.fitting.parameter import Parameter
 from workbench.parameter_names import LOSS
+from workbench.physics.rim import OfRim
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import Admissible, Free, Term
 
@@ -41,6 +43,20 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Names of all parameters that it moves."""
         return (*(p.name for p in self.parameters), *self.releases)
+
+    @property
+    def rims(self) -> tuple[str, ...]:
+        """Names of the widths of rims among them."""
+        return tuple(dict.fromkeys(term.rim.number for held in self.terms.values() for term in held
+                                   if isinstance(term, OfRim)))
+
+    def with_rings(self, widths: Mapping[str, float]) -> Effect:
+        """The same with rings about the edges of those rims of which `widths` by name are given."""
+        def own(term: Any) -> Term:
+            known = isinstance(term, OfRim) and term.rim.number in widths
+            return replace(term, rim=term.rim.about(widths[term.rim.number])) if known else term
+
+        return replace(self, terms={state: tuple(map(own, held)) for state, held in self.terms.items()})
 
 
 @dataclass(frozen=True, eq=False)

@@ -215,7 +215,7 @@ class Search:
             for _ in range(PLACES):
                 if not self.doubts(end.doubt, LEVELS[1]):
                     break
-                likelihood = likelihood.on(self.models.near(self.model.fitted, nothing, end.x, end.errors, ROUGH))
+                likelihood = likelihood.on(self.models.near(nothing, end.x, end.errors, ROUGH))
                 x = likelihood.tempered(likelihood.search(nothing), end.x, LEVELS[0]).x
                 end = likelihood.weighed(nothing, x, LEVELS[0])
         except NO_END:
@@ -282,9 +282,18 @@ class Search:
 
     def explained(self, base: Settled, settled: Iterable[Settled]) -> bool:
         """Whether the best explanation that the catalogue has leaves no more than an accuracy that models have, or a
-        trace of what nothing being wrong leaves, the `base`."""
-        best = min((each for each in settled if not each.explanation.hypothesis.is_outside), key=_worth).explanation
-        return best.accuracy <= INACCURATE or share(self.model, base.explanation, best) >= self.criteria.most
+        trace."""
+        best = min((each for each in settled if not each.explanation.hypothesis.is_outside), key=_worth)
+        return best.explanation.accuracy <= INACCURATE or self.takes_most(base, best)
+
+    def leaves_a_trace(self, base: Settled, best: Settled) -> bool:
+        """Whether an explanation leaves more than models are inaccurate by, but little of what the `base` leaves: what
+        else there is cannot be told then, since evidences that rest on such an accuracy mean little."""
+        return best.explanation.accuracy > self.criteria.inaccurate and self.takes_most(base, best)
+
+    def takes_most(self, base: Settled, best: Settled) -> bool:
+        """Whether an explanation takes away all but a trace of what the `base` leaves."""
+        return share(self.model, base.explanation, best.explanation) >= self.criteria.most
 
     def concluded(self, plain: Candidate, settled: dict[Candidate, Settled], candidates: Sequence[Candidate]) -> Found:
         """What was found, with what promises most beside the best that is one effect."""
@@ -294,7 +303,8 @@ class Search:
         best: Settled | None = None
         while best is not (leader := min(found.values(), key=_worth)):
             best = leader
-            if len(best.explanation.hypothesis.effects) > 1 or best.explanation.hypothesis.is_outside:
+            hypothesis = best.explanation.hypothesis
+            if len(hypothesis.effects) > 1 or hypothesis.is_outside or self.leaves_a_trace(base, best):
                 break
             for each in self.work([task for task in self.further(best) if task[0] not in found]):
                 if each is not None:
@@ -400,7 +410,8 @@ class Search:
         placed = [self.placed(likelihood, hypothesis, end, hurry) for end in candidate.ends]
         likelihood, found = max(placed, key=lambda each: each[1].log_evidence)
         for _ in range(0 if hurried else PLACES - 1):
-            if not self.doubts(found.doubt, found.accuracy) and not hurry:
+            if not (hurry or self.doubts(found.doubt, found.accuracy)
+                    or self.is_elsewhere(likelihood, hypothesis, found.x)):
                 break
             hurry = {}
             likelihood, found = self.placed(likelihood, hypothesis, found.weighed, hurry)
@@ -409,7 +420,7 @@ class Search:
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
             held = Likelihood.bare(self.model, self.models.near(
-                self.model.held_out, hypothesis, found.x, found.errors)).with_patterns(found.x)
+                hypothesis, found.x, found.errors, held_out=True)).with_patterns(found.x)
             seen = held.impedances(found.x)
             # What they add to the evidence, with the optimum of all.
             rounds = 0 if hurried or found.accuracy > INACCURATE else 1
@@ -427,14 +438,20 @@ class Search:
     ) -> tuple[Likelihood, Explanation]:
         """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
         # What is inaccurate may be so for its models.
-        if self.doubts(likelihood.data(hypothesis, end.x).error, end.accuracy if hurry else 0.0):
-            likelihood = likelihood.on(self.models.near(self.model.fitted, hypothesis, end.x, end.errors))
+        if self.is_elsewhere(likelihood, hypothesis, end.x) or self.doubts(
+                likelihood.data(hypothesis, end.x).error, end.accuracy if hurry else 0.0):
+            likelihood = likelihood.on(self.models.near(hypothesis, end.x, end.errors))
         likelihood = likelihood.with_patterns(end.x)
         try:
             return likelihood, likelihood.settled(hypothesis, end.x, **hurry)
         except NO_END:
             self.say("   NO END", hypothesis.name)
             raise
+
+    def is_elsewhere(self, likelihood: Likelihood, hypothesis: Hypothesis, x: Real) -> bool:
+        """Whether the meshes of a likelihood are not those for a hypothesis at x (p,)."""
+        own = self.model.about(hypothesis.effects, x).fitted.recordings[0].problem.mesh
+        return likelihood.objective.recordings[0].problem.mesh is not own
 
     def further(self, settled: Settled) -> list[Named]:
         """To settle: an explanation together with what promises most beside it."""

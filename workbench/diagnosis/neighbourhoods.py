@@ -104,12 +104,16 @@ class Neighbourhoods:
         return known[key]
 
     def near(
-        self, recordings: Objective, hypothesis: Hypothesis, x: Real, errors: Real, tolerance: float | None = None
+        self, hypothesis: Hypothesis, x: Real, errors: Real, tolerance: float | None = None, *, held_out: bool = False
     ) -> Objective:
-        """Recordings predicted about an optimum x (p,) of those standard deviations (p,).
+        """The recordings that were fitted, or those `held_out`, predicted about an optimum x (p,) of those standard
+        deviations (p,), on meshes for it.
 
         To a relative error of Z of `tolerance`; far below the noise if that is None.
         """
+        own = self.model.about(hypothesis.effects, x)
+        recordings = own.held_out if held_out else own.fitted
+        assert recordings is not None
         reach = {p.name: NEAR * float(error)
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
         return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), widens=False)

@@ -91,9 +91,9 @@ class Posterior:
         """
         models = Neighbourhoods(model)
         if errors is None:
-            there = Likelihood.bare(model, models.near(model.fitted, hypothesis, x, np.zeros(x.size)))
+            there = Likelihood.bare(model, models.near(hypothesis, x, np.zeros(x.size)))
             errors = there.with_patterns(x).weighed(hypothesis, x, 0.0).errors
-        own = Likelihood.bare(model, models.near(model.fitted, hypothesis, x, errors))
+        own = Likelihood.bare(model, models.near(hypothesis, x, errors))
         return cls(own.with_patterns(x), hypothesis, x, scales)
 
     @classmethod
@@ -104,7 +104,7 @@ class Posterior:
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
         """
         found = settled.explanation
-        near = Neighbourhoods(model).near(model.fitted, found.hypothesis, found.x, found.errors)
+        near = Neighbourhoods(model).near(found.hypothesis, found.x, found.errors)
         own = Likelihood(model, near, settled.columns, settled.anything)
         return cls(own, found.hypothesis, found.x, scales)
 

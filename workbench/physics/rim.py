@@ -7,8 +7,9 @@ all, so that a model stays one sum of fixed matrices: exact where the edge is th
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 from workbench.physics.term import Admissible, ConstantLaw, Formula, Free
 
@@ -19,6 +20,9 @@ WIDTHS = (0.02, 0.05, 0.09, 0.14, 0.2, 0.28)
 
 #: Up to this width a rim has edges of its own where another one has some nearby.
 NEAR = 0.05
+
+#: A ring that ends at an edge that was found is so wide, to either side of it.
+ASIDE = 0.01
 
 #: How far an effect may reach from a rim.
 LIMIT = 0.38
@@ -71,6 +75,11 @@ class Rim:
         near = [width for width in WIDTHS if width <= NEAR]
         return (*near, *(edge - begin for edge in self.edges if edge - begin > near[-1] + near[0]))
 
+    def about(self, width: float) -> Rim:
+        """The same with an edge at `width`, and rings of :data:`ASIDE` beside it in place of all others."""
+        near = (width - ASIDE, width, width + ASIDE)
+        return replace(self, widths=tuple(each for each in near if 0.0 < each < self.limit))
+
     def affected(self, ring: int, width: float) -> tuple[float, float]:
         """The share of the area of a ring that lies within the `width`, and its derivative."""
         inner, outer = self.edges[ring], self.edges[ring + 1]
@@ -91,6 +100,14 @@ class Rim:
         for at, edge in enumerate(self.edges):
             if edge < 1.0:
                 yield edge, Formula(Step(law, self, at), ((_WIDTH, self.number), *symbols), omega_power)
+
+
+@runtime_checkable
+class OfRim(Protocol):
+    """What has the rings of a rim."""
+
+    @property
+    def rim(self) -> Rim: ...
 
 
 def hindered(share: complex, halfway: float) -> tuple[complex, complex]:
