@@ -79,11 +79,11 @@ class Neighbourhood:
         part = np.eye(self.sizes.size + 1)[:, kept]
         return replace(self, model=self.model.within(part), sizes=self.sizes[kept[:-1]])
 
-    def widened(self, corners: Sequence[Values], tolerance: float) -> Neighbourhood:
+    def widened(self, corners: Sequence[Values], tolerance: float, terms: int = TERMS) -> Neighbourhood:
         """The same, holding also the states on the way to other values, `corners`, to an error of Z of `tolerance`.
 
         With A the system here and A + D that at a corner, the state there is the sum of (-A^-1 D)^k x, of which the
-        first terms are taken: their span serves beyond where the sum converges. No system is factorised anew. Corners
+        first `terms` are taken: their span serves beyond where the sum converges. No system is factorised anew. Corners
         whose D is that of one before but for a factor have the same span.
         """
         taken, changes = list[Values](), list[Complex]()
@@ -95,7 +95,7 @@ class Neighbourhood:
         if not taken:
             return self
         with one_thread():
-            found = [self._terms(node, taken) for node in self.nodes]
+            found = [self._terms(node, taken, terms) for node in self.nodes]
             return self._holding([np.column_stack(of_corner) for of_corner in zip(*found, strict=True)], tolerance)
 
     def solved_at(
@@ -153,14 +153,14 @@ class Neighbourhood:
         there, here = (self.model.full.coefficients(omega, values)[0] for values in (corner, self.values))
         return np.asarray(there - here)
 
-    def _terms(self, node: Node, corners: Sequence[Values]) -> list[Complex]:
-        """The first terms (size, TERMS) of the series of the state at every corner, over the root of the charge."""
+    def _terms(self, node: Node, corners: Sequence[Values], count: int) -> list[Complex]:
+        """The first terms (size, count) of the series of the state at every corner, over the root of the charge."""
         operators, factor = self.model.full, node.factor
         assert factor is not None  # not one that was closed
         changes = [operators.summed(self._change(node, corner)) for corner in corners]
         terms = np.repeat((node.state / np.sqrt(abs(node.charge)))[:, None], len(corners), axis=1)
-        found = np.zeros((len(corners), node.state.size, TERMS), dtype=complex)
-        for k in range(TERMS):
+        found = np.zeros((len(corners), node.state.size, count), dtype=complex)
+        for k in range(count):
             forces = np.column_stack([change.times(term)[:-1]
                                       for term, change in zip(terms.T, changes, strict=True)])
             terms[-1] = 0.0

@@ -31,7 +31,7 @@ from workbench.fitting.parameter import (
     stretchable,
 )
 from workbench.parameter_names import Kind, ParameterName
-from workbench.physics.rim import ASIDE, OfRim
+from workbench.physics.rim import FOUND, OfRim
 from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
@@ -71,7 +71,7 @@ class Model:
     def about(self, chosen: Sequence[Effect], x: Real) -> Model:
         """The same with lines of nodes at the edges of the rims that some hypotheses have at x (p,).
 
-        This one where there are none, or one made before whose edges are where they should be (`rim.ASIDE`).
+        This one where there are none, or one made before whose edges are where they should be (`rim.FOUND`).
         """
         sizes = {name: float(x[self.index(name)]) for effect in chosen for name in effect.rims}
         wanted = {name: size for name, size in sizes.items() if size > 0.0}
@@ -79,7 +79,7 @@ class Model:
             return self
         for known in self._made:
             if known.widths.keys() == wanted.keys() and all(
-                    abs(known.widths[name] - size) <= 0.5 * ASIDE for name, size in wanted.items()):
+                    abs(known.widths[name] - size) <= FOUND for name, size in wanted.items()):
                 return known
         self._made.append(model(self.campaign, accuracy=self.accuracy, cache=self.cache, widths=wanted))
         return self._made[-1]

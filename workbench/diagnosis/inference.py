@@ -234,8 +234,16 @@ class Search:
         return self.tried(plain, plain.x, [(effect, starts_of(self.model, effect, ends, places)) for effect in chosen])
 
     def by_size(self, plain: Candidate) -> list[Candidate]:
-        """Where the hypotheses lead that leave least in any size, from where the known numbers are believed to be."""
-        effects = self.model.effects
+        """Where the hypotheses lead that leave least in any size, from where the known numbers are believed to be.
+
+        A hypothesis of which no number can change the recordings by as much as is left there does not explain them.
+        """
+        x = self.models.belief.x
+        scores = self.work([("scores of what is known", "scored", (x, LEVELS[0]))])[0] or []
+        bare = self.models.bare()
+        left = math.sqrt(2.0 * bare.tempered(bare.search(Hypothesis()), x, LEVELS[0]).cost)
+        effects = [each.effect for each in scores if each.most > left]
+        self.say("   swept", len(effects), "of", len(scores), "left", left)
         swept = self.work([(f"{effect.name} of any size", "swept", (effect.name,)) for effect in effects])
         best = sorted(((each, effect) for each, effect in zip(swept, effects, strict=True) if each),
                       key=lambda both: both[0][0].cost)[:SWEPT]

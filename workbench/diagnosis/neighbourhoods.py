@@ -15,6 +15,7 @@ from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
 from workbench.fitting.objective import Objective
+from workbench.neighbourhood import TERMS
 
 Real = NDArray[np.float64]
 
@@ -24,6 +25,9 @@ ROUGH, FINE = 3e-4, 0.03
 #: The same where sizes are looked at, a fiftieth of the deviation that points have then (`descent.LEVELS`): at a tenth
 #: of it a rim was found a tenth too wide.
 COARSE = 0.02 * LEVELS[0]
+
+#: Terms of the series to a place where sizes are looked at (`neighbourhood.TERMS`).
+FEW = 3
 
 #: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
 FAR, NEAR = 1.5, 2.0
@@ -124,18 +128,19 @@ class Neighbourhoods:
 
     def coarsely_wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
         """As :meth:`wider`, no better than it takes where points have a deviation of the first of `descent.LEVELS`."""
-        return self._wider(self._coarse, hypothesis, places, COARSE)
+        return self._wider(self._coarse, hypothesis, places, COARSE, FEW)
 
     @cached_property
     def _coarse(self) -> Objective:
         return self.narrow.coarser(COARSE)
 
     def _wider(
-        self, objective: Objective, hypothesis: Hypothesis, places: Sequence[Real], tolerance: float
+        self, objective: Objective, hypothesis: Hypothesis, places: Sequence[Real], tolerance: float,
+        terms: int = TERMS,
     ) -> Objective:
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
         corners = [replaced(self.centre, own, place[own]) for place in places]
-        return objective.widened(self.centre, corners, tolerance, only=self.moving(hypothesis))
+        return objective.widened(self.centre, corners, tolerance, only=self.moving(hypothesis), terms=terms)
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of what moves under a hypothesis."""

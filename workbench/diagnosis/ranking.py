@@ -27,7 +27,8 @@ class Score:
     """What one hypothesis promises at a place.
 
     ``evidence`` the logarithm of the odds that it would gain, ``gain`` the fall of chi-square, both within its bounds;
-    ``amplitude`` (k,) by which its parameters would move, SI, and ``error`` (k,) their standard deviations.
+    ``amplitude`` (k,) by which its parameters would move, SI, and ``error`` (k,) their standard deviations. ``most`` is
+    what all that one of them may move by changes the data by, to first order, in standard deviations of these.
     """
 
     effect: Effect
@@ -35,6 +36,7 @@ class Score:
     gain: float
     amplitude: Real
     error: Real
+    most: float = 0.0
 
 
 def ranked(
@@ -103,4 +105,5 @@ def _score(effect: Effect, tangents: Real, imitated: _Imitated, least: float, bo
     covariance = np.linalg.pinv(unit.T @ unit, rcond=1e-12) / np.outer(size[seen], size[seen])
     error[seen] = np.sqrt(np.diag(covariance))
     cost = occam_factor(covariance, (bounds[:, 1] - bounds[:, 0])[seen])
-    return Score(effect, 0.5 * (gain - cost), gain, amplitude, error)
+    most = float(np.max(size[seen] * np.abs(bounds[seen]).max(axis=1)))
+    return Score(effect, 0.5 * (gain - cost), gain, amplitude, error, most)

@@ -30,7 +30,7 @@ SIZES = (0.01, 0.03, 0.1, 0.3, 0.6, 0.95)
 HELD = (0.1, 0.3, 0.6)
 
 #: A recording is looked at in about so many of its points.
-LOOKED_AT = 61
+LOOKED_AT = 41
 
 #: Between the sizes beside the best one, so many times, others are looked at.
 HALVED = 2

@@ -27,7 +27,7 @@ from workbench.dimensions import flexible
 from workbench.fitting.parameter import Parameter, ranges_of_radii
 from workbench.fitting.predict import Prediction, Predictor
 from workbench.fitting.seen import log_ratio, lorentzian, through_bench
-from workbench.neighbourhood import Neighbourhood, neighbourhood
+from workbench.neighbourhood import TERMS, Neighbourhood, neighbourhood
 from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName, part, placed
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
@@ -169,14 +169,16 @@ class Objective:
         other.predictors = tuple(made[predictor] for predictor in self.predictors)
         return other
 
-    def widened(self, x: Real, corners: Sequence[Real], tolerance: float, *, only: Collection[int]) -> Objective:
+    def widened(
+        self, x: Real, corners: Sequence[Real], tolerance: float, *, only: Collection[int], terms: int = TERMS
+    ) -> Objective:
         """The same, of :meth:`near`, on models that also hold the states on the way from x to `corners` (p,).
 
         Nothing but the parameters of the indices `only` is going to move.
         """
         def place(predictor: Predictor, indices: Sequence[int]) -> Neighbourhood:
             assert predictor.place is not None  # one of `near`
-            return predictor.place.widened(self._led(predictor.place, indices[0], x, corners), tolerance)
+            return predictor.place.widened(self._led(predictor.place, indices[0], x, corners), tolerance, terms)
 
         own = self._acting(x, only)
         return own._placed(place, own._sharing().items())

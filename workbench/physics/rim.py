@@ -21,8 +21,9 @@ WIDTHS = (0.02, 0.05, 0.09, 0.14, 0.2, 0.28)
 #: Up to this width a rim has edges of its own where another one has some nearby.
 NEAR = 0.05
 
-#: A ring that ends at an edge that was found is so wide, to either side of it.
-ASIDE = 0.01
+#: A ring beside an edge that was found is so wide, and an edge that moves by less than the second has been found. The
+#: law between edges draws it a hundredth of the width outwards: 0.158 for 0.160, also with a half and a tenth of these.
+ASIDE, FOUND = 0.01, 0.002
 
 #: How far an effect may reach from a rim.
 LIMIT = 0.38
