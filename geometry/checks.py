@@ -7,7 +7,18 @@ import math
 from collections.abc import Mapping, Sequence
 
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
-from geometry.parts import SAME_LENGTH, Dimension, Electrodes, Layer, Ports, State, discs, millimetres, port_axis
+from geometry.parts import (
+    SAME_LENGTH,
+    SHAPES,
+    Dimension,
+    Electrodes,
+    Layer,
+    Ports,
+    State,
+    discs,
+    millimetres,
+    port_axis,
+)
 from workbench.files.errors import InputError, choose
 
 
@@ -46,6 +57,31 @@ def check_dimensions(
     for i, layer in enumerate(layers):
         if layer.density is not None and not (math.isfinite(layer.density) and layer.density > 0.0):
             raise InputError(file, f"layers[{i}].density", layer.density, "a density above zero")
+
+
+def check_shapes(layers: Sequence[Layer], file: str) -> None:
+    """What is stated of the shapes of layers is finite, and can be made; tolerances are not negative."""
+    for i, layer in enumerate(layers):
+        for name in SHAPES:
+            size: Dimension | None = getattr(layer, name)
+            if size is None:
+                continue
+            place, shown = f"layers[{i}].{name}", _shown(name, size.value)
+            if name == "draft" and layer.cavity_radius is None:
+                raise InputError(file, place, shown, "none where there is no hole: it is that of the hole's wall")
+            limit = math.pi / 4.0 if name == "draft" else 0.5 * layer.thickness.value if name == "bow" else (
+                0.5 * (layer.outer_radius - layer.inner_radius))
+            if not abs(size.value) < limit:
+                raise InputError(file, place, shown, f"less than {_shown(name, limit)} to either side")
+            if size.tolerance is not None and not 0.0 <= size.tolerance < math.inf:
+                raise InputError(file, f"{place}.tolerance", _shown(name, size.tolerance), "zero or more")
+            if name == "draft" and layer.inner_radius + math.tan(size.value) * layer.thickness.value <= 0.0:
+                raise InputError(file, place, shown, "a hole that does not close before the top of the layer")
+
+
+def _shown(name: str, size: float) -> str:
+    """A size of the shape of that name as messages show it."""
+    return f"{math.degrees(size):.4g} deg" if SHAPES[name] == "angle" else millimetres(size)
 
 
 def check_cavity(layers: Sequence[Layer], file: str) -> None:

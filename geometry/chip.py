@@ -17,6 +17,7 @@ from geometry import checks
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.parts import (
+    SHAPES,
     Dimension,
     ElectrodeDisc,
     Electrodes,
@@ -57,6 +58,7 @@ class Chip:
     def __post_init__(self) -> None:
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
         checks.check_cavity(self.layers, self.file)
+        checks.check_shapes(self.layers, self.file)
         checks.check_stack(self.layers, self.file)
         checks.check_electrodes(self.electrodes, self.transducer.outer_radius, self.file)
         checks.check_ports(self.ports, self.holes, self.file)
@@ -76,6 +78,11 @@ class Chip:
     def transducer(self) -> Layer:
         """The piezoelectric layer."""
         return self.layer(TRANSDUCER)
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether a layer is no disc with plane faces and upright sides."""
+        return any(getattr(layer, shape) is not None for layer in self.layers for shape in SHAPES)
 
     def layer(self, region: str) -> Layer:
         """The layer of that region.
@@ -116,7 +123,8 @@ class Chip:
         return names if chosen.cavity is None else names | {CAVITY: chosen.cavity}
 
     def volumes(self) -> dict[str, float]:
-        """Volume of every region in cubic metres, from the dimensions alone; ports are not counted."""
+        """Volume of every region in cubic metres, from the dimensions alone; ports are not counted, nor how layers are
+        shaped (`geometry.shapes`)."""
         rings = {
             layer.region: math.pi * (layer.outer_radius**2 - layer.inner_radius**2) * layer.thickness.value
             for layer in self.layers
@@ -161,6 +169,9 @@ class Chip:
                 thickness=always(f"{layer.region}.thickness", layer.thickness),
                 radius=always(f"{layer.region}.radius", layer.radius),
                 cavity_radius=changed(shared.get(layer.region, ""), layer.cavity_radius),
+                draft=changed(f"{layer.region}.draft", layer.draft),
+                barrel=changed(f"{layer.region}.barrel", layer.barrel),
+                bow=changed(f"{layer.region}.bow", layer.bow),
             )
             for layer in self.layers
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import (
     SAME_LENGTH,
+    SHAPES,
     Dimension,
     ElectrodeDisc,
     Electrodes,
@@ -17,16 +18,18 @@ from geometry.parts import (
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import Table
 
-_LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "cavity_radius", "bottom")
+_LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "cavity_radius", "bottom", *SHAPES)
 
 
-def read_dimension(table: Table, key: str) -> Dimension:
+def read_dimension(table: Table, key: str, kind: str = "length") -> Dimension:
     """``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
-    if not isinstance(table.required(key, 'a length with its unit, for example "2.02 mm"'), dict):
-        return Dimension(table.quantity(key, "length"))
+    example = {"length": "2.02 mm", "angle": "3 deg"}[kind]
+    if not isinstance(table.required(key, f'{"an" if kind == "angle" else "a"} {kind} with its unit, for example '
+                                          f'"{example}"'), dict):
+        return Dimension(table.quantity(key, kind))
     inner = table.table(key).only(("value", "tolerance", "assumed", "note"))
     assumed = inner.flag("assumed")
-    return Dimension(_quantity(inner, "value", "length"), inner.optional_quantity("tolerance", "length"), assumed,
+    return Dimension(_quantity(inner, "value", kind), inner.optional_quantity("tolerance", kind), assumed,
                      inner.text("note", ""))
 
 
@@ -79,6 +82,7 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
             z_bottom=bottom if bottom is not None else layers[-1].z_top if layers else 0.0,
             cavity_radius=_optional_dimension(table, "cavity_radius"),
             density=table.optional_quantity("density", "density"),
+            **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},
         )
         if role == TRANSDUCER:
             electrodes = _electrodes(table.table("electrodes"), layer.outer_radius)

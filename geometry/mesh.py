@@ -58,6 +58,8 @@ class SectionMesh:
     ``mesh.subdomains``, facet indices by boundary name in ``mesh.boundaries``. The four nodes of every cell run
     (bottom left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes are
     numbered along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
+    ``coordinates`` (2, nodes, cells) in metres of the nodes of any order in every cell, numbered as those of
+    `workbench.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from.
 
     Raises:
         MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or
@@ -67,6 +69,7 @@ class SectionMesh:
     mesh: skfem.MeshQuad
     order: int
     section: Section
+    coordinates: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         _check_mesh(self.mesh, self.section)

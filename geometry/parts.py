@@ -17,12 +17,16 @@ from workbench.files.errors import InputError
 SAME_LENGTH = 1e-9
 
 
+#: What may be stated of the shape of a layer, and the dimension of each.
+SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length"}
+
+
 @dataclass(frozen=True)
 class Dimension:
-    """One length of a chip.
+    """One length of a chip, or one angle.
 
-    ``value`` and ``tolerance`` in metres (``None``: nobody said how exact), ``assumed`` when it was not measured or
-    published but chosen, ``note`` where it comes from.
+    ``value`` and ``tolerance`` in metres, or radians (``None``: nobody said how exact), ``assumed`` when it was not
+    measured or published but chosen, ``note`` where it comes from.
     """
 
     value: float
@@ -55,7 +59,9 @@ class Electrodes:
 class Layer:
     """One layer: a disc, or a ring around the cavity when ``cavity_radius`` is given.
 
-    ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own when a person weighed the part.
+    ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own when a person weighed the part. ``draft``
+    (rad), ``barrel`` and ``bow`` (m) say how it differs from a disc with plane faces and upright sides, see
+    `geometry.shapes`.
     """
 
     region: str
@@ -66,6 +72,9 @@ class Layer:
     z_bottom: float
     cavity_radius: Dimension | None = None
     density: float | None = None
+    draft: Dimension | None = None
+    barrel: Dimension | None = None
+    bow: Dimension | None = None
 
     @property
     def z_top(self) -> float:
@@ -154,6 +163,9 @@ def named_dimensions(
     for layer in layers:
         yield f"{layer.region}.thickness", layer.thickness
         yield f"{layer.region}.radius", layer.radius
+        for shape in SHAPES:
+            if (size := getattr(layer, shape)) is not None:
+                yield f"{layer.region}.{shape}", size
     # Reversed, so that the lowest hole speaks for the shared radius.
     for layer in reversed(layers):
         if layer.cavity_radius is not None:

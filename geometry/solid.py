@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
-from geometry.parts import Layer
+from geometry.parts import SHAPES, Layer
 
 if TYPE_CHECKING:
     from cadquery import Shape, Solid
@@ -92,6 +92,8 @@ def solids(chip: Chip) -> dict[str, Solid]:
     Raises:
         SolidError: CadQuery is not installed, or a solid is not valid or has not the volume of the chip's arithmetic.
     """
+    if chip.is_shaped:
+        raise SolidError(f"{chip.name!r} has layers with a {', a '.join(SHAPES)}: their solids cannot be drawn yet")
     cadquery = _cadquery()
     expected = part_volumes(chip)
     channels = _channels(cadquery, chip)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from geometry.chip import Chip
+from geometry.parts import SHAPES
 from geometry.stretch import Piece, movable, split, tied
 from workbench.files.errors import InputError, choose
 from workbench.physics.stretched import Column, Part, Radius, Rim, Stretched
@@ -34,6 +35,9 @@ def flexible(
         InputError: a radius that the chip has not, or one that is given twice under two of its names.
         MeshError: the mesh is not of this chip.
     """
+    if chip.is_shaped:
+        raise InputError(chip.file, "layers", f"a {', a '.join(SHAPES)}", "layers with plane faces and upright sides, "
+                         "where lengths are to move: others are not stretched yet")
     ranges = _ranges(chip, radii)
     known = chip.dimensions()
     moving = {known[name].value: name for name in ranges}

@@ -40,6 +40,12 @@ class Lagrange(ElementH1):
         nodes = gauss_lobatto(order)
         self.doflocs = np.array([[nodes[i], nodes[j]] for i, j in self.indices])
 
+    def tabulated(self, points: Real) -> tuple[Real, Real, Real]:
+        """Values of all functions at local points (2, n), and their slopes along both coordinates: (n, nb) each."""
+        values, slopes = zip(*(self.lbasis(points, i) for i in range(len(self.indices))), strict=True)
+        along, across = np.stack(slopes, axis=-1)
+        return np.stack(values, axis=-1), along, across
+
     def lbasis(self, X: Real, i: int) -> tuple[Real, Real]:
         """Value (n,) and gradient (2, n) of function `i` at local points X (2, n)."""
         if not 0 <= i < len(self.indices):

@@ -115,7 +115,7 @@ def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
     element_dofs = np.asarray(Dofs(mesh.mesh, element).element_dofs)
     along_r, along_z = np.array(element.indices).T
     corners = mesh.mesh.p[:, mesh.mesh.t]  # (2, 4, cells)
-    cells, region, points, dofs = [], [], [], []
+    cells, region, points, shaped, dofs = [], [], [], [], []
     names = mesh.section.regions
     offset = 0
     for index, name in enumerate(names):
@@ -125,12 +125,18 @@ def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
         members[:, along_r, along_z] = local.reshape(len(chosen), -1)
         place = np.empty((own.size, 2))
         place[members] = grid_nodes(corners[:, 0, chosen].T, corners[:, 2, chosen].T, mesh.order)
+        if mesh.coordinates is not None:
+            there = np.empty_like(place)
+            there[members[:, along_r, along_z]] = mesh.coordinates[:, :, chosen].T
+            shaped.append(there)
         cells.append(offset + members)
         region.append(np.full(len(members), index))
         points.append(place)
         dofs.append(own)
         offset += own.size
-    nodal = NodalMesh(np.concatenate(points), np.concatenate(cells), np.concatenate(region), tuple(names))
+    straight = np.concatenate(points)
+    nodal = NodalMesh(np.concatenate(shaped) if shaped else straight, np.concatenate(cells), np.concatenate(region),
+                      tuple(names), straight if shaped else None)
     return nodal, np.concatenate(dofs)
 
 

@@ -1,4 +1,4 @@
-"""Values at the nodes of rectangular cells of any order: their gradient, their integral, their value at any point.
+"""Values at the nodes of cells of any order: their gradient, their integral, their value at any point.
 
 A :class:`NodalMesh` is what post-processing and pictures need of a finite-element mesh and no more. Each node belongs
 to one region, so that a stress that jumps at an interface is still single valued. Lengths are metres, (r, z)
@@ -8,12 +8,13 @@ axisymmetric.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from workbench.elements import gauss_lobatto, lobatto_weights, polynomials
 
@@ -34,6 +35,10 @@ ALIKE = 2.0
 #: accurate and three times as sensitive to noise, of any order; all of them would make it 3000 times as sensitive at
 #: order 8.
 BEYOND = 2
+#: Steps to where a point has come from: each brings it closer by as much as neighbours are moved alike.
+MOST_STEPS = 30
+#: Cells whose points are moved by less apart, per length, than this are moved alike.
+SMOOTH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +61,12 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class NodalMesh:
-    """Rectangles between the lines of one grid, with Gauss-Lobatto nodes that are not shared between regions.
+    """Cells with Gauss-Lobatto nodes that are not shared between regions.
 
     ``points`` (N, 2) r, z in metres; ``cells`` (M, p + 1, p + 1) node numbers of every cell, the first index along r
-    and the second along z, for fields of order p; ``region`` (M,) index into ``regions``.
+    and the second along z, for fields of order p; ``region`` (M,) index into ``regions``. ``straight`` (N, 2) is where
+    the points are before they are moved to where they are: in rectangles between the lines of one grid; None where
+    they are not moved.
 
     Raises:
         ValueError: wrong shapes, an order below two, node or region numbers out of range, a cell that is clockwise or
@@ -71,9 +78,10 @@ class NodalMesh:
     cells: IntArray
     region: IntArray
     regions: tuple[str, ...]
+    straight: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        points, cells, region = self.points, self.cells, self.region
+        points, cells, region = self.flat, self.cells, self.region
         if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
             raise ValueError(f"points has shape {points.shape}; expected finite (N, 2)")
         if cells.ndim != 3 or not 3 <= cells.shape[1] == cells.shape[2] or region.shape != (len(cells),):
@@ -108,9 +116,28 @@ class NodalMesh:
         return self.cells.shape[1] - 1
 
     @property
+    def flat(self) -> FloatArray:
+        """Where the points (N, 2) are in rectangles."""
+        return self.points if self.straight is None else self.straight
+
+    @property
+    def shift(self) -> FloatArray | None:
+        """By how much the points (N, 2) are moved; None where they are not."""
+        return None if self.straight is None else self.points - self.straight
+
+    @property
     def boxes(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper r, z of every cell, each (M, 2)."""
-        return self.points[self.cells[:, 0, 0]], self.points[self.cells[:, -1, -1]]
+        """Lower and upper r, z of every cell, each (M, 2), where it is a rectangle."""
+        return self.flat[self.cells[:, 0, 0]], self.flat[self.cells[:, -1, -1]]
+
+    @property
+    def lines(self) -> tuple[FloatArray, FloatArray]:
+        """Radii (n,) and heights (m,), ascending, about as far apart as the lines of the cells, from end to end."""
+        if self.straight is None:
+            return self.grid.r, self.grid.z
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        return tuple(a + (line - line[0]) * ((b - a) / (line[-1] - line[0]))
+                     for line, a, b in zip((self.grid.r, self.grid.z), low, high, strict=True))
 
     @cached_property
     def grid(self) -> Grid:
@@ -167,7 +194,9 @@ def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
     """
     chosen = mesh.cells_of([region])
     low, high = (side[chosen] for side in mesh.boxes)
-    return mesh_of(low, high, np.zeros(len(chosen), dtype=np.int64), (region,), order=order)
+    flat = mesh_of(low, high, np.zeros(len(chosen), dtype=np.int64), (region,), order=order)
+    return flat if mesh.straight is None else replace(flat, points=transfer(mesh, mesh.points, flat),
+                                                      straight=flat.points)
 
 
 def transfer(mesh: NodalMesh, values: NodalArray, finer: NodalMesh) -> NodalArray:
@@ -194,16 +223,27 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
     Raises:
         ValueError: a name that is not a region of the mesh.
     """
-    flat = values.reshape(len(mesh.points), -1)
     chosen = mesh.cells_of(regions)
+    result = _recovered(mesh, values.reshape(len(mesh.points), -1), chosen)
+    if mesh.straight is not None:
+        # By the chain rule, where the points have got to likewise.
+        there = np.unique(mesh.cells[chosen])
+        slopes = _recovered(mesh, mesh.points, chosen)[there]
+        result[there] = np.linalg.solve(slopes, result[there])
+    return result.reshape(len(mesh.points), 2, *values.shape[1:])
+
+
+def _recovered(mesh: NodalMesh, values: NodalArray, chosen: IntArray) -> NodalArray:
+    """Derivatives (N, 2, k) in both directions of the rectangles of `values` (N, k) at the nodes of the cells `chosen`;
+    NaN elsewhere."""
     nodes = mesh.cells[chosen]
     shares = np.bincount(nodes.ravel(), minlength=len(mesh.points))
-    result = np.zeros((len(mesh.points), 2, flat.shape[1]), dtype=np.result_type(flat.dtype, float))
+    result = np.zeros((len(mesh.points), 2, values.shape[1]), dtype=np.result_type(values.dtype, float))
     for axis in (0, 1):
-        np.add.at(result[:, axis], nodes, _slopes(mesh, flat, chosen, axis))
+        np.add.at(result[:, axis], nodes, _slopes(mesh, values, chosen, axis))
     result[shares == 0] = np.nan
     result /= np.maximum(shares, 1)[:, None, None]
-    return result.reshape(len(mesh.points), 2, *values.shape[1:])
+    return result
 
 
 def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) -> NodalArray:
@@ -219,7 +259,7 @@ def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) ->
         """Add to the nodes of one half of some cells the derivative through the nodes of `parts`, the first the cell's
         own."""
         windows = np.concatenate(parts, axis=2)
-        matrix = half[:, None] * _differentiation(mesh.points[windows[:, 0], axis])[:, :order + 1]
+        matrix = half[:, None] * _differentiation(mesh.flat[windows[:, 0], axis])[:, :order + 1]
         result[members] += np.einsum("mij,mcjk->mcik", matrix, values[windows], optimize=True)
 
     own = lines[chosen]
@@ -246,6 +286,13 @@ def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
     size = (high - low)[:, axis]
     ratio = size[beside] / size
     fit = (mesh.region[beside] == mesh.region) & (ratio < ALIKE) & (ratio > 1.0 / ALIKE)
+    if mesh.shift is not None:
+        # Nor one that is moved otherwise: the field has a kink there on the rectangles.
+        lines = np.moveaxis(mesh.shift[mesh.cells], 1 + axis, 1)
+        matrix = _differentiation(gauss_lobatto(mesh.order)[None])[0]
+        ends = np.einsum("ek,mkjx->emjx", matrix[[0, -1]], lines) / size[:, None, None]
+        own, other = (ends[1], ends[0]) if step > 0 else (ends[0], ends[1])
+        fit &= np.abs(own - other[beside]).max(axis=(1, 2)) < SMOOTH
     return np.where(fit, beside, -1)
 
 
@@ -271,10 +318,15 @@ def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> No
     By the Gauss-Lobatto rule of the nodes, exact for the interpolant.
     """
     chosen = mesh.cells_of(regions)
-    low, high = (side[chosen] for side in mesh.boxes)
     weights = lobatto_weights(mesh.order)
     nodes = mesh.cells[chosen]
-    area = (high - low).prod(axis=1)[:, None, None] * np.outer(weights, weights)
+    if mesh.straight is None:
+        low, high = (side[chosen] for side in mesh.boxes)
+        area = (high - low).prod(axis=1)[:, None, None] * np.outer(weights, weights)
+    else:
+        slope = _differentiation(gauss_lobatto(mesh.order)[None])[0]
+        along, across = (np.einsum(form, slope, mesh.points[nodes]) for form in ("ai,mijx->majx", "bj,mijx->mibx"))
+        area = (along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]) * np.outer(weights, weights)
     measure = 2.0 * np.pi * mesh.points[nodes, 0] * area
     return np.tensordot(measure.ravel(), values[nodes.ravel()], axes=(0, 0))
 
@@ -295,6 +347,8 @@ def sample(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Seq
 def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple[IntArray, FloatArray]:
     """Cell (K,) of `regions` that holds each of `points` (K, 2), -1 where none, and local coordinates (K, 2), 0 to 1.
     """
+    if mesh.straight is not None:
+        return _found(mesh, points, regions)
     grid = mesh.grid
     chosen = np.zeros(len(mesh.cells) + 1, dtype=bool)
     chosen[mesh.cells_of(regions)] = True
@@ -316,6 +370,30 @@ def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple
     return found, local
 
 
+def _found(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple[IntArray, FloatArray]:
+    """:func:`locate` where points are moved: where a point has come from, by iteration from where it is."""
+    flat = replace(mesh, points=mesh.flat, straight=None)
+    shift, tree = mesh.points - mesh.flat, cKDTree(mesh.flat)
+    at = points - shift[cKDTree(mesh.points).query(points)[1]]
+    owner = np.zeros(len(mesh.points), dtype=np.int64)
+    owner[mesh.cells] = np.arange(len(mesh.cells))[:, None, None]
+    low, high = mesh.boxes
+    left = np.arange(len(points))
+    for _ in range(MOST_STEPS):
+        moved = sample(flat, shift, at[left], mesh.regions)
+        outside = np.flatnonzero(~np.isfinite(moved[:, 0]))
+        if outside.size:
+            # Beyond the rectangles points are moved as the nearest one of the nearest node's cell is.
+            beside = owner[tree.query(at[left[outside]])[1]]
+            moved[outside] = sample(flat, shift, np.clip(at[left[outside]], low[beside], high[beside]), mesh.regions)
+        step = points[left] - moved - at[left]
+        at[left] += step
+        left = left[np.abs(step).max(axis=1) > _TOLERANCE * np.ptp(mesh.points, axis=0).max()]
+        if not left.size:
+            break
+    return locate(flat, at, regions)
+
+
 def raster(
     mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray, regions: Sequence[str]
 ) -> NodalArray:
@@ -325,6 +403,8 @@ def raster(
     What :func:`sample` gives, in a fraction of its time.
     """
     result = np.full((len(r), len(z)), np.nan, dtype=np.result_type(values.dtype, float))
+    if mesh.straight is not None:
+        return sample(mesh, values, _pairs(r, z), regions).reshape(result.shape)
     grid = mesh.grid
     columns, rows = (_within(lines, place, mesh.order) for lines, place in ((grid.r, r), (grid.z, z)))
     chosen = np.isin(np.arange(len(mesh.cells)), mesh.cells_of(regions))
@@ -340,11 +420,19 @@ def raster(
 def cell_raster(mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray) -> NodalArray:
     """The one of `values` (M,) that belongs to the cell at every pair of ascending `r` (n,) and `z` (m,) in metres:
     (n, m); NaN where there is no cell."""
+    if mesh.straight is not None:
+        cell, _ = locate(mesh, _pairs(r, z), mesh.regions)
+        return np.where(cell >= 0, values[cell], np.nan).reshape(len(r), len(z))
     lines = mesh.grid
     i, j = (np.searchsorted(line, place, side="right") - 1 for line, place in ((lines.r, r), (lines.z, z)))
     table = np.pad(lines.cell, 1, constant_values=-1)
     cell = table[i[:, None] + 1, j[None, :] + 1]
     return np.where(cell >= 0, values[cell], np.nan)
+
+
+def _pairs(r: FloatArray, z: FloatArray) -> FloatArray:
+    """(n m, 2) of every r (n,) with every z (m,)."""
+    return np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:

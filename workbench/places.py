@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -75,26 +76,38 @@ def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
 def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     region, beyond = integral.place, integral.beyond
     cells = np.asarray(mesh.mesh.subdomains[region])
+    if not 0.0 <= beyond < 1.0:
+        raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
+    if integral.skin:
+        _check_straight(mesh, cells, integral)
+        cells = _skin(mesh, cells, integral)
+    # So many Gauss points integrate r times a product of two functions exactly: of order two nine. Where cells are not
+    # rectangles no number does; with one more the error is far below that of the fields.
+    points, weights = get_quadrature(RefQuad, 2 * mesh.order + (1 if mesh.coordinates is None else 3))
+    if not beyond:
+        return _cells(mesh, cells, points, weights)
+    _check_straight(mesh, cells, integral)
     # Of the whole region, of which this may be a column.
     edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[across_columns(region)])]].max()
-    if integral.skin:
-        cells = _skin(mesh, cells, integral)
     radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
     inner, outer = radii.min(axis=0), radii.max(axis=0)
     # The share of each cell's width that lies inside the radius from which on the place begins.
-    if not 0.0 <= beyond < 1.0:
-        raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
     left_out = np.clip((beyond * edge - inner) / (outer - inner), 0.0, 1.0)
     if left_out.min() > 1.0 - SAME_SHAPE:
         return None
-    # So many Gauss points integrate r times a product of two functions exactly: of order two nine.
-    points, weights = get_quadrature(RefQuad, 2 * mesh.order + 1)
     parts = []
     for share in np.unique(np.round(left_out[left_out <= 1.0 - SAME_SHAPE], 9)):
         kept = np.abs(left_out - share) < SAME_SHAPE
         rule = (np.stack([share + (1.0 - share) * points[0], points[1]]), (1.0 - share) * weights)
         parts.append(_cells(mesh, cells[kept], *rule))
     return _together(parts)
+
+
+def _check_straight(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> None:
+    """Refuse to restrict a region whose cells are not rectangles."""
+    if not are_rectangles(mesh, cells):
+        raise ModelError(f"{integral.domain!r} is a part of a region of which some cells are no rectangles: only a "
+                         "layer with plane faces and upright sides can be restricted")
 
 
 def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> NDArray[np.int64]:
@@ -112,27 +125,49 @@ def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> ND
 
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
     """Some cells, at local points (2, nq) of weights (nq,)."""
-    dofs, shapes, r, (width, height) = _tabulated(mesh, cells, points)
-    return Place(dofs, 2.0 * np.pi * r * (width * height)[:, None] * weights, r, shapes, cells)
+    dofs, shapes, r, slopes = _tabulated(mesh, cells, points)
+    area = slopes[0, 0] * slopes[1, 1] - slopes[0, 1] * slopes[1, 0]
+    return Place(dofs, 2.0 * np.pi * r * area * weights, r, shapes, cells)
 
 
 def _tabulated(
     mesh: SectionMesh, cells: NDArray[np.int64], points: Real
 ) -> tuple[NDArray[np.int64], dict[str, Real], Real, Real]:
-    """Some cells, which are rectangles, at local points (2, nq).
+    """Some cells at local points (2, nq).
 
     Returns:
-        dofs and shapes as of a `Place`, the radii of the points (ne, nq), and the widths and heights (2, ne).
+        dofs and shapes as of a `Place`, the radii of the points (ne, nq), and the slopes (2, 2, ne, nq) of r and z
+        along the local coordinates.
     """
     element = Lagrange(mesh.order)
-    corners = mesh.mesh.p[:, mesh.mesh.t[:, cells]]
-    size, low = corners[:, 2] - corners[:, 0], corners[0, 0]
-    values, slopes = zip(*(element.lbasis(points, i) for i in range(len(element.indices))), strict=True)
-    value, (along, across) = np.stack(values, axis=-1), np.stack(slopes, axis=-1)  # (nq, nb) each
-    r = low[:, None] + size[0][:, None] * points[0]
-    shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along / size[0][:, None, None],
-              "d_z": across / size[1][:, None, None], "over_r": value / r[:, :, None]}
-    return Dofs(mesh.mesh, element).element_dofs[:, cells], shapes, r, size
+    value, along, across = element.tabulated(points)
+    r, slopes = mapped(mesh, cells, points)
+    (r_along, r_across), (z_along, z_across) = slopes
+    area = r_along * z_across - r_across * z_along
+    along_r, across_r = (each[:, :, None] for each in (z_across / area, -z_along / area))
+    along_z, across_z = (each[:, :, None] for each in (-r_across / area, r_along / area))
+    shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along_r * along + across_r * across,
+              "d_z": along_z * along + across_z * across, "over_r": value / r[:, :, None]}
+    return Dofs(mesh.mesh, element).element_dofs[:, cells], shapes, r, slopes
+
+
+def mapped(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Real, Real]:
+    """Radii (ne, nq) of local points (2, nq) of some cells, and the slopes (2, 2, ne, nq) of r and z along the local
+    coordinates."""
+    own = (mesh.mesh.p[:, mesh.mesh.t] if mesh.coordinates is None else mesh.coordinates)[:, :, cells]
+    # Four corners, or nodes of the order that cells are curved by.
+    value, along, across = Lagrange(math.isqrt(own.shape[1]) - 1).tabulated(points)
+    slopes = np.stack([np.einsum("xie,qi->xeq", own, each) for each in (along, across)], axis=1)
+    return np.einsum("ie,qi->eq", own[0], value), slopes
+
+
+def are_rectangles(mesh: SectionMesh, cells: NDArray[np.int64]) -> bool:
+    """Whether some cells are rectangles with sides along r and z."""
+    _, slopes = mapped(mesh, cells, np.array([[0.0, 0.5, 1.0], [0.0, 0.5, 1.0]]))
+    size = np.abs(slopes).max(axis=(0, 1, 3), keepdims=True)
+    level = np.ptp(slopes, axis=3).max() if slopes.size else 0.0
+    oblique = np.abs(np.stack([slopes[0, 1], slopes[1, 0]])) / size[0]
+    return bool(level <= SAME_SHAPE * size.max() and (oblique <= SAME_SHAPE).all())
 
 
 def _together(parts: Sequence[Place]) -> Place:
@@ -177,28 +212,32 @@ def _facing_place(near: Place, far: Place) -> Place:
                  far.normal)
 
 
-#: Of the sides of a cell in the order of the mesh: the local coordinate that is fixed there, where, and the normal.
-SIDES = ((1, 0, (0.0, -1.0)), (0, 1, (1.0, 0.0)), (1, 1, (0.0, 1.0)), (0, 0, (-1.0, 0.0)))
+#: Of the sides of a cell in the order of the mesh: the local coordinate that is fixed there, where, and whether cells
+#: lie to the left of it, where the other coordinate grows.
+SIDES = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, -1.0), (0, 0, -1.0))
 
 
 def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
     """Some facets, their points in order of radius or height, their normals out of `solid`."""
     owners = mesh.mesh.f2t[0, facets]
     outwards = np.where(np.isin(owners, mesh.mesh.subdomains[solid]), 1.0, -1.0)
-    (along,), weights = get_quadrature(RefLine, 2 * mesh.order + 1)
+    (along,), weights = get_quadrature(RefLine, 2 * mesh.order + (1 if mesh.coordinates is None else 3))
     sides = np.argmax(mesh.mesh.t2f[:, owners] == facets, axis=0)
     indices = np.array(Lagrange(mesh.order).indices)
     parts, order = [], []
-    for side, (fixed, end, normal) in enumerate(SIDES):
+    for side, (fixed, end, left) in enumerate(SIDES):
         chosen = np.flatnonzero(sides == side)
         if not chosen.size:
             continue
-        dofs, shapes, r, size = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
+        dofs, shapes, r, slopes = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
         # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
         kept = np.flatnonzero(indices[:, fixed] == end * mesh.order)
-        parts.append(Place(dofs[kept], 2.0 * np.pi * r * size[1 - fixed][:, None] * weights, r,
+        tangent = slopes[:, 1 - fixed]
+        length = np.hypot(*tangent)
+        normal = left * np.stack([tangent[1], -tangent[0]]) / length
+        parts.append(Place(dofs[kept], 2.0 * np.pi * r * length * weights, r,
                            {kind: s[:, :, kept] for kind, s in shapes.items()}, owners[chosen],
-                           np.array(normal)[:, None, None] * outwards[chosen][:, None] * np.ones(r.shape)))
+                           normal * outwards[chosen][:, None]))
         order.append(chosen)
     whole, back = _together(parts), np.argsort(np.concatenate(order))
     assert whole.normal is not None

@@ -18,6 +18,7 @@ from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.files.errors import InputError
 from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
+from workbench.shaped_mesh import shaped
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +208,8 @@ def build(
     low, high = device.chip.band if band is None else band
     check_use(device.materials.values(), band=(low, high))
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
-    made = problem(mesh_section(device.section, size, cache=cache), device.materials, (low, high), name=device.name)
+    mesh = shaped(mesh_section(device.section, size, cache=cache), device.chip)
+    made = problem(mesh, device.materials, (low, high), name=device.name)
     return replace(made, discretisation=fineness)
 
 

@@ -72,7 +72,7 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
     """
     mesh, potential = forces.mesh, forces.potential
     wavelength = forces.fluid.sound_speed / forces.excitation.frequency
-    r, z = (_subdivided(lines, wavelength / RASTER_POINTS) for lines in (mesh.grid.r, mesh.grid.z))
+    r, z = (_subdivided(lines, wavelength / RASTER_POINTS) for lines in mesh.lines)
     values = raster(mesh, potential, r, z, [forces.region])
     span = float(np.nanmax(values) - np.nanmin(values))
     at_wall = find_walls(np.isfinite(values), on_axis=bool(r[0] < 1e-9 * r[-1]))

@@ -1,0 +1,116 @@
+"""Layers that are no discs with plane faces and upright sides: how much each line of the section is moved.
+
+The section of a chip is cut by its breaks into rectangles. A shape moves points of some of their sides, along r those
+of an upright side and along z those of a level one, and what is inside follows: between its two upright sides a point
+moves along r as they do at its height, in linear interpolation, and likewise along z. Neighbouring rectangles share a
+side, so nothing tears, and where nothing is moved all stays exactly as it is.
+
+- ``draft`` of a layer around the cavity: the angle by which its hole grows wider upwards; what continues the hole above
+  moves along.
+- ``barrel`` of a layer: how far its outer side bulges at mid-height, in a parabola.
+- ``bow`` of a layer: how much higher its axis is than its rim, in a parabola; both its faces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.mesh import SectionMesh
+from geometry.parts import SAME_LENGTH
+
+Real = NDArray[np.float64]
+Moved = Callable[[Real], Real]
+
+
+@dataclass(frozen=True)
+class Side:
+    """How far (m) the points of a line of the section are moved across it, from `begin` to `end` (m) along it.
+
+    An upright line at the radius ``at`` along r as a function of z, a level one at the height ``at`` along z as a
+    function of r.
+    """
+
+    upright: bool
+    at: float
+    begin: float
+    end: float
+    moved: Moved
+
+    def across(self, along: Real) -> Real:
+        """By how much points of cells (nodes, cells) are moved at some places along the line (m), nothing where a cell
+        lies beyond its ends."""
+        middle = along.mean(axis=0)
+        inside = (middle > self.begin) & (middle < self.end)
+        return np.where(inside, self.moved(along), 0.0)
+
+
+def sides(chip: Chip) -> Iterator[Side]:
+    """The sides that the shapes of a chip's layers move."""
+    for number, layer in enumerate(chip.layers):
+        low, high = layer.z_bottom, layer.z_top
+        if layer.draft is not None:
+            slope = math.tan(layer.draft.value)
+            yield Side(True, layer.inner_radius, low, high, _sloping(slope, low))
+            shift = slope * (high - low)
+            for above in chip.layers[number + 1:]:
+                goes_on = above.cavity_radius is not None and (
+                    abs(above.inner_radius - layer.inner_radius) < SAME_LENGTH)
+                bottom, top = above.z_bottom, above.z_top
+                # Where the hole ends the line is led back within what is above, of which it bounds nothing.
+                yield Side(True, layer.inner_radius, bottom, top,
+                           _sloping(0.0, bottom, shift) if goes_on else _sloping(shift / (bottom - top), top))
+                if not goes_on:
+                    break
+        if layer.barrel is not None:
+            yield Side(True, layer.outer_radius, low, high, _bulging(layer.barrel.value, low, high))
+        if layer.bow is not None:
+            rim = layer.outer_radius
+            for face in (low, high):
+                yield Side(False, face, 0.0, rim, _bulging(layer.bow.value, -rim, rim))
+
+
+def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:
+    """A straight line through that size at the beginning."""
+    return lambda along: size + slope * (along - begin)
+
+
+def _bulging(size: float, begin: float, end: float) -> Moved:
+    """A parabola of that size in the middle, and nothing at both ends."""
+    return lambda along: 4.0 * size * (along - begin) * (end - along) / (end - begin) ** 2
+
+
+def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
+    """Coordinates (2, nodes, cells) in metres of the nodes of a mesh of a chip's straight section as its layers are
+    shaped; None where none of them is.
+
+    Args:
+        local: (2, nodes) coordinates of the nodes within a cell, 0 to 1 along r and along z.
+    """
+    found = list(sides(chip))
+    if not found:
+        return None
+    corners = mesh.mesh.p[:, mesh.mesh.t]
+    low, high = corners[:, 0], corners[:, 2]
+    r, z = (low[axis] + local[axis][:, None] * (high - low)[axis] for axis in (0, 1))
+    return np.stack([_along(own, across, along, breaks) for own, across, along, breaks in (
+        ([side for side in found if side.upright], r, z, mesh.section.r_breaks),
+        ([side for side in found if not side.upright], z, r, mesh.section.z_breaks))])
+
+
+def _along(found: Sequence[Side], across: Real, along: Real, breaks: Sequence[float]) -> Real:
+    """Where points (nodes, cells) at places `across` some lines and `along` them get to across the lines."""
+    lines = np.array(breaks)
+    before = np.clip(np.searchsorted(lines, across.mean(axis=0)) - 1, 0, lines.size - 2)
+    share = (across - lines[before]) / (lines[before + 1] - lines[before])
+    result = across.copy()
+    for side in found:
+        at = int(np.argmin(np.abs(lines - side.at)))
+        weight = np.where(before == at, 1.0 - share, 0.0) + np.where(before + 1 == at, share, 0.0)
+        result += weight * side.across(along)
+    return result

@@ -1,0 +1,184 @@
+"""Layers that are no discs: what is moved of the section and what stays, and shapes that cannot be made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.chip import Chip, read_chip
+from geometry.mesh import MeshError, SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
+from geometry.parts import Dimension
+from geometry.section import cut_section
+from geometry.shapes import moved
+from geometry.solid import SolidError, solids
+from workbench.dimensions import flexible
+from workbench.elements import Lagrange
+from workbench.files.errors import InputError
+from workbench.problem import Problem
+from workbench.shaped_mesh import shaped
+
+ORDER = 4
+LOCAL = np.array(Lagrange(ORDER).doflocs).T
+
+
+def shape(chip: Chip, region: str, **sizes: float) -> Chip:
+    """The chip with a layer that has a shape."""
+    return replace(chip, layers=tuple(
+        replace(layer, **{name: Dimension(size) for name, size in sizes.items()}) if layer.region == region else layer
+        for layer in chip.layers))
+
+
+@pytest.fixture(scope="module")
+def straight(small_chip: Chip) -> SectionMesh:
+    section = cut_section(small_chip)
+    return mesh_section(section, MeshSize(dict.fromkeys(section.regions, 1500.0), 4e5, 2.0, ORDER))
+
+
+def nodes(mesh: SectionMesh) -> np.ndarray:
+    """Where the nodes (2, nodes, cells) of a mesh are before they are moved."""
+    corners = mesh.mesh.p[:, mesh.mesh.t]
+    return corners[:, 0][:, None] + LOCAL[:, :, None] * (corners[:, 2] - corners[:, 0])[:, None]
+
+
+def test_what_has_no_shape_stays_what_it_is(small_chip: Chip, straight: SectionMesh) -> None:
+    assert moved(straight, small_chip, LOCAL) is None
+    assert shaped(straight, small_chip) is straight
+
+
+def test_a_hole_with_draft_is_a_cone_and_goes_on_as_a_cylinder(small_chip: Chip, straight: SectionMesh) -> None:
+    angle = math.radians(5.0)
+    found = moved(straight, shape(small_chip, "sidewall", draft=angle), LOCAL)
+    assert found is not None
+    before, (wall, bond) = nodes(straight), (small_chip.layer(region) for region in ("sidewall", "bond"))
+    assert np.array_equal(found[1], before[1]), "along z nothing is moved"
+    for region, cells in straight.mesh.subdomains.items():
+        if region in ("transducer", "couplant", "substrate"):
+            assert np.array_equal(found[:, :, cells], before[:, :, cells])
+    lid = straight.mesh.subdomains["superstrate"]
+    for axis, least in ((0, False), (0, True), (1, False), (1, True)):
+        # The line above the hole is led back to where it was, within the lid.
+        end = before[axis][:, lid].min() if least else before[axis][:, lid].max()
+        face = before[axis][:, lid] == end
+        if (axis, least) != (1, True):
+            assert np.array_equal(found[:, :, lid][:, face], before[:, :, lid][:, face])
+    at_hole = np.abs(before[0] - wall.inner_radius) < 1e-12
+    inside = (before[1] > wall.z_bottom - 1e-12) & (before[1] < wall.z_top + 1e-12)
+    own = np.isin(np.arange(straight.mesh.t.shape[1]), straight.mesh.subdomains["sidewall"])
+    wanted = wall.inner_radius + math.tan(angle) * (before[1] - wall.z_bottom)
+    chosen = at_hole & inside & own
+    np.testing.assert_allclose(found[0][chosen], wanted[chosen], rtol=1e-14)
+    glue = at_hole & np.isin(np.arange(straight.mesh.t.shape[1]), straight.mesh.subdomains["bond"])
+    np.testing.assert_allclose(found[0][glue], wall.inner_radius + math.tan(angle) * wall.thickness.value, rtol=1e-14)
+    assert bond.inner_radius == wall.inner_radius
+    rim = np.abs(before[0] - wall.outer_radius) < 1e-12
+    assert np.array_equal(found[0][rim], before[0][rim])
+
+
+def test_a_side_that_bulges_and_a_lid_that_is_bowed(small_chip: Chip, straight: SectionMesh) -> None:
+    both = shape(shape(small_chip, "sidewall", barrel=1e-4), "superstrate", bow=2e-5)
+    found, before = moved(straight, both, LOCAL), nodes(straight)
+    assert found is not None
+    lid = small_chip.layer("superstrate")
+    for face in (lid.z_bottom, lid.z_top):
+        there = np.abs(before[1] - face) < 1e-12
+        np.testing.assert_allclose(
+            found[1][there], face + 2e-5 * (1.0 - (before[0][there] / lid.outer_radius) ** 2), rtol=1e-13)
+    assert found[0].max() == pytest.approx(small_chip.layer("sidewall").outer_radius + 1e-4, rel=1e-6)
+
+
+def test_a_shape_that_reaches_beyond_what_is_beside_it_is_refused(small_chip: Chip, straight: SectionMesh) -> None:
+    # A bow of 60 um of a bond of 100 um would do; 0.12 mm do not.
+    thin = replace(small_chip, layers=tuple(
+        replace(layer, bow=Dimension(-0.12e-3)) if layer.region == "superstrate" else layer
+        for layer in small_chip.layers))
+    with pytest.raises(MeshError, match=r"folds its section at r = .* mm, z = .* mm"):
+        shaped(straight, thin)
+
+
+@pytest.mark.parametrize(("line", "message"), [
+    ('draft = "50 deg"', r"layers\[3\].draft: .*50 deg.*less than 45 deg"),
+    ('draft = "1 mm"', r"draft.*1 mm.*angle"),
+    ('draft = 3', r"draft"),
+    ('draft = "-40 deg"', r"a hole that does not close"),
+    ('barrel = "9 mm"', r"layers\[3\].barrel.*less than"),
+    ('bow = { value = "10 um", tolerance = "-1 um" }', r"layers\[3\].bow.tolerance.*zero or more"),
+])
+def test_mistakes_in_shapes_are_named(line: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "chip.toml"
+    file.write_text(CHIP.replace("SHAPE", line))
+    with pytest.raises(InputError, match=message):
+        read_chip(file)
+
+
+def test_draft_of_a_layer_without_a_hole_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "chip.toml"
+    substrate = 'thickness = "0.85 mm"'
+    file.write_text(CHIP.replace("SHAPE", "").replace(substrate, substrate + '\ndraft = "1 deg"'))
+    with pytest.raises(InputError, match=r"layers\[2\].draft.*none where there is no hole"):
+        read_chip(file)
+
+
+def test_shapes_are_read_and_are_dimensions(tmp_path: Path) -> None:
+    file = tmp_path / "chip.toml"
+    file.write_text(CHIP.replace("SHAPE", 'draft = { value = "2 deg", tolerance = "0.5 deg" }\nbarrel = "30 um"'))
+    chip = read_chip(file)
+    known = chip.dimensions()
+    assert known["sidewall.draft"] == Dimension(math.radians(2.0), math.radians(0.5))
+    assert known["sidewall.barrel"].value == pytest.approx(30e-6, rel=1e-15)
+    assert chip.with_dimensions({"sidewall.draft": 0.1}).layer("sidewall").draft == Dimension(0.1)
+    assert chip.is_shaped
+
+
+def test_what_cannot_be_done_with_shapes_yet_says_so(small_chip: Chip, filled: Problem) -> None:
+    drafted = shape(small_chip, "sidewall", draft=0.05)
+    with pytest.raises(SolidError, match="cannot be drawn yet"):
+        solids(drafted)
+    with pytest.raises(InputError, match="others are not stretched yet"):
+        flexible(filled, drafted)
+
+
+CHIP = """
+[chip]
+name = "pea"
+band = ["0.3 MHz", "0.4 MHz"]
+
+[[layers]]
+role = "transducer"
+material = "pzt/trial"
+thickness = "2 mm"
+radius = "3 mm"
+
+[[layers]]
+role = "couplant"
+material = "gel/trial"
+thickness = "50 um"
+radius = "3 mm"
+
+[[layers]]
+role = "substrate"
+material = "pla/trial"
+thickness = "0.85 mm"
+radius = "3.5 mm"
+
+[[layers]]
+role = "sidewall"
+material = "pla/trial"
+thickness = "3 mm"
+radius = "3.5 mm"
+cavity_radius = "1.5 mm"
+SHAPE
+
+[[layers]]
+role = "superstrate"
+material = "glass/trial"
+thickness = "1 mm"
+radius = "3.5 mm"
+
+[states.empty]
+cavity = "vacuum"
+"""

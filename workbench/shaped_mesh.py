@@ -1,0 +1,53 @@
+"""Meshes of chips whose layers are no discs with plane faces and upright sides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem import Dofs
+
+from geometry.chip import Chip
+from geometry.mesh import MeshError, SectionMesh
+from geometry.shapes import moved
+from workbench.elements import Lagrange
+
+#: Nodes of one place are as close as rounding leaves them, relative to the section.
+TORN = 1e-12
+
+
+def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
+    """The mesh of a chip's straight section as the layers of the chip are shaped.
+
+    Raises:
+        MeshError: a cell is folded: a shape reaches beyond what is beside it.
+    """
+    element = Lagrange(mesh.order)
+    local = np.array(element.doflocs).T
+    coordinates = moved(mesh, chip, local)
+    if coordinates is None:
+        return mesh
+    _, along, across = element.tabulated(local)
+    (r_along, z_along), (r_across, z_across) = (np.einsum("xie,qi->xqe", coordinates, each)
+                                                for each in (along, across))
+    area = r_along * z_across - r_across * z_along
+    if area.min() <= 0.0:
+        node, cell = np.unravel_index(int(np.argmin(area)), area.shape)
+        r, z = 1e3 * coordinates[:, node, cell]
+        raise MeshError(f"the shape of chip {chip.name!r} folds its section at r = {r:.4g} mm, z = {z:.4g} mm: a side "
+                        "reaches beyond what is beside it")
+    _check_whole(mesh, element, coordinates)
+    return replace(mesh, coordinates=coordinates)
+
+
+def _check_whole(mesh: SectionMesh, element: Lagrange, coordinates: NDArray[np.float64]) -> None:
+    """Refuse coordinates (2, nodes, cells) that tear cells apart: a side that is moved as another one is not."""
+    dofs = Dofs(mesh.mesh, element).element_dofs
+    shared = np.empty((2, int(dofs.max()) + 1))
+    shared[:, dofs] = coordinates
+    torn = np.abs(shared[:, dofs] - coordinates).max(axis=0)
+    if torn.max() > TORN * np.ptp(coordinates):
+        node, cell = np.unravel_index(int(np.argmax(torn)), torn.shape)
+        r, z = 1e3 * coordinates[:, node, cell]
+        raise MeshError(f"the shapes of layers tear the section apart at r = {r:.4g} mm, z = {z:.4g} mm")
