@@ -41,6 +41,9 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "thickness": "of the layer",
         "radius": "of the layer; it may differ from layer to layer",
         "cavity_radius": "a hole that belongs to the cavity; holes are in neighbouring layers",
+        "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
+        "barrel": "how far the outer side bulges half-way up, in a parabola",
+        "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of the transducer alone, see below",
     },
@@ -82,6 +85,9 @@ READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "table": 
 TAKES: Mapping[str, str] = {
     "chip": "a table", "layers": "a list of tables", "cavity": "a table", "states": "a table", "role": "text",
     "band": "a list of two frequencies",
+    **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
+        f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
+    "draft": "an angle", "barrel": "a length", "bow": "a length",
     **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
 }
 

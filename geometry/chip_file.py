@@ -9,7 +9,7 @@ import tomli_w
 
 from geometry.chip import Chip
 from geometry.names import TRANSDUCER
-from geometry.parts import Dimension, Electrodes, Layer, Ports, ReportedFigures, State, discs
+from geometry.parts import SHAPES, Dimension, Electrodes, Layer, Ports, ReportedFigures, State, discs
 from workbench.files.quantities import format_quantity
 from workbench.files.writing import write_atomic
 
@@ -83,10 +83,15 @@ def _length(value: float) -> str:
     return format_quantity(value, "length", ("um", "mm", "m") if abs(value) < 1e-4 else ("mm", "um", "m"))
 
 
-def _dimension(dimension: Dimension) -> Entry:
-    table: dict[str, Entry] = {"value": _length(dimension.value)}
+def _angle(value: float) -> str:
+    return format_quantity(value, "angle", ("deg", "rad"))
+
+
+def _dimension(dimension: Dimension, kind: str = "length") -> Entry:
+    written = _angle if kind == "angle" else _length
+    table: dict[str, Entry] = {"value": written(dimension.value)}
     if dimension.tolerance is not None:
-        table["tolerance"] = _length(dimension.tolerance)
+        table["tolerance"] = written(dimension.tolerance)
     if dimension.assumed:
         table["assumed"] = True
     if dimension.note:
@@ -101,6 +106,9 @@ def _layer(layer: Layer, electrodes: Electrodes, *, with_bottom: bool) -> dict[s
     found |= {"thickness": _dimension(layer.thickness), "radius": _dimension(layer.radius)}
     if layer.cavity_radius is not None:
         found["cavity_radius"] = _dimension(layer.cavity_radius)
+    for shape, kind in SHAPES.items():
+        if (size := getattr(layer, shape)) is not None:
+            found[shape] = _dimension(size, kind)
     if with_bottom:
         found["bottom"] = _length(layer.z_bottom)
     return found | ({"electrodes": _electrodes(electrodes)} if layer.role == TRANSDUCER else {})

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from geometry.chip import Chip, read_chip
+from geometry.chip_file import write_chip
 from geometry.mesh import MeshError, SectionMesh, mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.parts import Dimension
@@ -132,6 +133,8 @@ def test_shapes_are_read_and_are_dimensions(tmp_path: Path) -> None:
     assert known["sidewall.barrel"].value == pytest.approx(30e-6, rel=1e-15)
     assert chip.with_dimensions({"sidewall.draft": 0.1}).layer("sidewall").draft == Dimension(0.1)
     assert chip.is_shaped
+    again = read_chip(write_chip(chip, tmp_path / "again.toml"))
+    assert again.layers == chip.layers
 
 
 def test_what_cannot_be_done_with_shapes_yet_says_so(small_chip: Chip, filled: Problem) -> None:
