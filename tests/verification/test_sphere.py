@@ -44,7 +44,13 @@ def half_sphere(order: int) -> Any:
     along, across = np.array(Lagrange(order).indices).T
     coordinates = curved(points, cells, nodes, sides)[:, :, along, across].transpose(0, 2, 1)
     mesh = skfem.MeshQuad(points, cells).with_subdomains({"cavity": np.arange(3)})
+    wall = np.flatnonzero(np.isin(mesh.facets, (4, 5, 6)).all(axis=0))
+    mesh = mesh.with_boundaries({"wall": wall})
     return SimpleNamespace(mesh=mesh, order=order, coordinates=coordinates)
+
+
+#: Of the gradient along the wall: what a boundary layer there lives on.
+ALONG = Integral(Monomial(1.0, 0), "wall", (Product("grad_p_t", "grad_p_t"),), solid="cavity")
 
 
 def matrix(place: Place, kinds: tuple[str, ...]) -> sparse.csr_matrix:
@@ -90,3 +96,41 @@ def test_modes_converge_as_the_order_rises() -> None:
     print("orders 4, 6, 8", errors)
     assert errors[1] < 0.05 * errors[0]
     assert errors[2] < 0.05 * errors[1]
+
+
+def test_what_a_boundary_layer_lives_on_at_a_curved_wall() -> None:
+    """Of p = j_l(k r) P_l(cos theta) the integral of |grad_t p|^2 over the wall, and the viscous loss of a mode.
+
+    It is j_l(k R)^2 l (l + 1) 4 pi / (2 l + 1) over the whole sphere. The layer of thickness d loses, per energy of the
+    mode, 1 / Q = (d / 2) int |grad_t p|^2 dS / int |grad p|^2 dV (Landau and Lifshitz, Fluid Mechanics, section 24, for
+    d << R), with int |grad p|^2 dV = k^2 int p^2 dV in a mode, and int j_l^2 r^2 dr = (R^3 / 2) j_l^2 (1 - l (l + 1) /
+    (k R)^2) by the equation of j_l.
+    """
+    degree = 2
+    wavenumber = brentq(lambda x: spherical_jn(degree, x, derivative=True), 3.0, 3.6, xtol=1e-14) / RADIUS
+    mesh = half_sphere(10)
+    inside, wall = place_of(mesh, MOVING), place_of(mesh, ALONG)
+    assert inside is not None
+    assert wall is not None
+    assert wall.normal is not None
+    pressure = np.empty(int(inside.dofs.max()) + 1)
+    r, z = mesh.coordinates
+    distance = np.maximum(np.hypot(r, z), 1e-300)
+    pressure[inside.dofs] = (spherical_jn(degree, wavenumber * distance) * (1.5 * (z / distance) ** 2 - 0.5))
+    slopes = [np.einsum("eqi,ie->eq", wall.shapes[kind], pressure[wall.dofs]) for kind in ("d_r", "d_z")]
+    tangential = wall.factor("t_r") * slopes[0] + wall.factor("t_z") * slopes[1]
+    found = float(np.sum(wall.weights * tangential**2))
+    end = spherical_jn(degree, wavenumber * RADIUS) ** 2
+    wanted = end * degree * (degree + 1) * 2.0 * np.pi / (2 * degree + 1)
+    assert found == pytest.approx(wanted, rel=1e-6)
+    within = [np.einsum("eqi,ie->eq", inside.shapes[kind], pressure[inside.dofs]) for kind in ("d_r", "d_z")]
+    moving = float(np.sum(inside.weights * (within[0] ** 2 + within[1] ** 2)))
+    thickness = 0.6e-6
+    loss = 0.5 * thickness * found / moving
+    square = (wavenumber * RADIUS) ** 2
+    closed = thickness / RADIUS * degree * (degree + 1) / square / (1.0 - degree * (degree + 1) / square)
+    print("1 / Q", loss, "closed form", closed)
+    assert loss == pytest.approx(closed, rel=1e-6)
+    # Normals are radial.
+    radial = wall.radius * wall.normal[1] / wall.normal[0]
+    assert np.hypot(wall.radius, radial) == pytest.approx(RADIUS, rel=1e-9)
