@@ -58,6 +58,21 @@ def test_quadratic_forms_are_those_of_the_matrices(
     assert np.abs(found / np.abs(expected).max(axis=0) - expected / np.abs(expected).max(axis=0)).max() < 1e-11
 
 
+def test_images_are_those_of_the_matrices(
+    filled_operators: FullOperators, matrices: list[sparse.csc_matrix], columns: NDArray[np.float64]
+) -> None:
+    """Of no sum, of one and of several, of all integrals and of few."""
+    state = (columns[:, 0] + 1j * columns[:, 1]).astype(np.complex128)
+    rng = np.random.default_rng(3)
+    for count in (0, 1, 5):
+        constants = rng.standard_normal((len(matrices), count)) + 1j * rng.standard_normal((len(matrices), count))
+        constants[2:] *= rng.random((len(matrices) - 2, 1)) < 0.3
+        found = filled_operators.images(state, constants)
+        assert found.shape == (filled_operators.size, count)
+        expected = sum((matrix @ state)[:, None] * row for matrix, row in zip(matrices, constants, strict=True))
+        assert np.abs(found - expected).max(initial=0.0) <= 1e-13 * np.abs(expected).max(initial=1.0)
+
+
 def test_element_forms_add_up_to_the_whole(filled_operators: FullOperators, columns: NDArray[np.float64]) -> None:
     states = columns.astype(np.complex128)
     parts = filled_operators.element_quadratic(states, states)

@@ -206,7 +206,10 @@ class FullOperators:
 
     def images(self, state: Complex, constants: Complex) -> Complex:
         """sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k)."""
-        return np.stack([self.summed(each).times(state) for each in constants.T], axis=1)
+        result = np.empty((self.size, constants.shape[1]), dtype=complex)
+        for column, each in zip(result.T, constants.T, strict=True):
+            column[:] = self.summed(each).times(state)
+        return result
 
     def summed(self, constants: Complex) -> Symmetric:
         """sum_q constants_q A_q (size, size) for `constants` (number of integrals,)."""

@@ -81,7 +81,9 @@ class Model:
             if known.widths.keys() == wanted.keys() and all(
                     abs(known.widths[name] - size) <= FOUND for name, size in wanted.items()):
                 return known
-        self._made.append(model(self.campaign, accuracy=self.accuracy, cache=self.cache, widths=wanted))
+        # Two are kept: a search looks at one place and goes to the next.
+        self._made[:] = [*self._made[-1:],
+                         model(self.campaign, accuracy=self.accuracy, cache=self.cache, widths=wanted)]
         return self._made[-1]
 
     @cached_property
