@@ -187,7 +187,11 @@ def test_outside_the_ranges_a_wider_model_is_made(tmp_path: Path) -> None:
     # Where the narrow one was checked, it answers until the wide one is known to be as good.
     assert session.spectrum().error < CLOSE
     assert "model ready" in list(growing)[-1]
-    assert len(session._models) == 1
+    # Both are checked by few full solves: which is better is a matter of digits.
+    *narrow, wide = session._models
+    assert all(each.error < wide.error <= CLOSE for each in narrow)
+    session.move(THICKNESS, 0.83e-3)
+    assert session.spectrum().error < np.inf
 
 
 def test_another_process_makes_the_same_model(tmp_path: Path, session: Session) -> None:
