@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
+from geometry.parts import Dimension
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.discretisation import Discretisation
@@ -219,3 +220,10 @@ def moved_onto(mesh: SectionMesh, chip: Chip) -> SectionMesh:
 def started_at(parameter: Parameter, start: float) -> Parameter:
     """The same parameter with another start, moved into its bounds."""
     return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))
+
+
+def shape(chip: Chip, region: str, **sizes: float) -> Chip:
+    """The chip with a layer that has a shape (`geometry.parts.SHAPES`)."""
+    return replace(chip, layers=tuple(
+        replace(layer, **{name: Dimension(size) for name, size in sizes.items()}) if layer.region == region else layer
+        for layer in chip.layers))

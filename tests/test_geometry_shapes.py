@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import shape
 
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
@@ -25,13 +25,6 @@ from workbench.shaped_mesh import shaped
 
 ORDER = 4
 LOCAL = np.array(Lagrange(ORDER).doflocs).T
-
-
-def shape(chip: Chip, region: str, **sizes: float) -> Chip:
-    """The chip with a layer that has a shape."""
-    return replace(chip, layers=tuple(
-        replace(layer, **{name: Dimension(size) for name, size in sizes.items()}) if layer.region == region else layer
-        for layer in chip.layers))
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +87,8 @@ def test_a_side_that_bulges_and_a_lid_that_is_bowed(small_chip: Chip, straight: 
 
 def test_a_shape_that_reaches_beyond_what_is_beside_it_is_refused(small_chip: Chip, straight: SectionMesh) -> None:
     # A bow of 60 um of a bond of 100 um would do; 0.12 mm do not.
-    thin = replace(small_chip, layers=tuple(
-        replace(layer, bow=Dimension(-0.12e-3)) if layer.region == "superstrate" else layer
-        for layer in small_chip.layers))
     with pytest.raises(MeshError, match=r"folds its section at r = .* mm, z = .* mm"):
-        shaped(straight, thin)
+        shaped(straight, shape(small_chip, "superstrate", bow=-0.12e-3))
 
 
 @pytest.mark.parametrize(("line", "message"), [

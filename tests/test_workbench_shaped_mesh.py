@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support import shape
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh, mesh_section
@@ -31,12 +32,6 @@ from workbench.solve import solve_full
 FREQUENCIES = np.linspace(310e3, 390e3, 5)
 FINENESS = Discretisation(4, 4.0, corner_refinement=0.05, growth=4.0)
 DRAFT, BARREL, BOW = math.radians(8.0), 0.2e-3, 30e-6
-
-
-def shape(chip: Chip, region: str, **sizes: float) -> Chip:
-    return replace(chip, layers=tuple(
-        replace(layer, **{name: Dimension(size) for name, size in sizes.items()}) if layer.region == region else layer
-        for layer in chip.layers))
 
 
 def built(chip: Chip, materials: Mapping[str, Material]) -> Problem:

@@ -188,9 +188,7 @@ def _restricted(place: Place, nodes: Integers, own: Integers, functions: Real) -
 
 def _values(low: int, high: int) -> Real:
     """Values (nodes, functions) at the nodes of order `high` of the functions of order `low`."""
-    at, element = gauss_lobatto(high), Lagrange(low)
-    points = at[np.array(Lagrange(high).indices)].T
-    return np.stack([element.lbasis(points, i)[0] for i in range(len(element.indices))], axis=1)
+    return Lagrange(low).tabulated(np.array(Lagrange(high).doflocs).T)[0]
 
 
 def _surplus_functions(low: int, high: int) -> Real:

@@ -73,6 +73,13 @@ def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
     return _facing_place(_boundary_place(mesh, near, integral.solid), _boundary_place(mesh, far, integral.facing_solid))
 
 
+def _degree(mesh: SectionMesh) -> int:
+    """The degree of polynomials that quadrature is exact for."""
+    # So many Gauss points integrate r times a product of two functions exactly: of order two nine. Where cells are not
+    # rectangles no number does; with one more the error is far below that of the fields.
+    return 2 * mesh.order + (1 if mesh.coordinates is None else 3)
+
+
 def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     region, beyond = integral.place, integral.beyond
     cells = np.asarray(mesh.mesh.subdomains[region])
@@ -81,9 +88,7 @@ def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     if integral.skin:
         _check_straight(mesh, cells, integral)
         cells = _skin(mesh, cells, integral)
-    # So many Gauss points integrate r times a product of two functions exactly: of order two nine. Where cells are not
-    # rectangles no number does; with one more the error is far below that of the fields.
-    points, weights = get_quadrature(RefQuad, 2 * mesh.order + (1 if mesh.coordinates is None else 3))
+    points, weights = get_quadrature(RefQuad, _degree(mesh))
     if not beyond:
         return _cells(mesh, cells, points, weights)
     _check_straight(mesh, cells, integral)
@@ -126,8 +131,7 @@ def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> ND
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
     """Some cells, at local points (2, nq) of weights (nq,)."""
     dofs, shapes, r, slopes = _tabulated(mesh, cells, points)
-    area = slopes[0, 0] * slopes[1, 1] - slopes[0, 1] * slopes[1, 0]
-    return Place(dofs, 2.0 * np.pi * r * area * weights, r, shapes, cells)
+    return Place(dofs, 2.0 * np.pi * r * areas(slopes) * weights, r, shapes, cells)
 
 
 def _tabulated(
@@ -143,7 +147,7 @@ def _tabulated(
     value, along, across = element.tabulated(points)
     r, slopes = mapped(mesh, cells, points)
     (r_along, r_across), (z_along, z_across) = slopes
-    area = r_along * z_across - r_across * z_along
+    area = areas(slopes)
     along_r, across_r = (each[:, :, None] for each in (z_across / area, -z_along / area))
     along_z, across_z = (each[:, :, None] for each in (-r_across / area, r_along / area))
     shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along_r * along + across_r * across,
@@ -154,11 +158,17 @@ def _tabulated(
 def mapped(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Real, Real]:
     """Radii (ne, nq) of local points (2, nq) of some cells, and the slopes (2, 2, ne, nq) of r and z along the local
     coordinates."""
-    own = (mesh.mesh.p[:, mesh.mesh.t] if mesh.coordinates is None else mesh.coordinates)[:, :, cells]
+    own = mesh.mesh.p[:, mesh.mesh.t[:, cells]] if mesh.coordinates is None else mesh.coordinates[:, :, cells]
     # Four corners, or nodes of the order that cells are curved by.
     value, along, across = Lagrange(math.isqrt(own.shape[1]) - 1).tabulated(points)
     slopes = np.stack([np.einsum("xie,qi->xeq", own, each) for each in (along, across)], axis=1)
     return np.einsum("ie,qi->eq", own[0], value), slopes
+
+
+def areas(slopes: Real) -> Real:
+    """What an area in local coordinates is multiplied by (ne, nq), from the slopes (2, 2, ne, nq) of :func:`mapped`."""
+    (r_along, r_across), (z_along, z_across) = slopes
+    return np.asarray(r_along * z_across - r_across * z_along)
 
 
 def are_rectangles(mesh: SectionMesh, cells: NDArray[np.int64]) -> bool:
@@ -221,7 +231,7 @@ def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) ->
     """Some facets, their points in order of radius or height, their normals out of `solid`."""
     owners = mesh.mesh.f2t[0, facets]
     outwards = np.where(np.isin(owners, mesh.mesh.subdomains[solid]), 1.0, -1.0)
-    (along,), weights = get_quadrature(RefLine, 2 * mesh.order + (1 if mesh.coordinates is None else 3))
+    (along,), weights = get_quadrature(RefLine, _degree(mesh))
     sides = np.argmax(mesh.mesh.t2f[:, owners] == facets, axis=0)
     indices = np.array(Lagrange(mesh.order).indices)
     parts, order = [], []

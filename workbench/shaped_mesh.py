@@ -12,6 +12,7 @@ from geometry.chip import Chip
 from geometry.mesh import MeshError, SectionMesh
 from geometry.shapes import moved
 from workbench.elements import Lagrange
+from workbench.places import areas, mapped
 
 #: Nodes of one place are as close as rounding leaves them, relative to the section.
 TORN = 1e-12
@@ -28,17 +29,15 @@ def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
     coordinates = moved(mesh, chip, local)
     if coordinates is None:
         return mesh
-    _, along, across = element.tabulated(local)
-    (r_along, z_along), (r_across, z_across) = (np.einsum("xie,qi->xqe", coordinates, each)
-                                                for each in (along, across))
-    area = r_along * z_across - r_across * z_along
+    result = replace(mesh, coordinates=coordinates)
+    area = areas(mapped(result, np.arange(coordinates.shape[2]), local)[1])
     if area.min() <= 0.0:
-        node, cell = np.unravel_index(int(np.argmin(area)), area.shape)
+        cell, node = np.unravel_index(int(np.argmin(area)), area.shape)
         r, z = 1e3 * coordinates[:, node, cell]
         raise MeshError(f"the shape of chip {chip.name!r} folds its section at r = {r:.4g} mm, z = {z:.4g} mm: a side "
                         "reaches beyond what is beside it")
     _check_whole(mesh, element, coordinates)
-    return replace(mesh, coordinates=coordinates)
+    return result
 
 
 def _check_whole(mesh: SectionMesh, element: Lagrange, coordinates: NDArray[np.float64]) -> None:
