@@ -61,11 +61,15 @@ def check_dimensions(
 
 def check_shapes(layers: Sequence[Layer], file: str) -> None:
     """What is stated of the shapes of layers is finite, and can be made; tolerances are not negative."""
+    profiled = any(layer.profile is not None for layer in layers)
     for i, layer in enumerate(layers):
         for name in SHAPES:
             size: Dimension | None = getattr(layer, name)
             if size is None:
                 continue
+            if profiled:
+                raise InputError(file, f"layers[{i}].{name}", _shown(name, size.value), "none in a chip of which "
+                                 "a layer has a profile: say it in a profile of this one")
             place, shown = f"layers[{i}].{name}", _shown(name, size.value)
             if name == "draft" and layer.cavity_radius is None:
                 raise InputError(file, place, shown, "none where there is no hole: it is that of the hole's wall")
@@ -144,6 +148,8 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
         if i == 0:
             continue
         below = layers[i - 1]
+        if layer.profile is not None or below.profile is not None:
+            continue  # whether they fit is seen in the section
         distance = layer.z_bottom - below.z_top
         if abs(distance) > SAME_LENGTH:
             fault = "leaves a gap above" if distance > 0 else "overlaps"

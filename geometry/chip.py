@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,12 @@ class Chip:
     @property
     def is_shaped(self) -> bool:
         """Whether a layer is no disc with plane faces and upright sides."""
-        return any(getattr(layer, shape) is not None for layer in self.layers for shape in SHAPES)
+        return self.is_profiled or any(getattr(layer, shape) is not None for layer in self.layers for shape in SHAPES)
+
+    @property
+    def is_profiled(self) -> bool:
+        """Whether the outline of a layer is another than a rectangle (`geometry.profile`)."""
+        return any(layer.profile is not None for layer in self.layers)
 
     def layer(self, region: str) -> Layer:
         """The layer of that region.
@@ -162,6 +167,9 @@ class Chip:
                 return old
             return replace(old, value=float(values[name]), tolerance=None)
 
+        def of_profile(region: str, name: str, old: Dimension) -> Dimension:
+            return always(f"{region}.{name}", old)
+
         shared = hole_names(self.layers)
         layers = tuple(
             replace(
@@ -172,6 +180,7 @@ class Chip:
                 draft=changed(f"{layer.region}.draft", layer.draft),
                 barrel=changed(f"{layer.region}.barrel", layer.barrel),
                 bow=changed(f"{layer.region}.bow", layer.bow),
+                profile=layer.profile and layer.profile.changed(partial(of_profile, layer.region)),
             )
             for layer in self.layers
         )

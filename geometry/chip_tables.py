@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import (
     SAME_LENGTH,
@@ -15,10 +17,11 @@ from geometry.parts import (
     State,
     millimetres,
 )
+from geometry.profile import StepPart, read_profile
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import Table
 
-_LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "cavity_radius", "bottom", *SHAPES)
+_LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "cavity_radius", "bottom", "profile", *SHAPES)
 
 
 def read_dimension(table: Table, key: str, kind: str = "length") -> Dimension:
@@ -73,21 +76,34 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
     for table, region, role in zip(tables, region_names(roles), roles, strict=True):
         table.only([*_LAYER_KEYS, "electrodes"] if role == TRANSDUCER else _LAYER_KEYS)
         bottom = table.optional_quantity("bottom", "length")
+        profile = read_profile(table.table("profile")) if "profile" in table else None
+        measured: dict[str, float] = {}
+        if profile is not None and isinstance(profile.source, StepPart):
+            from geometry.cad import measured_part  # CadQuery takes seconds to import
+
+            measured = measured_part(profile.source)
         layer = Layer(
             region=region,
             role=role,
             material=read_text(table, "material"),
-            thickness=read_dimension(table, "thickness"),
-            radius=read_dimension(table, "radius"),
-            z_bottom=bottom if bottom is not None else layers[-1].z_top if layers else 0.0,
+            thickness=_dimension_or(table, "thickness", measured),
+            radius=_dimension_or(table, "radius", measured),
+            z_bottom=bottom if bottom is not None else measured["bottom"] if measured else (
+                layers[-1].z_top if layers else 0.0),
             cavity_radius=_optional_dimension(table, "cavity_radius"),
             density=table.optional_quantity("density", "density"),
+            profile=profile,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},
         )
         if role == TRANSDUCER:
             electrodes = _electrodes(table.table("electrodes"), layer.outer_radius)
         layers.append(layer)
     return tuple(layers), electrodes
+
+
+def _dimension_or(table: Table, key: str, measured: Mapping[str, float]) -> Dimension:
+    """A dimension of the file, or of a part that was measured."""
+    return read_dimension(table, key) if key in table or key not in measured else Dimension(measured[key])
 
 
 def _electrodes(table: Table, rim: float) -> Electrodes:

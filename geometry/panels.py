@@ -103,6 +103,18 @@ def _divide(
     return list(lengths), list(counts), list(ratios)
 
 
+def division(
+    length: float, largest: float, ends: tuple[float, float], growth: float, minimum: int
+) -> NDArray[np.float64]:
+    """Shares of a length at which elements end, 0 and 1 included; as of :func:`_divide`."""
+    lengths, counts, ratios = _divide(length, largest, ends, growth, minimum)
+    steps = np.concatenate([part * ratio ** np.arange(count) / np.sum(ratio ** np.arange(count, dtype=float))
+                            for part, count, ratio in zip(lengths, counts, ratios, strict=True)])
+    shares = np.concatenate([[0.0], np.cumsum(steps) / steps.sum()])
+    shares[-1] = 1.0
+    return shares
+
+
 def _graded(length: float, smallest: float, growth: float) -> int:
     """How many elements, each `growth` times as long as the one before, divide a length so that the first is no longer
     than `smallest`."""

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE
 from workbench.files.errors import InputError
+
+if TYPE_CHECKING:
+    from geometry.profile import Profile
 
 #: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
 SAME_LENGTH = 1e-9
@@ -61,7 +64,8 @@ class Layer:
 
     ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own when a person weighed the part. ``draft``
     (rad), ``barrel`` and ``bow`` (m) say how it differs from a disc with plane faces and upright sides, see
-    `geometry.shapes`.
+    `geometry.shapes`; ``profile`` that its outline is another altogether, see `geometry.profile`. ``thickness`` is then
+    how far the layer above is from the bottom of this one.
     """
 
     region: str
@@ -75,6 +79,7 @@ class Layer:
     draft: Dimension | None = None
     barrel: Dimension | None = None
     bow: Dimension | None = None
+    profile: Profile | None = None
 
     @property
     def z_top(self) -> float:
@@ -166,6 +171,9 @@ def named_dimensions(
         for shape in SHAPES:
             if (size := getattr(layer, shape)) is not None:
                 yield f"{layer.region}.{shape}", size
+        if layer.profile is not None:
+            for name, size in layer.profile.parameters:
+                yield f"{layer.region}.{name}", size
     # Reversed, so that the lowest hole speaks for the shared radius.
     for layer in reversed(layers):
         if layer.cavity_radius is not None:

@@ -10,8 +10,10 @@ three-dimensional meshes).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 Real = NDArray[np.float64]
@@ -20,6 +22,22 @@ Integers = NDArray[np.int64]
 #: The sides of a cell: its corners from the lower to the upper end of the coordinate that runs along them, in pairs of
 #: opposite ones.
 BOTTOM, RIGHT, TOP, LEFT = (0, 1), (1, 2), (3, 2), (0, 3)
+
+
+@cache
+def gauss_lobatto(order: int) -> Real:
+    """The order + 1 Gauss-Lobatto nodes of [0, 1]."""
+    inner = legendre.legroots(legendre.legder([0.0] * order + [1.0])).real
+    return np.asarray(0.5 * (1.0 + np.concatenate([[-1.0], np.sort(inner), [1.0]])))
+
+
+def numbering(order: int) -> list[tuple[int, int]]:
+    """Places along both coordinates of the nodes of a cell: corners, edges bottom, right, top, left, the inside."""
+    inner = range(1, order)
+    return [(0, 0), (order, 0), (order, order), (0, order),
+            *((k, 0) for k in inner), *((order, k) for k in inner),
+            *((k, order) for k in inner), *((0, k) for k in inner),
+            *((i, j) for j in inner for i in inner)]
 
 
 def oriented(cells: Integers) -> Integers:
@@ -59,6 +77,45 @@ def oriented(cells: Integers) -> Integers:
     # The corner that both coordinates begin at.
     begin = np.where(along, np.where(across, 0, 3), np.where(across, 1, 2))
     return np.take_along_axis(cells, (np.arange(4)[:, None] + begin) % 4, axis=0)
+
+
+def rolled(nodes: Real, cells: Integers, other: Integers) -> Real:
+    """The nodes (2, m, k, k) of `cells` (4, m) as those of the same cells whose corners begin elsewhere."""
+    begin = np.argmax(cells == other[0], axis=0)
+    result = np.empty_like(nodes)
+    for corner, turn in enumerate((lambda x: x, lambda x: x[:, :, ::-1].swapaxes(2, 3), lambda x: x[:, :, ::-1, ::-1],
+                                   lambda x: x[:, :, :, ::-1].swapaxes(2, 3))):
+        chosen = begin == corner
+        result[:, chosen] = turn(nodes[:, chosen])
+    return result
+
+
+def measures(nodes: Real) -> tuple[Real, Real, Real]:
+    """Area (m,) and volume turned about the axis (m,) of cells with nodes (2, m, k, k), and the least of what an area
+    in local coordinates is multiplied by, relative to its mean (m,).
+
+    The integrands are polynomials of degrees below those that the quadrature is exact for.
+    """
+    order = nodes.shape[2] - 1
+    x, weights = legendre.leggauss(2 * order + 1)
+    points = 0.5 * (1.0 + x)
+    value, slope = _tabulated(order, points)
+    fields = [np.einsum("ai,bj,xmij->xmab", one, other, nodes, optimize=True)
+              for one, other in ((value, value), (slope, value), (value, slope))]
+    (r, _), (r_along, z_along), (r_across, z_across) = fields
+    area = r_along * z_across - z_along * r_across
+    weight = 0.25 * np.outer(weights, weights)
+    whole = np.einsum("mab,ab->m", area, weight)
+    return whole, 2.0 * np.pi * np.einsum("mab,mab,ab->m", r, area, weight), area.min(axis=(1, 2)) / whole
+
+
+def _tabulated(order: int, points: Real) -> tuple[Real, Real]:
+    """Values and slopes (n, order + 1) at `points` (n,) of the polynomials that are 1 at one node each."""
+    nodes = 2.0 * gauss_lobatto(order) - 1.0
+    coefficients = np.linalg.inv(legendre.legvander(nodes, order))
+    return (legendre.legvander(2.0 * points - 1.0, order) @ coefficients,
+            2.0 * np.stack([legendre.legval(2.0 * points - 1.0, legendre.legder(each)) for each in np.eye(order + 1)],
+                           axis=1) @ coefficients)
 
 
 def curved(points: Real, cells: Integers, nodes: Real, sides: Mapping[tuple[int, int], Real]) -> Real:

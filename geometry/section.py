@@ -6,7 +6,7 @@ Lengths in metres, the axis at r = 0, z upwards (Acevedo-Espinosa et al. (RP-UEI
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, interface, outside
-from geometry.parts import SAME_LENGTH, ElectrodeDisc
+from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
+from geometry.parts import SAME_LENGTH, ElectrodeDisc, Electrodes, Layer
 from workbench.files.errors import choose
 
 #: Marks a cell of :meth:`Section.grid` where there is nothing.
@@ -138,24 +138,30 @@ def cut_section(chip: Chip) -> Section:
 
     Breaks that differ by less than 1 nm, the rounding of sums of thicknesses included, become one.
     """
+    return section_of_layers(chip.layers, chip.electrodes)
+
+
+def section_of_layers(layers: Sequence[Layer], electrodes: Electrodes) -> Section:
+    """As :func:`cut_section`, of layers as discs and rings whatever their profile."""
     rectangles = [
         Rectangle(layer.region, layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
-        for layer in chip.layers
+        for layer in layers
     ]
-    rectangles += [Rectangle(CAVITY, 0.0, hole.inner_radius, hole.z_bottom, hole.z_top) for hole in chip.holes]
-    disc = chip.transducer
-    top_is_live = chip.electrodes.live == "top"
+    rectangles += [Rectangle(CAVITY, 0.0, hole.inner_radius, hole.z_bottom, hole.z_top) for hole in layers
+                   if hole.cavity_radius is not None]
+    transducer = next(layer for layer in layers if layer.region == TRANSDUCER)
+    top_is_live = electrodes.live == "top"
 
     def electrode(name: str, part: ElectrodeDisc, *, on_top: bool) -> Electrode:
         inner = 0.0 if part.inner_radius is None else part.inner_radius.value
-        outer = disc.outer_radius if part.radius is None else part.radius.value
-        return Electrode(name, inner, outer, disc.z_top if on_top else disc.z_bottom)
+        outer = transducer.outer_radius if part.radius is None else part.radius.value
+        return Electrode(name, inner, outer, transducer.z_top if on_top else transducer.z_bottom)
 
-    electrodes = (
-        electrode(ELECTRODE_LIVE, chip.electrodes.live_disc, on_top=top_is_live),
-        electrode(ELECTRODE_GROUND, chip.electrodes.ground_disc, on_top=not top_is_live),
+    lines = (
+        electrode(ELECTRODE_LIVE, electrodes.live_disc, on_top=top_is_live),
+        electrode(ELECTRODE_GROUND, electrodes.ground_disc, on_top=not top_is_live),
     )
-    pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *electrodes)
+    pieces: tuple[Rectangle | Electrode, ...] = (*rectangles, *lines)
     radii = _merged(r for piece in pieces for r in (piece.r_inner, piece.r_outer))
     heights = _merged(z for rectangle in rectangles for z in (rectangle.z_bottom, rectangle.z_top))
     return Section(
@@ -163,7 +169,7 @@ def cut_section(chip: Chip) -> Section:
             Rectangle(p.region, radii[p.r_inner], radii[p.r_outer], heights[p.z_bottom], heights[p.z_top])
             for p in rectangles
         ),
-        tuple(Electrode(e.name, radii[e.r_inner], radii[e.r_outer], heights[e.z]) for e in electrodes),
+        tuple(Electrode(e.name, radii[e.r_inner], radii[e.r_outer], heights[e.z]) for e in lines),
     )
 
 

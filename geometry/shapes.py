@@ -21,8 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.curves import Arc, Curve
 from geometry.mesh import SectionMesh
 from geometry.parts import SAME_LENGTH
+from geometry.section import Section, cut_section
 
 Real = NDArray[np.float64]
 Moved = Callable[[Real], Real]
@@ -93,14 +95,47 @@ def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
         local: (2, nodes) coordinates of the nodes within a cell, 0 to 1 along r and along z.
     """
     found = list(sides(chip))
-    if not found:
+    if not found or not isinstance(mesh.section, Section):
         return None
     corners = mesh.mesh.p[:, mesh.mesh.t]
     low, high = corners[:, 0], corners[:, 2]
-    r, z = (low[axis] + local[axis][:, None] * (high - low)[axis] for axis in (0, 1))
+    return _moved(found, mesh.section, *(low[axis] + local[axis][:, None] * (high - low)[axis] for axis in (0, 1)))
+
+
+def _moved(found: Sequence[Side], section: Section, r: Real, z: Real) -> Real:
+    """Where points (nodes, cells) of cells of a section get to: (2, nodes, cells)."""
     return np.stack([_along(own, across, along, breaks) for own, across, along, breaks in (
-        ([side for side in found if side.upright], r, z, mesh.section.r_breaks),
-        ([side for side in found if not side.upright], z, r, mesh.section.z_breaks))])
+        ([side for side in found if side.upright], r, z, section.r_breaks),
+        ([side for side in found if not side.upright], z, r, section.z_breaks))])
+
+
+def outlines(chip: Chip) -> list[tuple[str, list[Arc]]]:
+    """The outline of every layer, and of the cavity in every layer, anticlockwise, by region: lines and parabolas."""
+    section, found = cut_section(chip), list(sides(chip))
+    result = []
+    for each in section.rectangles:
+        columns = range(section.r_breaks.index(each.r_inner), section.r_breaks.index(each.r_outer))
+        rows = range(section.z_breaks.index(each.z_bottom), section.z_breaks.index(each.z_top))
+        chains = [*(_cell(found, section, i, rows[0])[:, :, 0] for i in columns),
+                  *(_cell(found, section, columns[-1], j)[:, 2] for j in rows),
+                  *(_cell(found, section, i, rows[-1])[:, ::-1, 2] for i in reversed(columns)),
+                  *(_cell(found, section, columns[0], j)[:, 0, ::-1] for j in reversed(rows))]
+        result.append((each.region, [_through(chain) for chain in chains]))
+    return result
+
+
+def _cell(found: Sequence[Side], section: Section, column: int, row: int) -> Real:
+    """Corners, middles of the sides and middle of a cell between the breaks, as they are moved: (2, 3, 3)."""
+    ends = (section.r_breaks[column:column + 2], section.z_breaks[row:row + 2])
+    r, z = np.meshgrid(*([low, 0.5 * (low + high), high] for low, high in ends), indexing="ij")
+    return _moved(found, section, r.reshape(9, 1), z.reshape(9, 1)).reshape(2, 3, 3)
+
+
+def _through(points: Real) -> Arc:
+    """The line or parabola through three points (2, 3)."""
+    a, m, b = ((float(r), float(z)) for r, z in points.T)
+    parabola = Arc(Curve.parabola(a, m, b))
+    return Arc(Curve.line(a, b)) if parabola.is_straight else parabola
 
 
 def _along(found: Sequence[Side], across: Real, along: Real, breaks: Sequence[float]) -> Real:

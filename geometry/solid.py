@@ -11,22 +11,17 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
+from geometry.kernel import MILLIMETRES, SolidError, cadquery_module
 from geometry.names import CAVITY
 from geometry.parts import SHAPES, Layer
 
 if TYPE_CHECKING:
     from cadquery import Shape, Solid
 
-MILLIMETRES = 1e3
-
 #: Relative agreement demanded between the volume of a solid and the chip's arithmetic. The kernel integrates plain
 #: cylinders to rounding; where a channel leaves through a round wall it describes the edge by a spline, which costs
 #: some 1e-8 of the channel, 1e-11 of the part.
 VOLUME_TOLERANCE = 1e-9
-
-
-class SolidError(RuntimeError):
-    """A solid is not the one the chip describes, or CadQuery could not be used."""
 
 
 def parts(chip: Chip) -> dict[str, tuple[Layer, ...]]:
@@ -94,7 +89,7 @@ def solids(chip: Chip) -> dict[str, Solid]:
     """
     if chip.is_shaped:
         raise SolidError(f"{chip.name!r} has layers with a {', a '.join(SHAPES)}: their solids cannot be drawn yet")
-    cadquery = _cadquery()
+    cadquery = cadquery_module()
     expected = part_volumes(chip)
     channels = _channels(cadquery, chip)
     drilled = chip.port_axis()[0].region if channels else None
@@ -108,15 +103,6 @@ def solids(chip: Chip) -> dict[str, Solid]:
         fluid = _fused([_cylinder(cadquery, hole.inner_radius, hole) for hole in chip.holes])
         made[CAVITY] = _checked(CAVITY, fluid, expected[CAVITY])
     return made
-
-
-def _cadquery() -> ModuleType:
-    try:
-        import cadquery
-    except (ImportError, OSError) as error:
-        raise SolidError(f"solids need CadQuery and its system libraries (./setup installs both): {error}") from error
-    module: ModuleType = cadquery
-    return module
 
 
 def _cylinder(cadquery: ModuleType, radius: float, layer: Layer) -> Solid:

@@ -11,12 +11,13 @@ from support import shape
 
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
+from geometry.kernel import SolidError
 from geometry.mesh import MeshError, SectionMesh, mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.parts import Dimension
 from geometry.section import cut_section
 from geometry.shapes import moved
-from geometry.solid import SolidError, solids
+from geometry.solid import solids
 from workbench.dimensions import flexible
 from workbench.elements import Lagrange
 from workbench.files.errors import InputError

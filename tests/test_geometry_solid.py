@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip, Dimension, read_chip
 from geometry.export import export_step, export_stl
+from geometry.kernel import SolidError
 from geometry.parts import Ports
 from geometry.section import cut_section
-from geometry.solid import SolidError, part_volumes, parts, ports_volume, solids, volume
+from geometry.solid import part_volumes, parts, ports_volume, solids, volume
 from workbench.files.errors import InputError
 
 cadquery = pytest.importorskip("cadquery", reason="solids need CadQuery, the extra 'cad'")

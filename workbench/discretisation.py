@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from geometry.free_section import FreeSection
 from geometry.mesh_size import MeshSize
 from geometry.names import TRANSDUCER
 from geometry.section import Rectangle, Section
@@ -50,7 +51,7 @@ class Discretisation:
                        through_quarter_wave=math.ceil(self.through_quarter_wave * factor))
 
     def mesh_size(
-        self, section: Section, materials: Mapping[str, Material], frequency: float, *,
+        self, section: Section | FreeSection, materials: Mapping[str, Material], frequency: float, *,
         skins: Mapping[str, float] | None = None, radii: Sequence[float] = (),
     ) -> MeshSize:
         """The size of the elements of a section at `frequency` (Hz); `skins` and `radii` as in
@@ -76,7 +77,9 @@ class Discretisation:
         return self.transducer_finer if region == TRANSDUCER else 1.0
 
 
-def film_speeds(section: Section, materials: Mapping[str, Material], frequency: float) -> dict[str, float]:
+def film_speeds(
+    section: Section | FreeSection, materials: Mapping[str, Material], frequency: float
+) -> dict[str, float]:
     """Speed (m/s) at `frequency` (Hz) of the wave along every film of fluid on an elastic solid, by region.
 
     What the fluid moves sideways makes room by pressing the solids apart, which is slower the thinner the film:
@@ -97,7 +100,7 @@ def film_speeds(section: Section, materials: Mapping[str, Material], frequency: 
 
 
 def film_levels(
-    section: Section, materials: Mapping[str, Material], speeds: Mapping[str, float], frequency: float
+    section: Section | FreeSection, materials: Mapping[str, Material], speeds: Mapping[str, float], frequency: float
 ) -> tuple[float, ...]:
     """Heights (m) in the elastic solids beside films where what these move at `frequency` (Hz) has decayed.
 
@@ -115,7 +118,7 @@ def film_levels(
     return tuple(sorted(found))
 
 
-def _beside(section: Section, film: Rectangle) -> list[Rectangle]:
+def _beside(section: Section | FreeSection, film: Rectangle) -> list[Rectangle]:
     """What lies on a film or below it."""
     return [r for r in section.rectangles if r.z_top == film.z_bottom or r.z_bottom == film.z_top
             if r.r_inner < film.r_outer and r.r_outer > film.r_inner]

@@ -6,13 +6,15 @@ The cells of a section are rectangles whose local coordinates run along r and al
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from skfem import ElementH1
 from skfem.refdom import RefQuad
+
+from geometry.quads import gauss_lobatto, numbering
 
 Real = NDArray[np.float64]
 
@@ -31,12 +33,7 @@ class Lagrange(ElementH1):
         self.facet_dofs, self.interior_dofs = order - 1, (order - 1) ** 2
         self.maxdeg = 2 * order
         self.dofnames = ["u"] * (1 + self.facet_dofs + self.interior_dofs)
-        inner = range(1, order)
-        # Corners, then the edges bottom, right, top, left, then inside; indices along both directions.
-        self.indices = [(0, 0), (order, 0), (order, order), (0, order),
-                        *((k, 0) for k in inner), *((order, k) for k in inner),
-                        *((k, order) for k in inner), *((0, k) for k in inner),
-                        *((i, j) for j in inner for i in inner)]
+        self.indices = numbering(order)
         nodes = gauss_lobatto(order)
         self.doflocs = np.array([[nodes[i], nodes[j]] for i, j in self.indices])
 
@@ -53,13 +50,6 @@ class Lagrange(ElementH1):
         (f, df), (g, dg) = (_polynomials(self.order, x.tobytes(), x.shape) for x in X)
         one, other = self.indices[i]
         return f[one] * g[other], np.stack([df[one] * g[other], f[one] * dg[other]])
-
-
-@cache
-def gauss_lobatto(order: int) -> Real:
-    """The order + 1 Gauss-Lobatto nodes of [0, 1]."""
-    inner = legendre.legroots(legendre.legder([0.0] * order + [1.0])).real
-    return np.asarray(0.5 * (1.0 + np.concatenate([[-1.0], np.sort(inner), [1.0]])))
 
 
 def lobatto_weights(order: int) -> Real:

@@ -8,9 +8,11 @@ from functools import cached_property
 from pathlib import Path
 
 from geometry.chip import Chip, State
-from geometry.mesh import SectionMesh, mesh_section
+from geometry.chip_section import chip_section
+from geometry.free_section import FreeSection
+from geometry.mesh import SectionMesh
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM
-from geometry.section import Section, cut_section
+from geometry.section import Section
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
@@ -18,7 +20,7 @@ from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.files.errors import InputError
 from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
-from workbench.shaped_mesh import shaped
+from workbench.shaped_mesh import meshed, shaped
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +107,9 @@ class FilledChip:
         return f"{self.chip.name}, {self.state.name}"
 
     @cached_property
-    def section(self) -> Section:
+    def section(self) -> Section | FreeSection:
         """The half section of the chip."""
-        return cut_section(self.chip)
+        return chip_section(self.chip)
 
 
 def fill(chip: Chip, state: str | None = None, registry: Registry | None = None) -> FilledChip:
@@ -208,7 +210,7 @@ def build(
     low, high = device.chip.band if band is None else band
     check_use(device.materials.values(), band=(low, high))
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
-    mesh = shaped(mesh_section(device.section, size, cache=cache), device.chip)
+    mesh = shaped(meshed(device.section, size, cache=cache), device.chip)
     made = problem(mesh, device.materials, (low, high), name=device.name)
     return replace(made, discretisation=fineness)
 

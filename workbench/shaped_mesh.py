@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from skfem import Dofs
 
 from geometry.chip import Chip
-from geometry.mesh import MeshError, SectionMesh
+from geometry.free_mesh import mesh_free
+from geometry.free_section import FreeSection
+from geometry.mesh import MeshError, SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
+from geometry.section import Section
 from geometry.shapes import moved
 from workbench.elements import Lagrange
 from workbench.places import areas, mapped
 
 #: Nodes of one place are as close as rounding leaves them, relative to the section.
 TORN = 1e-12
+
+
+def meshed(section: Section | FreeSection, size: MeshSize, *, cache: Path | None = None) -> SectionMesh:
+    """The mesh of a section, whichever kind it is: rectangles go to a tensor mesh, the `cache` is for these.
+
+    Raises:
+        InputError: no speed is given for a region of the section.
+        MeshError: the mesh could not be made as the section asks.
+    """
+    return mesh_section(section, size, cache=cache) if isinstance(section, Section) else mesh_free(section, size)
 
 
 def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.free_section import FreeSection
 from geometry.mesh import SectionMesh
 from geometry.section import Section
 from materials.kinds import Fluid
@@ -154,7 +155,7 @@ def model(
             more.setdefault(parameter.name, parameter)
     parameters = (*known, *more.values())
     recordings: dict[str, Recording] = {}
-    meshes: dict[Section, SectionMesh] = {}
+    meshes: dict[Section | FreeSection, SectionMesh] = {}
     for state, problem in zip(campaign.states, problems, strict=True):
         problem = flexible(problem, state.chip, ranges_of_radii(parameters, state.chip.dimensions()))
         # One mesh for states of one chip, so that they share what is solved on it.

@@ -1,0 +1,56 @@
+"""The half section of any chip: of rectangles where all layers are discs, else of the faces that CadQuery draws."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from geometry.chip import Chip
+from geometry.free_section import FreeSection
+from geometry.parts import Electrodes, Layer
+from geometry.section import Section, cut_section, section_of_layers
+
+if TYPE_CHECKING:
+    from geometry.cad import Drawn
+
+
+def chip_section(chip: Chip) -> Section | FreeSection:
+    """The half section of `chip`, the cavity included whatever fills it, its ports left out.
+
+    Raises:
+        InputError: outlines that cannot be made or do not fit each other.
+        SolidError: a layer has a profile and CadQuery is not installed.
+    """
+    return _free_section(chip.layers, chip.electrodes, chip.file) if chip.is_profiled else cut_section(chip)
+
+
+@lru_cache(maxsize=32)
+def _free_section(layers: tuple[Layer, ...], electrodes: Electrodes, file: str) -> FreeSection:
+    from geometry.dissection import section_of  # CadQuery takes seconds to import
+
+    stated = section_of_layers(layers, electrodes)
+    return section_of(drawn_layers(layers, file), stated.electrodes, stated.rectangles,
+                      hollow=any(layer.cavity_radius is not None for layer in layers), source=file)
+
+
+def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, Drawn]:
+    """The section of every layer by region, as CadQuery draws it.
+
+    Raises:
+        InputError: an outline that cannot be made.
+        SolidError: CadQuery is not installed.
+    """
+    from geometry import cad
+
+    drawn = {}
+    for number, layer in enumerate(layers):
+        if layer.profile is None:
+            lengths = (layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
+            drawn[layer.region] = cad.Drawn(cad.rectangle(*(cad.MILLIMETRES * each for each in lengths)))
+            continue
+        sizes = {"thickness": layer.thickness.value, "radius": layer.outer_radius}
+        if layer.cavity_radius is not None:
+            sizes["cavity_radius"] = layer.inner_radius
+        drawn[layer.region] = cad.profile_face(layer.profile, sizes, layer.z_bottom, source=file,
+                                               field=f"layers[{number}].profile")
+    return drawn

@@ -1,0 +1,165 @@
+"""Curves in the half plane (r, z): rational B-splines, which hold lines, arcs, parabolas and splines exactly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+Real = NDArray[np.float64]
+
+#: Points that a curve is looked at between two of its knots.
+SAMPLES = 9
+
+#: A curve whose points lie this close to the chord (m) is a line.
+STRAIGHT = 1e-10
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve from t = 0 to t = 1: ``poles`` (r w, z w, w) of a rational B-spline, r and z in metres, w its weights."""
+
+    degree: int
+    knots: tuple[float, ...]
+    poles: tuple[tuple[float, float, float], ...]
+
+    @classmethod
+    def line(cls, start: tuple[float, float], end: tuple[float, float]) -> Curve:
+        """The straight line between two points (m)."""
+        return cls(1, (0.0, 0.0, 1.0, 1.0), ((*start, 1.0), (*end, 1.0)))
+
+    @classmethod
+    def parabola(cls, start: tuple[float, float], middle: tuple[float, float], end: tuple[float, float]) -> Curve:
+        """The parabola through three points (m), the second one at t = 1/2."""
+        inner = tuple(2.0 * m - 0.5 * (a + b) for a, m, b in zip(start, middle, end, strict=True))
+        return cls(2, (0.0, 0.0, 0.0, 1.0, 1.0, 1.0), ((*start, 1.0), (inner[0], inner[1], 1.0), (*end, 1.0)))
+
+    @cached_property
+    def _spline(self) -> BSpline:
+        return BSpline(np.array(self.knots), np.array(self.poles), self.degree)
+
+    def at(self, t: Real) -> Real:
+        """Points (2, ...) in metres at `t` (...)."""
+        found = self._spline(t)
+        return np.moveaxis(found[..., :2] / found[..., 2:], -1, 0)
+
+    def slope(self, t: Real) -> Real:
+        """Their derivatives (2, ...) by t."""
+        found, slopes = self._spline(t), self._spline(t, 1)
+        weight = found[..., 2:]
+        return np.moveaxis((slopes[..., :2] - found[..., :2] * slopes[..., 2:] / weight) / weight, -1, 0)
+
+    def samples(self, start: float, end: float) -> Real:
+        """Values of t from `start` to `end`, ends included, some between any two knots."""
+        low, high = min(start, end), max(start, end)
+        inner = sorted({low, high, *(knot for knot in self.knots if low < knot < high)})
+        parts = [np.linspace(a, b, SAMPLES)[:-1] for a, b in pairwise(inner)]
+        found = np.concatenate([*parts, [high]])
+        return found if start <= end else found[::-1]
+
+
+@dataclass(frozen=True)
+class Arc:
+    """The part of a curve from ``start`` to ``end`` (values of t, in either direction)."""
+
+    curve: Curve
+    start: float = 0.0
+    end: float = 1.0
+
+    def at(self, share: Real) -> Real:
+        """Points (2, ...) in metres at shares (...) of the way, in t, from its start to its end."""
+        return self.curve.at(self.start + np.asarray(share) * (self.end - self.start))
+
+    @property
+    def back(self) -> Arc:
+        """The same in the other direction."""
+        return Arc(self.curve, self.end, self.start)
+
+    @cached_property
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The points (m) it starts and ends at."""
+        (r0, r1), (z0, z1) = self.at(np.array([0.0, 1.0])).tolist()
+        return (r0, z0), (r1, z1)
+
+    def direction(self, share: float) -> Real:
+        """Unit tangent (2,) at a share of the way."""
+        t = self.start + share * (self.end - self.start)
+        slope = self.curve.slope(np.array(t)) * math.copysign(1.0, self.end - self.start)
+        length = float(np.hypot(*slope))
+        if length == 0.0:  # a pole that is doubled
+            (r0, z0), (r1, z1) = self.part(*((share, min(share + 1e-4, 1.0)) if share < 0.5 else (share - 1e-4, share)
+                                            )).ends
+            slope = np.array([r1 - r0, z1 - z0])
+            length = float(np.hypot(*slope))
+        return np.asarray(slope / length)
+
+    def part(self, start: float, end: float) -> Arc:
+        """The part between two shares of the way."""
+        width = self.end - self.start
+        return Arc(self.curve, self.start + start * width, self.end if end == 1.0 else self.start + end * width)
+
+    @cached_property
+    def polyline(self) -> Real:
+        """Points (2, n) on it (m), ends included."""
+        return self.curve.at(self.curve.samples(self.start, self.end))
+
+    @cached_property
+    def length(self) -> float:
+        """Its length (m)."""
+        return abs(self._integral(lambda point, slope: np.hypot(*slope)))
+
+    @cached_property
+    def turning(self) -> float:
+        """The angle (rad) that its tangent turns by altogether."""
+        steps = np.column_stack([self.direction(0.0), np.diff(self.polyline, axis=1), self.direction(1.0)])
+        steps = steps[:, np.hypot(*steps) > 0.0]
+        angles = np.arctan2(steps[1], steps[0])
+        return float(np.abs((np.diff(angles) + np.pi) % (2.0 * np.pi) - np.pi).sum())
+
+    @cached_property
+    def is_straight(self) -> bool:
+        """Whether it is a line."""
+        (r0, z0), (r1, z1) = self.ends
+        chord = np.array([r1 - r0, z1 - z0]) / math.hypot(r1 - r0, z1 - z0)
+        r, z = self.polyline
+        return bool(np.abs((r - r0) * chord[1] - (z - z0) * chord[0]).max() < STRAIGHT)
+
+    @property
+    def area(self) -> float:
+        """Its share of the area (m^2) of what it bounds anticlockwise: the integral of r dz."""
+        return self._integral(lambda point, slope: point[0] * slope[1])
+
+    @property
+    def volume(self) -> float:
+        """Its share of the volume (m^3) of what it bounds, turned about the axis: the integral of pi r^2 dz."""
+        return self._integral(lambda point, slope: math.pi * point[0] ** 2 * slope[1])
+
+    def share_of(self, axis: int, value: float) -> float | None:
+        """The share of the way at which a coordinate (0 r, 1 z) is `value` (m); None where it never is between its
+        ends. The first one of several."""
+        shares = (self.curve.samples(self.start, self.end) - self.start) / (self.end - self.start)
+        apart = self.at(shares)[axis] - value
+        for k in np.flatnonzero(np.sign(apart[:-1]) * np.sign(apart[1:]) < 0.0):
+            low, high, sign = float(shares[k]), float(shares[k + 1]), math.copysign(1.0, apart[k])
+            for _ in range(80):
+                middle = 0.5 * (low + high)
+                if sign * (float(self.at(np.array(middle))[axis]) - value) > 0.0:
+                    low = middle
+                else:
+                    high = middle
+            return 0.5 * (low + high)
+        inside = np.flatnonzero(apart[1:-1] == 0.0)
+        return float(shares[1 + inside[0]]) if inside.size else None
+
+    def _integral(self, integrand: object) -> float:
+        knots = self.curve.samples(self.start, self.end)
+        points, weights = np.polynomial.legendre.leggauss(8)
+        width = np.diff(knots)[:, None]
+        t = knots[:-1, None] + 0.5 * width * (1.0 + points)
+        values = integrand(self.curve.at(t), self.curve.slope(t))  # type: ignore[operator]
+        return float(np.sum(0.5 * width * weights * values))

@@ -1,0 +1,249 @@
+"""From the faces of layers to a section: what they leave free, and how they are cut into faces that are easy to mesh.
+
+Faces of neighbours have to fit: they may not overlap, and what they enclose is the cavity or a gap that nobody meant.
+A face with four sides is filled with rows and columns of quadrilaterals. Others are cut by lines along z, in corners
+that point into them and on both sides of what is steep or strongly curved (a fillet, a drafted wall), so that only a
+small part remains that is not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geometry import cad
+from geometry.curves import Arc
+from geometry.free_section import Directed, Face, FreeSection
+from geometry.kernel import MILLIMETRES, cadquery_module
+from geometry.names import CAVITY
+from geometry.section import Electrode, Rectangle
+from workbench.files.errors import InputError
+
+if TYPE_CHECKING:
+    import cadquery
+
+#: Angles (degrees) by which the tangent turns in a corner of a face; less is a smooth passage.
+CORNER = 30.0
+
+#: A side of a face with four sides is no more oblique than this (degrees), nor curved more.
+OBLIQUE = 40.0
+
+#: Beside what is steep or curved a face is cut as far off as that is wide, or this share of the height of the face.
+MARGIN = 0.35
+
+
+def section_of(
+    drawn: Mapping[str, cad.Drawn], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *, hollow: bool,
+    source: str,
+) -> FreeSection:
+    """The section of layers drawn in the half plane, from bottom to top by region; with a cavity if they are `hollow`.
+
+    Raises:
+        InputError: layers overlap, leave a gap or do not touch, or what should be the cavity is open.
+    """
+    faces = {region: each.face for region, each in drawn.items()}
+    _check_fit(faces, source)
+    cavity = _enclosed(faces, hollow=hollow, source=source)
+    if cavity is not None:
+        faces[CAVITY] = cavity
+    notes = tuple(f"{region}: {each.left_out}" for region, each in drawn.items() if each.left_out)
+    pieces = [(region, piece) for region, face in faces.items() for piece in _pieces(face)]
+    return _fused(pieces, tuple(electrodes), tuple(rectangles), notes)
+
+
+def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
+    """Refuse faces that overlap, and those that do not touch what is below."""
+    from OCP.BRepExtrema import BRepExtrema_DistShapeShape
+
+    for (one, first), (other, second) in combinations(faces.items(), 2):
+        common = [each for each in first.intersect(second).Faces() if each.Area() > cad.SOME]
+        if common:
+            worst = max(common, key=lambda face: face.Area())
+            raise InputError(source, f"layers {one} and {other}", f"an overlap of "
+                             f"{sum(each.Area() for each in common):.4g} mm^2 about {cad.place(worst.Center())}",
+                             "layers that touch and do not overlap")
+    names = list(faces)
+    for k, name in enumerate(names[1:], start=1):
+        below = cadquery_module().Compound.makeCompound([faces[each] for each in names[:k]])
+        near = BRepExtrema_DistShapeShape(faces[name].wrapped, below.wrapped)
+        if near.Value() > cad.CLOSE:
+            point = near.PointOnShape1(1)
+            at = cadquery_module().Vector(point.X(), point.Y(), point.Z())
+            raise InputError(source, f"layer {name}", f"a gap of {near.Value():.4g} mm below it, least at "
+                             f"{cad.place(at)}", "a layer that touches one below it")
+
+
+def _enclosed(faces: Mapping[str, cadquery.Face], *, hollow: bool, source: str) -> cadquery.Face | None:
+    """What the faces leave free inside: the cavity, if there is to be one."""
+    whole = cadquery_module().Compound.makeCompound(list(faces.values()))
+    around = cad.half_plane(whole.BoundingBox())
+    edge = around.BoundingBox()
+    free = around.cut(*faces.values()).Faces()
+    inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.CLOSE
+              and each.BoundingBox().zmax < edge.zmax - cad.CLOSE and each.BoundingBox().zmin > edge.zmin + cad.CLOSE]
+    inside = [each for each in inside if each.Area() > cad.SOME]
+    at_axis = [each for each in inside if each.BoundingBox().xmin < cad.CLOSE]
+    wanted = at_axis[:1] if hollow and len(at_axis) == 1 else []
+    gaps = [each for each in inside if not any(each is other for other in wanted)]
+    if gaps:
+        worst = max(gaps, key=lambda face: face.Area())
+        between = [name for name, face in faces.items() if face.distance(worst) < cad.CLOSE]
+        expected = "layers that leave no gap"
+        if not hollow:
+            expected += "; a cavity is one where layers have a cavity_radius"
+        raise InputError(source, "layers " + ", ".join(between), f"a gap of {worst.Area():.4g} mm^2 about "
+                         f"{cad.place(worst.Center())}", expected)
+    if hollow and not wanted:
+        raise InputError(source, "cavity", _opening(faces), "layers that close the cavity on all sides")
+    return wanted[0] if wanted else None
+
+
+def _opening(faces: Mapping[str, cadquery.Face]) -> str:
+    """Where the layers around an open cavity come closest to closing it."""
+    from OCP.BRepExtrema import BRepExtrema_DistShapeShape
+
+    found = []
+    for (one, first), (other, second) in combinations(faces.items(), 2):
+        near = BRepExtrema_DistShapeShape(first.wrapped, second.wrapped)
+        if near.Value() > cad.CLOSE:
+            point = near.PointOnShape1(1)
+            found.append((near.Value(), f"an opening between {one} and {other}, {near.Value():.4g} mm wide at r = "
+                          f"{point.X():.4g} mm, z = {point.Z():.4g} mm"))
+    return min(found)[1] if found else "no room that the layers enclose"
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Cuts
+
+
+def _pieces(face: cadquery.Face) -> list[cadquery.Face]:
+    """A face, cut so that most of it has four sides."""
+    loops = [[cad.curve_of(edge) for edge in edges] for edges in cad.directed_edges(face)]
+    if len(loops) == 1 and four_sides(loops[0]) is not None:
+        return [face]
+    radii = sorted(_cuts(loops))
+    if not radii:
+        return [face]
+    box, module = face.BoundingBox(), cadquery_module()
+    lines = [module.Edge.makeLine(module.Vector(MILLIMETRES * r, 0.0, box.zmin - 1.0),
+                                  module.Vector(MILLIMETRES * r, 0.0, box.zmax + 1.0)) for r in radii]
+    return list(face.split(*lines).Faces())
+
+
+def _cuts(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
+    """Radii (m) at which a face is cut."""
+    zones: list[tuple[float, float]] = []
+    points = np.concatenate([arc.polyline for loop in loops for arc in loop], axis=1)
+    (left, bottom), (right, top) = points.min(axis=1), points.max(axis=1)
+    for arc in (arc for loop in loops for arc in loop):
+        r, _ = arc.polyline
+        if np.ptp(r) > 0.0 and _steepest(arc) > OBLIQUE:
+            margin = max(float(np.ptp(r)), MARGIN * (top - bottom))
+            zones.append((float(r.min()) - margin, float(r.max()) + margin))
+    merged: list[tuple[float, float]] = []
+    for low, high in sorted(zones):
+        if merged and low <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(high, merged[-1][1]))
+        else:
+            merged.append((low, high))
+    for low, high in merged:
+        for radius in (low, high):
+            # Not where only a sliver would be cut off.
+            if left + 0.2 * (high - low) < radius < right - 0.2 * (high - low):
+                yield radius
+    for loop in loops:
+        for before, after in zip([loop[-1], *loop], loop, strict=False):
+            (radius, _), _ = after.ends
+            if turned(before, after) < -CORNER and not any(low < radius < high for low, high in merged):
+                yield radius
+
+
+def _steepest(arc: Arc) -> float:
+    """The largest angle (degrees) between a curve and the plane z = 0; none for a line along z."""
+    if arc.is_straight and abs(arc.ends[0][0] - arc.ends[1][0]) < 1e-9:
+        return 0.0
+    steps = np.abs(np.diff(arc.polyline, axis=1))
+    return float(np.degrees(np.arctan2(steps[1], steps[0])).max())
+
+
+def turned(before: Arc, after: Arc) -> float:
+    """The angle (degrees) by which the tangent turns to the left between two edges of a loop."""
+    (a, b), (c, d) = before.direction(1.0), after.direction(0.0)
+    return math.degrees(math.atan2(a * d - b * c, a * c + b * d))
+
+
+def four_sides(loop: Sequence[Arc]) -> list[list[int]] | None:
+    """The edges (places in the loop) of the four sides of a face, anticlockwise; None for a face with others.
+
+    The first side begins in the corner that is lowest, and furthest in.
+    """
+    turns = [turned(loop[k - 1], loop[k]) for k in range(len(loop))]
+    corners = [k for k, angle in enumerate(turns) if angle > CORNER]
+    if len(corners) != 4 or min(turns) < -CORNER or max(turns) > 180.0 - CORNER:
+        return None
+    first = min(range(4), key=lambda k: (round(sum(loop[corners[k]].ends[0]), 12), loop[corners[k]].ends[0][0]))
+    corners = corners[first:] + corners[:first]
+    sides = [[j % len(loop) for j in range(begin, end if end > begin else end + len(loop))]
+             for begin, end in zip(corners, [*corners[1:], corners[0]], strict=True)]
+    for side in sides:
+        (r0, z0), (r1, z1) = loop[side[0]].ends[0], loop[side[-1]].ends[1]
+        chord = math.atan2(z1 - z0, r1 - r0)
+        steps = np.concatenate([np.diff(loop[k].polyline, axis=1) for k in side], axis=1)
+        steps = steps[:, np.hypot(*steps) > 0.0]
+        off = (np.arctan2(steps[1], steps[0]) - chord + np.pi) % (2.0 * np.pi) - np.pi
+        if np.degrees(np.abs(off)).max() > OBLIQUE:
+            return None
+    return sides
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Faces that share their edges
+
+
+def _fused(
+    pieces: Sequence[tuple[str, cadquery.Face]], electrodes: tuple[Electrode, ...], rectangles: tuple[Rectangle, ...],
+    notes: tuple[str, ...],
+) -> FreeSection:
+    from OCP.BOPAlgo import BOPAlgo_Builder
+
+    builder = BOPAlgo_Builder()
+    builder.SetFuzzyValue(cad.CLOSE)
+    for _, piece in pieces:
+        builder.AddArgument(piece.wrapped)
+    builder.Perform()
+    numbers: dict[Any, int] = {}
+    edges: list[Arc] = []
+    ends: list[tuple[int, int]] = []
+    points: list[tuple[float, float]] = []
+
+    def point(at: tuple[float, float]) -> int:
+        for number, (r, z) in enumerate(points):
+            if math.hypot(r - at[0], z - at[1]) < 1e-9:
+                return number
+        points.append((0.0 if abs(at[0]) < 1e-9 else at[0], at[1]))
+        return len(points) - 1
+
+    def directed(edge: Any) -> Directed:
+        arc = cad.curve_of(edge)
+        begin, end = point(arc.ends[0]), point(arc.ends[1])
+        if edge not in numbers:
+            numbers[edge] = len(edges)
+            edges.append(arc)
+            ends.append((begin, end))
+        number = numbers[edge]
+        return number, ends[number] == (begin, end)
+
+    faces: list[Face] = []
+    module = cadquery_module()
+    for region, piece in pieces:
+        for shape in list(builder.Modified(piece.wrapped)) or [piece.wrapped]:
+            found = module.Shape.cast(shape)
+            loops = [tuple(directed(edge) for edge in each) for each in cad.directed_edges(found)]
+            if sum(arc.area for arc in (edges[n] if f else edges[n].back for n, f in loops[0])) < 0.0:
+                loops = [tuple((n, not f) for n, f in reversed(loop)) for loop in loops]
+            faces.append(Face(region, tuple(loops)))
+    return FreeSection(tuple(points), tuple(edges), tuple(ends), tuple(faces), electrodes, rectangles, notes)

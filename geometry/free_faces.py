@@ -1,0 +1,181 @@
+"""Faces that gmsh fills: triangles and quadrilaterals, which are then cut into quadrilaterals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.layout import Layout, numbers_along
+from geometry.mesh import MeshError, gmsh_session
+from geometry.mesh_size import MeshSize
+
+Real = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+#: Sides of an element on the rim of a face that turn by less than this (degrees) belong to one smooth line.
+FLAT = 40.0
+
+#: In gmsh lengths are in millimetres: its tolerances are made for such numbers.
+MILLIMETRES = 1e3
+
+
+def freely(
+    layout: Layout, faces: Sequence[int], along: Sequence[Integers], points: Real, size: MeshSize
+) -> Iterator[tuple[Real, Integers]]:
+    """Faces that gmsh fills: points inside (2, n) of each, numbered on from those there are, and cells (4, m)."""
+    if not faces:
+        return
+    with gmsh_session() as gmsh:
+        geo = gmsh.model.geo
+        tags: dict[int, int] = {}
+        lines: dict[tuple[int, int], int] = {}
+
+        def point(number: int) -> int:
+            if number not in tags:
+                r, z = MILLIMETRES * points[:, number]
+                tags[number] = geo.addPoint(r, z, 0.0)
+            return tags[number]
+
+        def line(begin: int, end: int) -> int:
+            if (end, begin) in lines:
+                return -lines[end, begin]
+            if (begin, end) not in lines:
+                lines[begin, end] = geo.addLine(point(begin), point(end))
+                geo.mesh.setTransfiniteCurve(lines[begin, end], 2)
+            return lines[begin, end]
+
+        surfaces = []
+        for face in faces:
+            loops = []
+            for loop in layout.loops[face]:
+                every = numbers_along(loop, along)[::2]
+                loops.append(geo.addCurveLoop([line(int(a), int(b)) for a, b in pairwise(every)]))
+            surfaces.append(geo.addPlaneSurface(loops))
+            geo.mesh.setRecombine(2, surfaces[-1])
+        geo.synchronize()
+        limits = {surface: 2.0 * MILLIMETRES * size.largest_element(layout.regions[face])
+                  for face, surface in zip(faces, surfaces, strict=True)}
+        gmsh.option.setNumber("Mesh.Algorithm", 8)
+        # The default joins triangles across a boundary that is not straight.
+        gmsh.option.setNumber("Mesh.RecombinationAlgorithm", 0)
+        gmsh.model.mesh.setSizeCallback(
+            lambda dim, tag, x, y, z, lc: min(lc, limits.get(tag, lc)) if dim == 2 else lc)
+        try:
+            gmsh.model.mesh.generate(2)
+        except Exception as error:
+            raise MeshError(f"gmsh cannot fill a face of {', '.join({layout.regions[f] for f in faces})}: {error}"
+                            ) from error
+        known = {int(gmsh.model.mesh.getNodes(0, tag)[0][0]): number for number, tag in tags.items()}
+        for face, surface in zip(faces, surfaces, strict=True):
+            halves = {}
+            for loop in layout.loops[face]:
+                every = numbers_along(loop, along).tolist()
+                for a, middle, b in zip(every[:-1:2], every[1::2], every[2::2], strict=True):
+                    halves[min(a, b), max(a, b)] = middle
+            elements, inner = _elements(gmsh, surface, known, points)
+            own, cells = _subdivided(elements, halves, points, inner)
+            points = np.concatenate([points, own], axis=1)
+            yield own, cells
+
+
+def _elements(
+    gmsh: ModuleType, surface: int, known: Mapping[int, int], points: Real
+) -> tuple[list[list[int]], Real]:
+    """What gmsh filled a surface with: the corners of its elements, anticlockwise, and the points inside (2, n), which
+    are numbered on from those of `points` (2, count). Of these it has the ones `known` by their tag."""
+    kinds, _, members = gmsh.model.mesh.getElements(2, surface)
+    tags, coordinates, _ = gmsh.model.mesh.getNodes(2, surface)
+    inner = coordinates.reshape(-1, 3)[:, :2].T / MILLIMETRES
+    number = {**known, **{int(tag): points.shape[1] + place for place, tag in enumerate(tags)}}
+    where = np.concatenate([points, inner], axis=1)
+    elements = []
+    for kind, nodes in zip(kinds, members, strict=True):
+        for element in np.asarray(nodes, dtype=np.int64).reshape(-1, {2: 3, 3: 4}[int(kind)]).tolist():
+            corners = [number[tag] for tag in element]
+            r, z = where[:, corners]
+            clockwise = np.sum(r * np.roll(z, -1) - np.roll(r, -1) * z) < 0.0
+            elements.append(corners[::-1] if clockwise else corners)
+    return elements, inner
+
+
+def _opened(elements: list[list[int]], rim: set[tuple[int, int]], at: Callable[[int], Real]) -> list[list[int]]:
+    """The same without elements that have two sides in a row on the `rim` (pairs of points, the smaller one first)
+    where it is smooth: what such an element is cut into has a corner of 180 degrees there.
+
+    A quadrilateral is halved from that corner; a triangle is joined with what is behind it, and both divided from
+    there.
+    """
+    found = [list(element) for element in elements]
+    for place, element in enumerate(found):
+        corner = _flat(element, rim, at)
+        if corner is None:
+            continue
+        ring = element[corner:] + element[:corner]  # the corner first
+        if len(ring) == 3:
+            a, b = ring[1], ring[2]
+            behind = next((k for k, other in enumerate(found) if k != place and {a, b} <= set(other)), None)
+            if behind is None:
+                continue
+            other = found[behind]
+            begin = next(k for k in range(len(other)) if {other[k - 1], other[k]} == {a, b})
+            ring = [ring[0], *other[begin:], *other[:begin]] if other[begin] == a else [
+                ring[0], *(other[begin:] + other[:begin])]
+            found[behind] = []
+        found[place] = [ring[0], ring[1], ring[2]]
+        found += [[ring[0], ring[k], ring[k + 1]] for k in range(2, len(ring) - 1)]
+    return [element for element in found if element]
+
+
+def _flat(element: Sequence[int], rim: set[tuple[int, int]], at: Callable[[int], Real]) -> int | None:
+    """The corner of an element at which two of its sides lie on the rim and turn by little."""
+    for k in range(len(element)):
+        before, here, after = element[k - 1], element[k], element[(k + 1) % len(element)]
+        if all((min(pair), max(pair)) in rim for pair in ((before, here), (here, after))):
+            (r0, z0), (r1, z1) = at(here) - at(before), at(after) - at(here)
+            if abs(math.degrees(math.atan2(r0 * z1 - z0 * r1, r0 * r1 + z0 * z1))) < FLAT:
+                return k
+    return None
+
+
+def _subdivided(
+    elements: Sequence[Sequence[int]], halves: Mapping[tuple[int, int], int], points: Real, inner: Real
+) -> tuple[Real, Integers]:
+    """Triangles and quadrilaterals cut into quadrilaterals: points inside (2, n), numbered on from those there are,
+    and cells (4, m).
+
+    Args:
+        elements: numbers of their corners, anticlockwise.
+        halves: the point in the middle of every side on the rim, by the numbers of its ends.
+        points: (2, count) metres, those there are; `inner` (2, k) the first ones inside.
+    """
+    added, count = list(inner.T), points.shape[1]
+    middles = dict(halves)
+
+    def new(place: Real) -> int:
+        added.append(place)
+        return count + len(added) - 1
+
+    def at(number: int) -> Real:
+        return points[:, number] if number < count else added[number - count]
+
+    def middle(a: int, b: int) -> int:
+        pair = (min(a, b), max(a, b))
+        if pair not in middles:
+            middles[pair] = new(0.5 * (at(a) + at(b)))
+        return middles[pair]
+
+    cells = []
+    for element in _opened([list(each) for each in elements], set(halves), at):
+        sides = [middle(a, b) for a, b in pairwise([*element, element[0]])]
+        centre = new(np.mean([at(each) for each in sides], axis=0))
+        for k, corner in enumerate(element):
+            cells.append((corner, sides[k], centre, sides[k - 1]))
+    own = np.stack(added, axis=1) if added else np.empty((2, 0))
+    return own, np.array(cells, dtype=np.int64).T
+
+

@@ -1,0 +1,176 @@
+"""From a section of any shape to a mesh of quadrilaterals whose sides follow its curves.
+
+Faces with four sides are filled with rows and columns, like the rectangles of a stack of discs. The others gmsh fills
+with triangles and quadrilaterals of twice the size, which are then cut into three or four quadrilaterals each; the
+sides of such a face are divided twice as often."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from geometry.free_faces import freely
+from geometry.free_section import Directed, FreeSection
+from geometry.layout import Layout, divisions, laid_out, numbers_along, under_electrodes
+from geometry.mesh import SectionMesh
+from geometry.mesh_size import MeshSize
+from geometry.quads import curved, gauss_lobatto, numbering, oriented, rolled
+
+Real = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def mesh_free(section: FreeSection, size: MeshSize) -> SectionMesh:
+    """The mesh of a section of any shape, as fine as `size` asks for.
+
+    Raises:
+        InputError: no speed is given for a region of the section.
+        MeshError: a face cannot be meshed, or the mesh is not the section.
+    """
+    layout = laid_out(section, size)
+    made = _filled(layout, divisions(layout, section, size), size)
+    return _named(layout, section, made, size.order)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Cells
+
+
+@dataclass(frozen=True)
+class _Made:
+    """Points (2, n), cells (4, m) of them, their faces (m,), the nodes (2, m, k, k) of every cell by their numbers
+    along both coordinates, and the points along every edge."""
+
+    points: Real
+    cells: Integers
+    face: Integers
+    nodes: Real
+    along: list[Integers]
+
+
+def _filled(layout: Layout, divided: Sequence[Real], size: MeshSize) -> _Made:
+    local = gauss_lobatto(size.order)
+    points = [np.array(layout.points).T]
+    count = points[0].shape[1]
+    along: list[Integers] = []
+    for edge, shares in enumerate(divided):
+        begin, end = layout.ends[edge]
+        inner = np.arange(count, count + shares.size - 2)
+        along.append(np.concatenate([[begin], inner, [end]]))
+        points.append(layout.edges[edge].at(shares[1:-1]))
+        count += inner.size
+    sides: dict[tuple[int, int], Real] = {}
+    for edge, shares in enumerate(divided):
+        if not layout.edges[edge].is_straight or layout.edges[edge].curve.degree > 1:
+            for k, (low, high) in enumerate(pairwise(shares)):
+                sides[int(along[edge][k]), int(along[edge][k + 1])] = layout.edges[edge].at(low + local * (high - low))
+    cells, faces, nodes = [], [], []
+    for face in layout.sides:
+        own, numbers, there = _block(layout, face, divided, along, local, count)
+        points.append(own)
+        count += own.shape[1]
+        cells.append(numbers)
+        nodes.append(there)
+        faces.append(np.full(numbers.shape[1], face))
+    free = [face for face in range(len(layout.loops)) if face not in layout.sides]
+    there_are = np.concatenate(points, axis=1)
+    for face, (own, numbers) in zip(free, freely(layout, free, along, there_are, size), strict=True):
+        points.append(own)
+        count += own.shape[1]
+        cells.append(numbers)
+        nodes.append(curved(np.concatenate(points, axis=1), numbers, local, sides))
+        faces.append(np.full(numbers.shape[1], face))
+    return _Made(np.concatenate(points, axis=1), np.concatenate(cells, axis=1), np.concatenate(faces),
+                 np.concatenate(nodes, axis=1), along)
+
+
+def _block(
+    layout: Layout, face: int, divided: Sequence[Real], along: Sequence[Integers], local: Real, count: int
+) -> tuple[Real, Integers, Real]:
+    """A face with four sides: points inside (2, n) numbered from `count` on, cells (4, m), nodes (2, m, k, k).
+
+    All nodes lie by transfinite interpolation between the sides.
+    """
+    order = local.size - 1
+    bottom, right, top, left = (_sampled(layout, side, divided, local) for side in layout.sides[face])
+    numbers = [numbers_along(side, along) for side in layout.sides[face]]
+    x, y = (0.5 * (_position(a) + _position(b)) for a, b in ((bottom, top), (left, right)))
+    u, v = x[None, :, None], y[None, None, :]
+    grid = (bottom[:, :, None] * (1.0 - v) + top[:, :, None] * v + left[:, None, :] * (1.0 - u) + right[:, None, :] * u
+            - bottom[:, :1, None] * (1.0 - u) * (1.0 - v) - bottom[:, -1:, None] * u * (1.0 - v)
+            - top[:, :1, None] * (1.0 - u) * v - top[:, -1:, None] * u * v)
+    columns, rows = numbers[0].size, numbers[1].size
+    table = np.empty((columns, rows), dtype=np.int64)
+    table[1:-1, 1:-1] = count + np.arange((columns - 2) * (rows - 2)).reshape(columns - 2, rows - 2)
+    table[:, 0], table[-1], table[:, -1], table[0] = numbers[0], numbers[1], numbers[2], numbers[3]
+    cells = np.stack([table[:-1, :-1], table[1:, :-1], table[1:, 1:], table[:-1, 1:]]).reshape(4, -1)
+    coarse = grid[:, ::order, ::order]
+    first, second = (np.arange(n - 1)[:, None] * order + np.arange(order + 1) for n in (columns, rows))
+    nodes = grid[:, first[:, None, :, None], second[None, :, None, :]].reshape(2, -1, order + 1, order + 1)
+    return coarse[:, 1:-1, 1:-1].reshape(2, -1), cells, nodes
+
+
+def _sampled(layout: Layout, side: Sequence[Directed], divided: Sequence[Real], local: Real) -> Real:
+    """The nodes (2, n) along a side, those of all its elements in a row."""
+    parts = []
+    for number, forwards in side:
+        shares = divided[number] if forwards else 1.0 - divided[number][::-1]
+        fine = (shares[:-1, None] + np.diff(shares)[:, None] * local[:-1]).ravel()
+        parts.append(layout.arc((number, forwards)).at(fine))
+    return np.concatenate([*parts, np.array(layout.arc(side[-1]).ends[1])[:, None]], axis=1)
+
+
+def _position(line: Real) -> Real:
+    """How far along the chord points (2, n) of a side are, as shares."""
+    chord = line[:, -1] - line[:, 0]
+    return np.asarray(chord @ (line - line[:, :1]) / (chord @ chord))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Names
+
+
+def _named(layout: Layout, section: FreeSection, made: _Made, order: int) -> SectionMesh:
+    cells = oriented(made.cells)
+    nodes = rolled(made.nodes, made.cells, cells)
+    mesh = skfem.MeshQuad(made.points, cells)
+    of_cell = np.array(layout.regions)[made.face]
+    regions = {region: np.flatnonzero(of_cell == region) for region in section.regions}
+    facets = _facets(layout, section, made, mesh)
+    along, across = np.array(numbering(order)).T
+    return SectionMesh(mesh.with_subdomains(regions).with_boundaries(facets), order, section,
+                       np.ascontiguousarray(nodes[:, :, along, across].transpose(0, 2, 1)))
+
+
+def _facets(layout: Layout, section: FreeSection, made: _Made, mesh: skfem.MeshQuad) -> dict[str, Integers]:
+    """The facets of every boundary."""
+    number = {(int(a), int(b)): k for k, (a, b) in enumerate(np.sort(mesh.facets, axis=0).T)}
+    names = _edge_names(layout, section)
+    found: dict[str, list[int]] = {name: [] for each in names for name in each}
+    for edge, each in enumerate(names):
+        chain = made.along[edge].tolist()
+        for a, b in pairwise(chain):
+            for name in each:
+                found[name].append(number[min(a, b), max(a, b)])
+    return {name: np.unique(each) for name, each in found.items()}
+
+
+def _edge_names(layout: Layout, section: FreeSection) -> list[list[str]]:
+    """The names of boundaries that every edge lies on, electrodes included."""
+    beside: list[list[int]] = [[] for _ in layout.edges]
+    for face, loops in enumerate(layout.loops):
+        for edge in (edge for loop in loops for edge, _ in loop):
+            beside[edge].append(face)
+    electrodes = under_electrodes(layout, section)
+    result = []
+    for edge, arc in enumerate(layout.edges):
+        (r0, _), (r1, _) = arc.ends
+        name = section.name_of([layout.regions[face] for face in beside[edge]],
+                               on_axis=r0 == 0.0 and r1 == 0.0 and arc.is_straight)
+        result.append([each for each in (name, electrodes.get(edge)) if each is not None])
+    return result

@@ -1,0 +1,102 @@
+"""The half section of a chip whose layers are of any shape: faces bounded by curves, with the names of their regions.
+
+What `geometry.section.Section` is for rectangles. Regions may be cut into several faces, for the mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from geometry.curves import Arc
+from geometry.names import AXIS, interface, outside
+from geometry.section import Electrode, Rectangle
+from workbench.files.errors import choose
+
+#: An edge of a loop, by its number, and whether the loop runs along it.
+Directed = tuple[int, bool]
+
+
+@dataclass(frozen=True)
+class Face:
+    """A face of a region: its loops of edges, what they bound to their left; the outer one first."""
+
+    region: str
+    loops: tuple[tuple[Directed, ...], ...]
+
+
+@dataclass(frozen=True)
+class FreeSection:
+    """Faces that share the edges between them.
+
+    ``points`` (r, z) in metres, ``edges`` between them with the numbers of their ``ends``; ``rectangles`` are the
+    layers as discs and rings of their stated sizes, ``electrodes`` lines on the transducer's faces. ``notes`` say what
+    of the solids the section leaves out.
+    """
+
+    points: tuple[tuple[float, float], ...]
+    edges: tuple[Arc, ...]
+    ends: tuple[tuple[int, int], ...]
+    faces: tuple[Face, ...]
+    electrodes: tuple[Electrode, ...]
+    rectangles: tuple[Rectangle, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def regions(self) -> tuple[str, ...]:
+        """Names of the regions, in the order of the faces."""
+        return tuple(dict.fromkeys(face.region for face in self.faces))
+
+    def arcs(self, loop: tuple[Directed, ...]) -> Iterator[Arc]:
+        """The edges of a loop in its direction."""
+        return (self.edges[number] if forwards else self.edges[number].back for number, forwards in loop)
+
+    def area(self, region: str) -> float:
+        """Area of the region in the half plane, m^2.
+
+        Raises:
+            InputError: unknown region.
+        """
+        return sum(arc.area for arc in self._around(region))
+
+    def volume(self, region: str) -> float:
+        """Volume of the region turned about the axis, m^3.
+
+        Raises:
+            InputError: unknown region.
+        """
+        return sum(arc.volume for arc in self._around(region))
+
+    def _around(self, region: str) -> Iterator[Arc]:
+        choose(region, self.regions, source="section", field="region")
+        return (arc for face in self.faces if face.region == region for loop in face.loops for arc in self.arcs(loop))
+
+    @cached_property
+    def beside(self) -> tuple[tuple[int, ...], ...]:
+        """The faces, one or two, on the sides of every edge."""
+        found: list[list[int]] = [[] for _ in self.edges]
+        for number, face in enumerate(self.faces):
+            for loop in face.loops:
+                for edge, _ in loop:
+                    found[edge].append(number)
+        return tuple(tuple(each) for each in found)
+
+    @staticmethod
+    def name_of(regions: Sequence[str], *, on_axis: bool) -> str | None:
+        """Name of the boundary between these regions on both sides of an edge, of one at the rim; None inside one."""
+        if len(regions) == 2:
+            return interface(*regions) if regions[0] != regions[1] else None
+        return AXIS if on_axis else outside(regions[0])
+
+    def name(self, edge: int) -> str | None:
+        """Name of the boundary that an edge lies on; None inside a region."""
+        on_axis = all(self.points[end][0] == 0.0 for end in self.ends[edge]) and self.edges[edge].is_straight
+        return self.name_of([self.faces[face].region for face in self.beside[edge]], on_axis=on_axis)
+
+    def boundary_names(self) -> tuple[str, ...]:
+        """Names of all boundaries a mesh of this section has, sorted; electrodes are counted besides what they are on.
+        """
+        names = {electrode.name for electrode in self.electrodes}
+        names |= {name for edge in range(len(self.edges)) if (name := self.name(edge)) is not None}
+        return tuple(sorted(names))

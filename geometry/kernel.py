@@ -1,0 +1,26 @@
+"""CadQuery, the kernel that solids are made with. Lengths are in **millimetres** there, as in every CAD file."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+#: Millimetres in a metre.
+MILLIMETRES = 1e3
+
+
+class SolidError(RuntimeError):
+    """A solid is not the one the chip describes, or CadQuery could not be used."""
+
+
+def cadquery_module() -> ModuleType:
+    """CadQuery, which takes seconds to import.
+
+    Raises:
+        SolidError: it is not installed.
+    """
+    try:
+        import cadquery
+    except (ImportError, OSError) as error:
+        raise SolidError(f"solids need CadQuery and its system libraries (./setup installs both): {error}") from error
+    module: ModuleType = cadquery
+    return module

@@ -1,0 +1,326 @@
+"""The sides of a section's faces and how they are divided: the plan of a mesh (`geometry.free_mesh`).
+
+What divides one side of a face with four sides divides the opposite one too, from face to face."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.curves import Arc
+from geometry.dissection import four_sides, turned
+from geometry.free_section import Directed, FreeSection
+from geometry.mesh import MeshError
+from geometry.mesh_size import MeshSize
+from geometry.names import TRANSDUCER, role_of
+from geometry.panels import COUPLANT, FLUID_ROLES, division
+
+Real = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+#: Places on a side closer than this share of its length are one.
+SAME_PLACE = 1e-6
+
+#: Points closer than this (m) are one: as `geometry.parts.SAME_LENGTH`.
+SAME_POINT = 1e-9
+
+#: The angle (rad) that the side of an element turns by at most; of one that gmsh makes, before it is cut.
+TURN = math.radians(30.0)
+
+#: Elements that gmsh is to continue from are no more than so many times as long as their neighbours.
+GROWTH = 2.0
+
+#: Rounds in which divisions pass from face to face; more than faces in a row, unless they run in a spiral.
+MOST_ROUNDS = 200
+
+
+@dataclass
+class Layout:
+    """The edges of a section, further divided, and how faces are bounded by them.
+
+    ``loops`` holds the loops of every face, ``sides`` of those with four sides these, bottom and top in one direction
+    and left and right in one.
+    """
+
+    edges: list[Arc]
+    ends: list[tuple[int, int]]
+    points: list[tuple[float, float]]
+    regions: list[str]
+    loops: list[list[list[Directed]]]
+    sides: dict[int, list[list[Directed]]] = field(default_factory=dict)
+
+    def arc(self, directed: Directed) -> Arc:
+        number, forwards = directed
+        return self.edges[number] if forwards else self.edges[number].back
+
+    def split(self, number: int, share: float) -> None:
+        """Divide an edge at a share of the way."""
+        arc, (begin, end) = self.edges[number], self.ends[number]
+        first, second = arc.part(0.0, share), arc.part(share, 1.0)
+        self.points.append(first.ends[1])
+        middle, other = len(self.points) - 1, len(self.edges)
+        self.edges[number], self.ends[number] = first, (begin, middle)
+        self.edges.append(second)
+        self.ends.append((middle, end))
+        for chain in (chain for chains in (*self.loops, *self.sides.values()) for chain in chains):
+            for place, (edge, forwards) in enumerate(chain):
+                if edge == number:
+                    chain[place:place + 1] = ([(number, True), (other, True)] if forwards
+                                              else [(other, False), (number, False)])
+                    break
+
+    def places(self, side: Sequence[Directed]) -> list[float]:
+        """Where along a side, as shares of its chord, its edges begin and end."""
+        corners = [self.arc(side[0]).ends[0], *(self.arc(each).ends[1] for each in side)]
+        start, along = self._chord(side)
+        return [float(np.dot(np.subtract(corner, start), along)) for corner in corners]
+
+    def _chord(self, side: Sequence[Directed]) -> tuple[Real, Real]:
+        start, end = np.array(self.arc(side[0]).ends[0]), np.array(self.arc(side[-1]).ends[1])
+        return start, (end - start) / float(np.dot(end - start, end - start))
+
+    def divide(self, side: Sequence[Directed], place: float) -> None:
+        """Divide the edge of a side that reaches across a place."""
+        places = self.places(side)
+        number = next(k for k in range(len(side)) if places[k] < place < places[k + 1])
+        start, along = self._chord(side)
+        arc, (edge, forwards) = self.arc(side[number]), side[number]
+        low, high = 0.0, 1.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if float(np.dot(arc.at(np.array(middle)) - start, along)) < place:
+                low = middle
+            else:
+                high = middle
+        share = 0.5 * (low + high)
+        if arc.is_straight and arc.curve.degree == 1:
+            share = (place - places[number]) / (places[number + 1] - places[number])
+        self.split(edge, share if forwards else 1.0 - share)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Sides
+
+
+def laid_out(section: FreeSection, size: MeshSize) -> Layout:
+    layout = Layout(list(section.edges), list(section.ends), list(section.points),
+                     [face.region for face in section.faces],
+                     [[list(loop) for loop in face.loops] for face in section.faces])
+    for number, face in enumerate(section.faces):
+        found = four_sides(list(section.arcs(face.loops[0]))) if len(face.loops) == 1 else None
+        if found is not None:
+            bottom, right, top, left = ([face.loops[0][k] for k in side] for side in found)
+            layout.sides[number] = [bottom, right, _reversed(top), _reversed(left)]
+    for electrode in section.electrodes:
+        for radius in (electrode.r_inner, electrode.r_outer):
+            _break(layout, TRANSDUCER, 0, radius)
+    for height in size.levels:
+        for region in dict.fromkeys(layout.regions):
+            _break(layout, region, 1, height)
+    for _ in range(MOST_ROUNDS):
+        # Every face is looked at in every round.
+        changed = [_matched(layout, one, other) for sides in layout.sides.values()
+                   for one, other in ((sides[0], sides[2]), (sides[1], sides[3]))]
+        if not any(changed):
+            return layout
+    raise MeshError("the sides of the section's faces divide each other without an end")
+
+
+def _reversed(side: Sequence[Directed]) -> list[Directed]:
+    return [(number, not forwards) for number, forwards in reversed(side)]
+
+
+def _break(layout: Layout, region: str, axis: int, value: float) -> None:
+    """Divide the edges of a region's faces with four sides that run along a coordinate (0 r, 1 z) where it is `value`.
+    """
+    for number, sides in list(layout.sides.items()):
+        if layout.regions[number] != region:
+            continue
+        for side in sides:
+            for edge, _ in list(side):
+                arc = layout.edges[edge]
+                (r0, z0), (r1, z1) = arc.ends
+                share = arc.share_of(axis, value) if (abs(r1 - r0) > abs(z1 - z0)) == (axis == 0) else None
+                if share is not None and min(share, 1.0 - share) * arc.length > SAME_POINT:
+                    layout.split(edge, share)
+
+
+def _matched(layout: Layout, one: list[Directed], other: list[Directed]) -> bool:
+    """Divide two opposite sides where the other one is; whether there was anything to divide."""
+    changed = False
+    for side, opposite in ((one, other), (other, one)):
+        for place in layout.places(side)[1:-1]:
+            if min(abs(place - each) for each in layout.places(opposite)) > SAME_PLACE:
+                layout.divide(opposite, place)
+                changed = True
+    return changed
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Divisions
+
+
+def divisions(layout: Layout, section: FreeSection, size: MeshSize) -> list[Real]:
+    """Shares of the way at which every edge is divided, ends included."""
+    count = len(layout.edges)
+    beside: list[list[int]] = [[] for _ in range(count)]
+    for face, loops in enumerate(layout.loops):
+        for loop in loops:
+            for edge, _ in loop:
+                beside[edge].append(face)
+    limits = {region: size.largest_element(region) for region in set(layout.regions)}
+    largest = [min(limits[layout.regions[face]] for face in faces) for faces in beside]
+    graded = _graded(layout, section, size)
+    group, runs = _groups(layout)
+    members: dict[int, list[int]] = {}
+    for edge, each in enumerate(group):
+        members.setdefault(each, []).append(edge)
+    result: list[Real] = [np.empty(0)] * count
+    for edges in members.values():
+        limit = min(largest[edge] for edge in edges)
+        if math.isinf(limit):
+            limit = max(layout.edges[edge].length for edge in edges)
+        least, begin, end = 1, 1.0, 1.0
+        free = any(face not in layout.sides for edge in edges for face in beside[edge])
+        for edge in edges:
+            arc = layout.edges[edge]
+            ends = [graded.get((point, _level(arc)), 1.0) for point in layout.ends[edge]]
+            ends = ends if runs[edge] else ends[::-1]
+            begin, end = min(begin, ends[0]), min(end, ends[1])
+            least = max(least, _least(layout, size, edge, beside[edge]),
+                        (2 if free else 1) * math.ceil(arc.turning / TURN - 1e-9))
+        length = max(layout.edges[edge].length for edge in edges)
+        if free:
+            coarse = division(length, 2.0 * limit, (begin, end), min(size.growth, GROWTH), math.ceil(0.5 * least))
+            shares = np.insert(coarse, np.arange(1, coarse.size), 0.5 * (coarse[:-1] + coarse[1:]))
+        else:
+            shares = division(length, limit, (begin, end), size.growth, least)
+        for edge in edges:
+            result[edge] = shares if runs[edge] else 1.0 - shares[::-1]
+    return result
+
+
+def _level(arc: Arc) -> bool:
+    (r0, z0), (r1, z1) = arc.ends
+    return abs(z1 - z0) < abs(r1 - r0)
+
+
+def _least(layout: Layout, size: MeshSize, edge: int, faces: Sequence[int]) -> int:
+    """How many elements there are at least along an edge: where it is the height of a row of faces."""
+    least, arc = 1, layout.edges[edge]
+    for face in faces:
+        sides = layout.sides.get(face)
+        if sides is None or _level(arc) or not any(
+                len(side) == 1 and side[0][0] == edge for side in (sides[0], sides[1], sides[2], sides[3])):
+            continue
+        least = max(least, size.minimum_through_thickness)
+        if arc.length > 0.25 * size.elements_per_wavelength * size.largest_element(layout.regions[face]):
+            least = max(least, size.minimum_through_quarter_wave)
+    return least
+
+
+def _groups(layout: Layout) -> tuple[list[int], list[bool]]:
+    """The group of edges that are divided alike that every edge belongs to, and whether it runs as the group does."""
+    count = len(layout.edges)
+    parent, same = list(range(count)), [True] * count
+
+    def root(edge: int) -> tuple[int, bool]:
+        alike = True
+        while parent[edge] != edge:
+            alike = alike == same[edge]
+            edge = parent[edge]
+        return edge, alike
+
+    for sides in layout.sides.values():
+        for one, other in ((sides[0], sides[2]), (sides[1], sides[3])):
+            for (a, forwards), (b, along) in zip(one, other, strict=True):
+                (first, alike), (second, also) = root(a), root(b)
+                wanted = (forwards == along) == (alike == also)
+                if first != second:
+                    parent[second], same[second] = first, wanted
+                elif not wanted:
+                    raise MeshError("the sides of the section's faces run in a ring that is turned over")
+    found = [root(edge) for edge in range(count)]
+    return [each for each, _ in found], [alike for _, alike in found]
+
+
+def _graded(layout: Layout, section: FreeSection, size: MeshSize) -> dict[tuple[int, bool], float]:
+    """Size of elements, relative to the others, at points where fields are singular, on level edges and on others.
+
+    As for rectangles: in re-entrant corners of the solids, at the rim of a couplant, at the ends of electrodes; and at
+    the tip of a crack, where a fillet meets what is beside it, as at these.
+    """
+    inside: dict[int, float] = {}
+    wet: set[int] = set()
+    rims: set[int] = set()
+    for face, loops in enumerate(layout.loops):
+        region = layout.regions[face]
+        solid = role_of(region) not in FLUID_ROLES
+        outer = max(layout.points[layout.ends[e][0]][0] for loop in loops for e, _ in loop)
+        for loop in loops:
+            for before, after in zip([loop[-1], *loop], loop, strict=False):
+                point = layout.ends[after[0]][0 if after[1] else 1]
+                if solid:
+                    angle = 180.0 - turned(layout.arc(before), layout.arc(after))
+                    inside[point] = inside.get(point, 0.0) + angle
+                else:
+                    wet.add(point)
+                if role_of(region) == COUPLANT and layout.points[point][0] > outer - SAME_POINT:
+                    rims.add(point)
+    found: dict[tuple[int, bool], float] = {}
+    for point, angle in inside.items():
+        # Of 360 degrees there is the tip of a crack, or nothing but solids around.
+        if angle > 190.0 and (angle < 350.0 or point in wet) and layout.points[point][0] > 0.0:
+            sharp = 1 if angle < 350.0 else 3
+            found[point, True] = found[point, False] = size.corner_refinement**sharp
+    for point in rims:
+        found[point, True] = min(found.get((point, True), 1.0), size.corner_refinement)
+    for point in _ends_of_electrodes(layout, section):
+        found[point, True] = size.corner_refinement**3
+        # All along that face the rows beside it are thin.
+        level = [other for other, (_, z) in enumerate(layout.points) if abs(z - layout.points[point][1]) < SAME_POINT]
+        found |= {(other, False): size.corner_refinement**3 for other in level}
+    return found
+
+
+def _ends_of_electrodes(layout: Layout, section: FreeSection) -> set[int]:
+    """The points where an electrode ends on a face of the transducer."""
+    covered = under_electrodes(layout, section)
+    around: dict[int, set[str | None]] = {}
+    for directed in (each for face, loops in enumerate(layout.loops) if layout.regions[face] == TRANSDUCER
+                     for loop in loops for each in loop):
+        arc, edge = layout.arc(directed), directed[0]
+        if _level(arc):
+            for point in layout.ends[edge]:
+                around.setdefault(point, set()).add(covered.get(edge))
+    return {point for point, names in around.items() if len(names) > 1 and None in names}
+
+
+def under_electrodes(layout: Layout, section: FreeSection) -> dict[int, str]:
+    """The edges on the faces of the transducer that electrodes cover, and the names of these."""
+    highest = max(electrode.z for electrode in section.electrodes)
+    found = {}
+    for directed in (each for face, loops in enumerate(layout.loops) if layout.regions[face] == TRANSDUCER
+                     for loop in loops for each in loop):
+        (r0, z0), (r1, z1) = layout.arc(directed).ends
+        if abs(z1 - z0) >= abs(r1 - r0):
+            continue
+        for electrode in section.electrodes:
+            # Along the upper face a loop runs towards the axis.
+            if (r1 < r0) == (electrode.z == highest) and (
+                    electrode.r_inner - SAME_POINT < min(r0, r1) and max(r0, r1) < electrode.r_outer + SAME_POINT):
+                found[directed[0]] = electrode.name
+    # What lies inside the transducer is a cut of its face.
+    return {edge: name for edge, name in found.items()
+            if sum(edge in {number for loop in loops for number, _ in loop} for face, loops in enumerate(layout.loops)
+                   if layout.regions[face] == TRANSDUCER) == 1}
+
+
+def numbers_along(side: Sequence[Directed], along: Sequence[Integers]) -> Integers:
+    """The points along a side."""
+    parts = [along[number] if forwards else along[number][::-1] for number, forwards in side]
+    return np.concatenate([*(part[:-1] for part in parts), parts[-1][-1:]])

@@ -1,0 +1,228 @@
+"""What a chip file says of a layer that is no disc: where its outline in the (r, z) plane comes from.
+
+Three sources: an outline of points in the file itself, a CadQuery script, a part of a STEP file. Sizes in an outline
+are lengths or names: of the layer's own dimensions (``thickness``, ``radius``, ``cavity_radius``) or of parameters that
+the profile states. A script's function gets those of them that it asks for by name, in millimetres and degrees.
+Heights are measured from the bottom of the layer, in a STEP file from its own origin.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from geometry.parts import SHAPES, Dimension
+from workbench.files.errors import InputError, choose, nearest_names
+from workbench.files.quantities import parse_quantity
+from workbench.files.tables import Table
+
+#: Dimensions of a layer that its profile can use besides its own parameters.
+OF_LAYER = ("thickness", "radius", "cavity_radius")
+
+#: A length (m), or the name of one.
+Size = float | str
+
+#: What may be asked of an outline's segment, and of a profile.
+_CORNER_KEYS = ("at", "fillet", "through", "arc")
+_PROFILE_KEYS = ("points", "script", "function", "step", "part", "scale", "parameters", "asymmetry")
+
+#: Share of its volume that a solid may differ by from what its section encloses when turned about the axis, unless the
+#: file states another: what the kernel's integrals leave.
+ASYMMETRY = 1e-6
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A corner of an outline at ``at`` (r, z), rounded by ``fillet``; the way there from the corner before is a line, a
+    circular arc through the point ``arc``, or a spline through the points ``through``."""
+
+    at: tuple[Size, Size]
+    fillet: Size | None = None
+    through: tuple[tuple[Size, Size], ...] = ()
+    arc: tuple[Size, Size] | None = None
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A closed outline: the last corner is joined to the first."""
+
+    corners: tuple[Corner, ...]
+
+
+@dataclass(frozen=True)
+class Script:
+    """A function of a Python file that draws the layer with CadQuery; ``content`` tells versions of the file apart."""
+
+    path: Path
+    function: str
+    content: str
+
+
+@dataclass(frozen=True)
+class StepPart:
+    """A solid of a STEP file, by its name there; ``scale`` (m) is the length of the file's unit as it should be."""
+
+    path: Path
+    part: str
+    scale: float
+    content: str
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Where the outline of a layer comes from, and the ``parameters`` it brings in (name, size in m or rad), which are
+    dimensions of the chip; ``angles`` names those that are angles. ``asymmetry``: share of the volume of a solid that
+    may differ from what its section encloses when turned about the axis."""
+
+    source: Outline | Script | StepPart
+    parameters: tuple[tuple[str, Dimension], ...] = ()
+    angles: frozenset[str] = frozenset()
+    asymmetry: float = ASYMMETRY
+
+    def sizes(self, layer: Mapping[str, float]) -> dict[str, float]:
+        """Every size that the profile can use by name (m, rad), those of the `layer` included."""
+        return {**layer, **{name: each.value for name, each in self.parameters}}
+
+    def changed(self, change: Callable[[str, Dimension], Dimension]) -> Profile:
+        """The same with other sizes of its parameters."""
+        return replace(self, parameters=tuple((name, change(name, size)) for name, size in self.parameters))
+
+
+def read_profile(table: Table) -> Profile:
+    """The profile of a layer, from the table ``profile`` of it.
+
+    Raises:
+        InputError: a key, a name or a unit that will not do, a file that does not exist, a script without the function.
+    """
+    table.only(_PROFILE_KEYS)
+    sources = [key for key in ("points", "script", "step") if key in table]
+    if len(sources) != 1:
+        raise InputError(table.source, table.field, sources or None,
+                         "one of points, script, step: where the outline comes from")
+    parameters, angles = _parameters(table.table("parameters"))
+    asymmetry = table.quantity("asymmetry", "dimensionless", ASYMMETRY)
+    if not 0.0 < asymmetry < 1.0:
+        raise table.error("asymmetry", "a share above 0 and below 1 of the part's volume")
+    source: Outline | Script | StepPart
+    if sources == ["points"]:
+        source = _outline(table, {*OF_LAYER, *(name for name, _ in parameters)})
+    elif sources == ["script"]:
+        source = _script(table)
+    else:
+        path, content = _file(table, "step")
+        source = StepPart(path, table.text("part", expected="the name of a solid in the file"),
+                          table.quantity("scale", "length", 1e-3), content)
+        if parameters:
+            raise table.error("parameters", "none: a STEP file is as it is")
+    return Profile(source, parameters, angles, asymmetry)
+
+
+def _parameters(table: Table) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
+    found, angles = [], set()
+    for name in table:
+        if not name.isidentifier() or name in {*OF_LAYER, *SHAPES, "material", "density"}:
+            raise table.error(name, "a name of letters, digits and underscores that the layer has not itself")
+        inner = table.table(name) if isinstance(table.content[name], Mapping) else None
+        value = inner.required("value", "a length or an angle with its unit") if inner else table.content[name]
+        kind = "angle" if isinstance(value, str) and value.strip().endswith(("deg", "rad")) else "length"
+        angles |= {name} if kind == "angle" else set()
+        if inner is None:
+            found.append((name, Dimension(table.quantity(name, kind))))
+        else:
+            inner.only(("value", "tolerance", "assumed", "note"))
+            found.append((name, Dimension(inner.quantity("value", kind), inner.optional_quantity("tolerance", kind),
+                                          inner.flag("assumed"), inner.text("note", ""))))
+    return tuple(found), frozenset(angles)
+
+
+def _outline(table: Table, names: set[str]) -> Outline:
+    entries = table.content["points"]
+    expected = 'a list of three or more points, each ["1 mm", "0 mm"] (r, z) or { at = [...], fillet = "0.2 mm" }'
+    if not isinstance(entries, list) or len(entries) < 3:
+        raise table.error("points", expected)
+
+    def size(value: object, place: str) -> Size:
+        if isinstance(value, str) and not any(c.isdigit() for c in value[:2]):
+            return choose(value, names, source=table.source, field=place)
+        return parse_quantity(value, "length", source=table.source, field=place)
+
+    def point(value: object, place: str) -> tuple[Size, Size]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise InputError(table.source, place, value, 'a point ["1 mm", "0 mm"]: r and z')
+        return size(value[0], f"{place}[0]"), size(value[1], f"{place}[1]")
+
+    corners = []
+    for number, entry in enumerate(entries):
+        place = f"{table.at('points')}[{number}]"
+        if isinstance(entry, list):
+            corners.append(Corner(point(entry, place)))
+            continue
+        inner = Table.of(entry, source=table.source, field=place, expected=expected).only(_CORNER_KEYS)
+        inner.required("at", 'a point ["1 mm", "0 mm"]: r and z')
+        through = inner.content.get("through", [])
+        if not isinstance(through, list) or ("arc" in inner and through):
+            raise inner.error("through", "a list of points, and no arc besides")
+        corners.append(Corner(
+            point(inner.content["at"], f"{place}.at"),
+            size(inner.content["fillet"], f"{place}.fillet") if "fillet" in inner else None,
+            tuple(point(each, f"{place}.through[{k}]") for k, each in enumerate(through)),
+            point(inner.content["arc"], f"{place}.arc") if "arc" in inner else None))
+    return Outline(tuple(corners))
+
+
+def _file(table: Table, key: str) -> tuple[Path, str]:
+    """A file named by `key`, beside the chip file, and what tells versions of it apart."""
+    name = table.text(key, expected="the name of a file")
+    path = Path(table.source).parent / name
+    try:
+        return path, hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        folder = path.parent if path.parent.is_dir() else Path()
+        near = nearest_names(path.name, (each.name for each in folder.iterdir() if each.suffix == path.suffix))
+        raise InputError(table.source, table.at(key), name, f"a readable file ({error.strerror or error})",
+                         near) from None
+
+
+def _script(table: Table) -> Script:
+    path, content = _file(table, "script")
+    return Script(path, table.text("function", expected="the name of a function of the script"), content)
+
+
+def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -> Any:
+    """What the function of a script returns for some sizes (m, rad), given in millimetres and degrees.
+
+    Raises:
+        InputError: the script does not run, has no such function, or the function asks for what there is not.
+    """
+    scope: dict[str, Any] = {"__name__": script.path.stem, "__file__": str(script.path)}
+    try:
+        exec(compile(script.path.read_text(encoding="utf-8"), str(script.path), "exec"), scope)
+    except Exception as error:
+        raise InputError(str(script.path), "script", _said(error), "a script that runs") from error
+    functions = {name: each for name, each in scope.items() if inspect.isfunction(each)}
+    function: Callable[..., Any] = functions[choose(script.function, functions, source=str(script.path),
+                                                    field="function")]
+    wanted = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if name in sizes:
+            wanted[name] = math.degrees(sizes[name]) if name in angles else 1e3 * sizes[name]
+        elif parameter.default is inspect.Parameter.empty:
+            choose(name, sizes, source=str(script.path), field=f"parameter of {script.function}")
+    unused = sorted(set(sizes) - set(wanted) - set(OF_LAYER))
+    if unused:
+        raise InputError(str(script.path), f"parameters of {script.function}", ", ".join(wanted) or None,
+                         f"one called {unused[0]!r}, which the chip file states", nearest_names(unused[0], wanted))
+    try:
+        return function(**wanted)
+    except Exception as error:
+        shown = ", ".join(f"{name} = {value:.6g}" for name, value in wanted.items())
+        raise InputError(str(script.path), f"{script.function}({shown})", _said(error), "a solid") from error
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
