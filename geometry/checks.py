@@ -6,19 +6,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
-from geometry.parts import (
-    SAME_LENGTH,
-    SHAPES,
-    Dimension,
-    Electrodes,
-    Layer,
-    Ports,
-    State,
-    discs,
-    millimetres,
-    port_axis,
-)
+from geometry.parts import Electrodes, Layer, Ports, State, discs, port_axis
 from workbench.files.errors import InputError, choose
 
 

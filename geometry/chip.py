@@ -15,10 +15,9 @@ from typing import Any
 
 from geometry import checks
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
+from geometry.dimension import SHAPES, Dimension
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.parts import (
-    SHAPES,
-    Dimension,
     ElectrodeDisc,
     Electrodes,
     Layer,

@@ -8,8 +8,9 @@ from pathlib import Path
 import tomli_w
 
 from geometry.chip import Chip
+from geometry.dimension import SHAPES, Dimension
 from geometry.names import TRANSDUCER
-from geometry.parts import SHAPES, Dimension, Electrodes, Layer, Ports, ReportedFigures, State, discs
+from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
 from workbench.files.quantities import format_quantity
 from workbench.files.writing import write_atomic
 

@@ -4,19 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
 from geometry.names import ROLES, TRANSDUCER, region_names
-from geometry.parts import (
-    SAME_LENGTH,
-    SHAPES,
-    Dimension,
-    ElectrodeDisc,
-    Electrodes,
-    Layer,
-    Ports,
-    ReportedFigures,
-    State,
-    millimetres,
-)
+from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
 from geometry.profile import StepPart, read_profile
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import Table

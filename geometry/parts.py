@@ -8,34 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE
+from geometry.profile import Profile
 from workbench.files.errors import InputError
-
-if TYPE_CHECKING:
-    from geometry.profile import Profile
-
-#: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
-SAME_LENGTH = 1e-9
-
-
-#: What may be stated of the shape of a layer, and the dimension of each.
-SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length"}
-
-
-@dataclass(frozen=True)
-class Dimension:
-    """One length of a chip, or one angle.
-
-    ``value`` and ``tolerance`` in metres, or radians (``None``: nobody said how exact), ``assumed`` when it was not
-    measured or published but chosen, ``note`` where it comes from.
-    """
-
-    value: float
-    tolerance: float | None = None
-    assumed: bool = False
-    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -208,8 +186,3 @@ def port_axis(ports: Ports | None, holes: Sequence[Layer], *, file: str) -> tupl
             return wall, height
     raise InputError(file, "cavity.ports.height", millimetres(ports.height.value),
                      f"a height inside the cavity, which is {millimetres(holes[-1].z_top - holes[0].z_bottom)} high")
-
-
-def millimetres(length: float) -> str:
-    """A length (metres) as messages show it."""
-    return f"{1e3 * length:.6g} mm"

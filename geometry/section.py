@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.dimension import SAME_LENGTH
 from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, interface, outside
-from geometry.parts import SAME_LENGTH, ElectrodeDisc, Electrodes, Layer
+from geometry.parts import ElectrodeDisc, Electrodes, Layer
 from workbench.files.errors import choose
 
 #: Marks a cell of :meth:`Section.grid` where there is nothing.

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.curves import Arc, Curve
+from geometry.dimension import SAME_LENGTH
 from geometry.mesh import SectionMesh
-from geometry.parts import SAME_LENGTH
 from geometry.section import Section, cut_section
 
 Real = NDArray[np.float64]

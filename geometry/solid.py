@@ -11,9 +11,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
+from geometry.dimension import SHAPES
 from geometry.kernel import MILLIMETRES, SolidError, cadquery_module
 from geometry.names import CAVITY
-from geometry.parts import SHAPES, Layer
+from geometry.parts import Layer
 
 if TYPE_CHECKING:
     from cadquery import Shape, Solid

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.chip import Chip
+from geometry.dimension import SAME_LENGTH
 from geometry.mesh import MeshError, SectionMesh
 from geometry.names import COLUMN, LEVEL, part
-from geometry.parts import SAME_LENGTH
 from geometry.section import cut_section
 
 #: A length that moves keeps this share of the way to where it would vanish, or meet another.

@@ -14,8 +14,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.dimension import Dimension
 from geometry.mesh import SectionMesh
-from geometry.parts import Dimension
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.discretisation import Discretisation

@@ -8,7 +8,8 @@ import pytest
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import chip_text, write_chip
-from geometry.parts import Dimension, ElectrodeDisc, Electrodes, Ports
+from geometry.dimension import Dimension
+from geometry.parts import ElectrodeDisc, Electrodes, Ports
 from workbench.files.quantities import format_quantity, parse_quantity
 from workbench.files.tables import read_toml
 

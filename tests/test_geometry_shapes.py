@@ -11,10 +11,10 @@ from support import shape
 
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
+from geometry.dimension import Dimension
 from geometry.kernel import SolidError
 from geometry.mesh import MeshError, SectionMesh, mesh_section
 from geometry.mesh_size import MeshSize
-from geometry.parts import Dimension
 from geometry.section import cut_section
 from geometry.shapes import moved
 from geometry.solid import solids

@@ -8,9 +8,9 @@ import pytest
 from support import moved_onto
 
 from geometry.chip import Chip, read_chip
+from geometry.dimension import SAME_LENGTH
 from geometry.mesh import MeshError, mesh_section
 from geometry.mesh_size import MeshSize
-from geometry.parts import SAME_LENGTH
 from geometry.section import cut_section
 from geometry.stretch import between, movable, split, tied
 from workbench.files.errors import InputError

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from support import shape
 
 from geometry.chip import Chip
+from geometry.dimension import Dimension
 from geometry.mesh import SectionMesh, mesh_section
 from geometry.names import region_names, role_of
-from geometry.parts import Dimension, stacked
+from geometry.parts import stacked
 from geometry.section import cut_section
 from materials.registry import Material
 from workbench.discretisation import Discretisation

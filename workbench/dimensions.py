@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from geometry.chip import Chip
-from geometry.parts import SHAPES
+from geometry.dimension import SHAPES
 from geometry.stretch import Piece, movable, split, tied
 from workbench.files.errors import InputError, choose
 from workbench.physics.stretched import Column, Part, Radius, Rim, Stretched

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem.assembly.dofs import Dofs
 
+from geometry.free_section import FreeSection
 from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from workbench.drive import Drive, VoltageDrive
@@ -113,30 +114,30 @@ def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
     """The nodes of the fields on `mesh`, doubled between regions, and the scalar dof (N,) of every node."""
     element = Lagrange(mesh.order)
     element_dofs = np.asarray(Dofs(mesh.mesh, element).element_dofs)
-    along_r, along_z = np.array(element.indices).T
+    along, across = np.array(element.indices).T
     corners = mesh.mesh.p[:, mesh.mesh.t]  # (2, 4, cells)
-    cells, region, points, shaped, dofs = [], [], [], [], []
+    free = isinstance(mesh.section, FreeSection)
+    cells, region, points, straight, dofs = [], [], [], [], []
     names = mesh.section.regions
     offset = 0
     for index, name in enumerate(names):
         chosen = mesh.mesh.subdomains[name]
         own, local = np.unique(element_dofs[:, chosen].T, return_inverse=True)
         members = np.empty((len(chosen), mesh.order + 1, mesh.order + 1), dtype=np.int64)
-        members[:, along_r, along_z] = local.reshape(len(chosen), -1)
-        place = np.empty((own.size, 2))
-        place[members] = grid_nodes(corners[:, 0, chosen].T, corners[:, 2, chosen].T, mesh.order)
+        members[:, along, across] = local.reshape(len(chosen), -1)
+        place, there = np.empty((2, own.size, 2))
+        if not free:
+            place[members] = grid_nodes(corners[:, 0, chosen].T, corners[:, 2, chosen].T, mesh.order)
+            straight.append(place)
         if mesh.coordinates is not None:
-            there = np.empty_like(place)
-            there[members[:, along_r, along_z]] = mesh.coordinates[:, :, chosen].T
-            shaped.append(there)
+            there[members[:, along, across]] = mesh.coordinates[:, :, chosen].T
+        points.append(place if mesh.coordinates is None else there)
         cells.append(offset + members)
         region.append(np.full(len(members), index))
-        points.append(place)
         dofs.append(own)
         offset += own.size
-    straight = np.concatenate(points)
-    nodal = NodalMesh(np.concatenate(shaped) if shaped else straight, np.concatenate(cells), np.concatenate(region),
-                      tuple(names), straight if shaped else None)
+    nodal = NodalMesh(np.concatenate(points), np.concatenate(cells), np.concatenate(region), tuple(names),
+                      None if free or mesh.coordinates is None else np.concatenate(straight), free)
     return nodal, np.concatenate(dofs)
 
 

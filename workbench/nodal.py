@@ -7,6 +7,7 @@ axisymmetric.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,17 +15,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from workbench import curved_cells
 from workbench.elements import gauss_lobatto, lobatto_weights, polynomials
+from workbench.grid import TOLERANCE, Grid, grid_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 #: Real or complex values at the nodes.
 NodalArray = NDArray[Any]
 
-#: Two lines of a grid are one, and a point is on a line, within this part of the grid's extent: 3e-11 m of 26 mm.
-_TOLERANCE = 1e-9
 #: The sides of a cell, left, right, below and above: direction (0 r, 1 z) and sense.
 SIDES = ((0, -1), (0, 1), (1, -1), (1, 1))
 #: A polynomial through the nodes of two cells is a good one while neither is this much larger than the other. Measured
@@ -35,28 +35,8 @@ ALIKE = 2.0
 #: accurate and three times as sensitive to noise, of any order; all of them would make it 3000 times as sensitive at
 #: order 8.
 BEYOND = 2
-#: Steps to where a point has come from: each brings it closer by as much as neighbours are moved alike.
-MOST_STEPS = 30
 #: Cells whose points are moved by less apart, per length, than this are moved alike.
 SMOOTH = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """The lines on which the cells of a mesh lie, and what is between them.
-
-    ``r`` (n + 1,) and ``z`` (m + 1,) coordinates in metres, ascending; ``cell`` (n, m) number of the cell between two
-    lines of each, -1 where there is none.
-    """
-
-    r: FloatArray
-    z: FloatArray
-    cell: IntArray
-
-    def beside(self, values: NodalArray, axis: int, step: int) -> NodalArray:
-        """What `values` (n, m) are one `step` (1 or -1) on in direction `axis` (0 r, 1 z); -1 beyond the edge."""
-        moved: NodalArray = np.roll(np.pad(values, 1, constant_values=-1), -step, axis=axis)[1:-1, 1:-1]
-        return moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +46,7 @@ class NodalMesh:
     ``points`` (N, 2) r, z in metres; ``cells`` (M, p + 1, p + 1) node numbers of every cell, the first index along r
     and the second along z, for fields of order p; ``region`` (M,) index into ``regions``. ``straight`` (N, 2) is where
     the points are before they are moved to where they are: in rectangles between the lines of one grid; None where
-    they are not moved.
+    they are not moved. Cells that are ``free`` are of any shape and layout.
 
     Raises:
         ValueError: wrong shapes, an order below two, node or region numbers out of range, a cell that is clockwise or
@@ -79,6 +59,7 @@ class NodalMesh:
     region: IntArray
     regions: tuple[str, ...]
     straight: FloatArray | None = None
+    free: bool = False
 
     def __post_init__(self) -> None:
         points, cells, region = self.flat, self.cells, self.region
@@ -100,6 +81,8 @@ class NodalMesh:
             raise ValueError(f"node {cells[wrong][0]} belongs to two regions; duplicate it")
         if (owner < 0).any():
             raise ValueError(f"node {np.flatnonzero(owner < 0)[0]} belongs to no cell")
+        if self.free:
+            return
         low, high = self.boxes
         folded = (high <= low).any(axis=1)
         if folded.any():
@@ -114,6 +97,11 @@ class NodalMesh:
     def order(self) -> int:
         """Polynomial order of the fields in a cell."""
         return self.cells.shape[1] - 1
+
+    @property
+    def is_grid(self) -> bool:
+        """Whether the cells are rectangles between the lines of one grid."""
+        return self.straight is None and not self.free
 
     @property
     def flat(self) -> FloatArray:
@@ -131,13 +119,20 @@ class NodalMesh:
         return self.flat[self.cells[:, 0, 0]], self.flat[self.cells[:, -1, -1]]
 
     @property
+    def _extent(self) -> tuple[FloatArray, FloatArray]:
+        return self.points.min(axis=0), self.points.max(axis=0)
+
+    @property
     def lines(self) -> tuple[FloatArray, FloatArray]:
         """Radii (n,) and heights (m,), ascending, about as far apart as the lines of the cells, from end to end."""
-        if self.straight is None:
+        if self.is_grid:
             return self.grid.r, self.grid.z
-        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        if self.free:
+            steps = max(2, math.ceil(math.sqrt(len(self.cells))))
+            r, z = (np.linspace(a, b, steps) for a, b in zip(*self._extent, strict=True))
+            return r, z
         return tuple(a + (line - line[0]) * ((b - a) / (line[-1] - line[0]))
-                     for line, a, b in zip((self.grid.r, self.grid.z), low, high, strict=True))
+                     for line, a, b in zip((self.grid.r, self.grid.z), *self._extent, strict=True))
 
     @cached_property
     def grid(self) -> Grid:
@@ -146,7 +141,7 @@ class NodalMesh:
         Raises:
             ValueError: a cell is crossed by a line of another, or covers another.
         """
-        return _grid(*self.boxes)
+        return grid_of(*self.boxes)
 
     def cells_of(self, regions: Sequence[str]) -> IntArray:
         """Numbers of the cells of the named regions, shape (m,), ascending.
@@ -173,7 +168,7 @@ def mesh_of(
     Raises:
         ValueError: see :class:`NodalMesh`.
     """
-    grid = _grid(low, high)
+    grid = grid_of(low, high)
     place = np.empty((len(low), 2), dtype=np.int64)
     there = np.nonzero(grid.cell >= 0)
     place[grid.cell[there]] = np.stack(there, axis=1)
@@ -193,6 +188,9 @@ def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
     Products of two fields are polynomials of twice their order: it is on its nodes that they keep all they hold.
     """
     chosen = mesh.cells_of([region])
+    if mesh.free:
+        points, cells = curved_cells.of_order(mesh.points, mesh.cells[chosen], order)
+        return NodalMesh(points, cells, np.zeros(len(chosen), dtype=np.int64), (region,), free=True)
     low, high = (side[chosen] for side in mesh.boxes)
     flat = mesh_of(low, high, np.zeros(len(chosen), dtype=np.int64), (region,), order=order)
     return flat if mesh.straight is None else replace(flat, points=transfer(mesh, mesh.points, flat),
@@ -217,14 +215,18 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
     towards a neighbour, through the nodes of both cells; in a half without neighbour, through those of the cell and the
     next :data:`BEYOND` on its other side, for further ones would amplify noise there. This is polynomial-preserving
     recovery (Zhang & Naga, SIAM J. Sci. Comput. 26, 1192, 2005) with interpolation in place of the least-squares fit.
-    A cell of another region, or one larger or smaller by more than :data:`ALIKE`, is no neighbour. At a node of several
-    cells the gradient is their mean.
+    A cell of another region, or one larger or smaller by more than :data:`ALIKE`, is no neighbour, and free cells have
+    none. At a node of several cells the gradient is their mean.
 
     Raises:
         ValueError: a name that is not a region of the mesh.
     """
     chosen = mesh.cells_of(regions)
-    result = _recovered(mesh, values.reshape(len(mesh.points), -1), chosen)
+    flat = values.reshape(len(mesh.points), -1)
+    if mesh.free:
+        result = _averaged(mesh, chosen, curved_cells.slopes(mesh.points, mesh.cells[chosen], flat))
+        return result.reshape(len(mesh.points), 2, *values.shape[1:])
+    result = _recovered(mesh, flat, chosen)
     if mesh.straight is not None:
         # By the chain rule, where the points have got to likewise.
         there = np.unique(mesh.cells[chosen])
@@ -236,11 +238,16 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
 def _recovered(mesh: NodalMesh, values: NodalArray, chosen: IntArray) -> NodalArray:
     """Derivatives (N, 2, k) in both directions of the rectangles of `values` (N, k) at the nodes of the cells `chosen`;
     NaN elsewhere."""
+    both = [_slopes(mesh, values, chosen, axis) for axis in (0, 1)]
+    return _averaged(mesh, chosen, np.stack(both, axis=-2))
+
+
+def _averaged(mesh: NodalMesh, chosen: IntArray, slopes: NodalArray) -> NodalArray:
+    """Derivatives (N, 2, k) at the nodes from those on the cells `chosen` (m, p + 1, p + 1, 2, k); NaN elsewhere."""
     nodes = mesh.cells[chosen]
     shares = np.bincount(nodes.ravel(), minlength=len(mesh.points))
-    result = np.zeros((len(mesh.points), 2, values.shape[1]), dtype=np.result_type(values.dtype, float))
-    for axis in (0, 1):
-        np.add.at(result[:, axis], nodes, _slopes(mesh, values, chosen, axis))
+    result = np.zeros((len(mesh.points), *slopes.shape[3:]), dtype=slopes.dtype)
+    np.add.at(result, nodes, slopes)
     result[shares == 0] = np.nan
     result /= np.maximum(shares, 1)[:, None, None]
     return result
@@ -320,7 +327,7 @@ def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> No
     chosen = mesh.cells_of(regions)
     weights = lobatto_weights(mesh.order)
     nodes = mesh.cells[chosen]
-    if mesh.straight is None:
+    if mesh.is_grid:
         low, high = (side[chosen] for side in mesh.boxes)
         area = (high - low).prod(axis=1)[:, None, None] * np.outer(weights, weights)
     else:
@@ -347,15 +354,17 @@ def sample(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Seq
 def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple[IntArray, FloatArray]:
     """Cell (K,) of `regions` that holds each of `points` (K, 2), -1 where none, and local coordinates (K, 2), 0 to 1.
     """
-    if mesh.straight is not None:
-        return _found(mesh, points, regions)
+    if not mesh.is_grid:
+        cells = mesh.cells_of(regions)
+        found, local = curved_cells.located(mesh.points, mesh.cells[cells], points)
+        return np.where(found >= 0, cells[found] if cells.size else -1, -1), local
     grid = mesh.grid
     chosen = np.zeros(len(mesh.cells) + 1, dtype=bool)
     chosen[mesh.cells_of(regions)] = True
     # A point on a line, or off it by rounding, may be in the cell on either side.
     sides = []
     for lines, place in ((grid.r, points[:, 0]), (grid.z, points[:, 1])):
-        slack = _TOLERANCE * (lines[-1] - lines[0])
+        slack = TOLERANCE * (lines[-1] - lines[0])
         slots = np.stack([np.searchsorted(lines, place - slack, side="right"),
                           np.searchsorted(lines, place + slack, side="right")]) - 1
         sides.append(np.where((slots >= 0) & (slots < len(lines) - 1), slots, -1))
@@ -370,30 +379,6 @@ def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple
     return found, local
 
 
-def _found(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple[IntArray, FloatArray]:
-    """:func:`locate` where points are moved: where a point has come from, by iteration from where it is."""
-    flat = replace(mesh, points=mesh.flat, straight=None)
-    shift, tree = mesh.points - mesh.flat, cKDTree(mesh.flat)
-    at = points - shift[cKDTree(mesh.points).query(points)[1]]
-    owner = np.zeros(len(mesh.points), dtype=np.int64)
-    owner[mesh.cells] = np.arange(len(mesh.cells))[:, None, None]
-    low, high = mesh.boxes
-    left = np.arange(len(points))
-    for _ in range(MOST_STEPS):
-        moved = sample(flat, shift, at[left], mesh.regions)
-        outside = np.flatnonzero(~np.isfinite(moved[:, 0]))
-        if outside.size:
-            # Beyond the rectangles points are moved as the nearest one of the nearest node's cell is.
-            beside = owner[tree.query(at[left[outside]])[1]]
-            moved[outside] = sample(flat, shift, np.clip(at[left[outside]], low[beside], high[beside]), mesh.regions)
-        step = points[left] - moved - at[left]
-        at[left] += step
-        left = left[np.abs(step).max(axis=1) > _TOLERANCE * np.ptp(mesh.points, axis=0).max()]
-        if not left.size:
-            break
-    return locate(flat, at, regions)
-
-
 def raster(
     mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray, regions: Sequence[str]
 ) -> NodalArray:
@@ -403,7 +388,7 @@ def raster(
     What :func:`sample` gives, in a fraction of its time.
     """
     result = np.full((len(r), len(z)), np.nan, dtype=np.result_type(values.dtype, float))
-    if mesh.straight is not None:
+    if not mesh.is_grid:
         return sample(mesh, values, _pairs(r, z), regions).reshape(result.shape)
     grid = mesh.grid
     columns, rows = (_within(lines, place, mesh.order) for lines, place in ((grid.r, r), (grid.z, z)))
@@ -420,7 +405,7 @@ def raster(
 def cell_raster(mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray) -> NodalArray:
     """The one of `values` (M,) that belongs to the cell at every pair of ascending `r` (n,) and `z` (m,) in metres:
     (n, m); NaN where there is no cell."""
-    if mesh.straight is not None:
+    if not mesh.is_grid:
         cell, _ = locate(mesh, _pairs(r, z), mesh.regions)
         return np.where(cell >= 0, values[cell], np.nan).reshape(len(r), len(z))
     lines = mesh.grid
@@ -439,6 +424,14 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     """Numbers (L,) of the cells whose neighbour on a side has another `label` (M,) or is missing, for each of the four
     sides :data:`SIDES`; the axis is left out. Cells labelled -1 count as missing.
     """
+    if mesh.free:
+        neighbours = curved_cells.beside(mesh.points, mesh.cells)
+        across = np.where(neighbours >= 0, label[neighbours], -1)
+        apart = (label[:, None] >= 0) & (across != label[:, None])
+        at_axis = mesh.points[:, 0] <= TOLERANCE * mesh.points[:, 0].max()
+        every = np.arange(len(mesh.cells))
+        return [(side, np.flatnonzero(apart[:, side] & ~at_axis[edge_nodes(mesh, side, every)].all(axis=1)))
+                for side in range(4)]
     grid = mesh.grid
     there = grid.cell >= 0
     labels = np.where(there, label[grid.cell], -1)
@@ -446,7 +439,7 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     for side, (axis, step) in enumerate(SIDES):
         edge = (labels >= 0) & (grid.beside(labels, axis, step) != labels)
         if (axis, step) == (0, -1):
-            edge[grid.r[:-1] <= _TOLERANCE * grid.r[-1]] = False
+            edge[grid.r[:-1] <= TOLERANCE * grid.r[-1]] = False
         found.append((side, grid.cell[edge]))
     return found
 
@@ -460,31 +453,13 @@ def edge_nodes(mesh: NodalMesh, side: int, cells: IntArray) -> IntArray:
 def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slice, FloatArray]]:
     """For every interval of `lines` those of ascending `place` that lie in it, ends included, and the weights of the
     nodes there (order + 1, count)."""
-    slack = _TOLERANCE * (lines[-1] - lines[0])
+    slack = TOLERANCE * (lines[-1] - lines[0])
     first = np.searchsorted(place, lines[:-1] - slack, side="left")
     last = np.searchsorted(place, lines[1:] + slack, side="right")
     parts = []
     for begin, end, low, high in zip(first, last, lines[:-1], lines[1:], strict=True):
         parts.append((slice(begin, end), polynomials(order, (place[begin:end] - low) / (high - low))))
     return parts
-
-
-def _grid(low: FloatArray, high: FloatArray) -> Grid:
-    lines, first = [], []
-    for axis in (0, 1):
-        ends = np.sort(np.concatenate([low[:, axis], high[:, axis]]))
-        line = ends[np.concatenate([[True], np.diff(ends) > _TOLERANCE * (ends[-1] - ends[0])])]
-        begin, end = (np.abs(line[:, None] - side[:, axis]).argmin(axis=0) for side in (low, high))
-        if (end != begin + 1).any():
-            raise ValueError(f"cell {np.flatnonzero(end != begin + 1)[0]} is crossed by a line of other cells")
-        lines.append(line)
-        first.append(begin)
-    cell = np.full((len(lines[0]) - 1, len(lines[1]) - 1), -1)
-    cell[first[0], first[1]] = np.arange(len(low))
-    covered = cell[first[0], first[1]] != np.arange(len(low))
-    if covered.any():
-        raise ValueError(f"cell {np.flatnonzero(covered)[0]} is covered by another")
-    return Grid(lines[0], lines[1], cell)
 
 
 def grid_nodes(low: FloatArray, high: FloatArray, order: int) -> FloatArray:

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.dimension import millimetres
 from geometry.names import CAVITY, VACUUM
-from geometry.parts import Layer, State, millimetres
+from geometry.parts import Layer, State
 from geometry.stretch import between, movable, tied
 from materials.entry import KINDS
 from materials.registry import Registry

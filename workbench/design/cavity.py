@@ -22,8 +22,8 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.dimension import SAME_LENGTH
 from geometry.names import CAVITY
-from geometry.parts import SAME_LENGTH
 from geometry.section import cut_section
 from materials.kinds import Fluid
 from workbench.design.dual import Dual, slope

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from geometry.parts import SAME_LENGTH
+from geometry.dimension import SAME_LENGTH
 from geometry.stretch import tied
 from materials.kinds import Fluid
 from workbench.diagnosis.state import DeviceState

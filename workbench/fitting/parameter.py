@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from geometry.chip import Chip
-from geometry.parts import Dimension
+from geometry.dimension import Dimension
 from geometry.stretch import movable, tied
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
