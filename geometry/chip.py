@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -125,17 +124,6 @@ class Chip:
         chosen = self.state(state)
         names = {layer.region: layer.material for layer in self.layers} | dict(chosen.materials)
         return names if chosen.cavity is None else names | {CAVITY: chosen.cavity}
-
-    def volumes(self) -> dict[str, float]:
-        """Volume of every region in cubic metres, from the dimensions alone; ports are not counted, nor how layers are
-        shaped (`geometry.shapes`)."""
-        rings = {
-            layer.region: math.pi * (layer.outer_radius**2 - layer.inner_radius**2) * layer.thickness.value
-            for layer in self.layers
-        }
-        if not self.holes:
-            return rings
-        return rings | {CAVITY: sum(math.pi * hole.inner_radius**2 * hole.thickness.value for hole in self.holes)}
 
     def dimensions(self) -> dict[str, Dimension]:
         """Every length that can be changed by name, in the order of the layers.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from geometry.chip import Chip
 from geometry.dimension import SHAPES, Dimension
 from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
+from geometry.profile import ASYMMETRY, Corner, Outline, Profile, Script, Size, StepPart
 from workbench.files.quantities import format_quantity
 from workbench.files.writing import write_atomic
 
@@ -24,12 +26,12 @@ def write_chip(chip: Chip, path: Path) -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    write_atomic(path, chip_text(chip))
+    write_atomic(path, chip_text(chip, path.parent))
     return path
 
 
-def chip_text(chip: Chip) -> str:
-    """The chip as the text of a chip file: every length with its unit, tolerance and note; no digit is lost."""
+def chip_text(chip: Chip, folder: Path = Path()) -> str:
+    """The chip as the text of a chip file in `folder`: lengths with unit, tolerance and note; no digit is lost."""
     head: dict[str, Entry] = {"name": chip.name}
     head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
     head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
@@ -37,7 +39,7 @@ def chip_text(chip: Chip) -> str:
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
         # A bottom is written only where the layer does not start where the one below ends, to the last digit.
         resting = (0.0 if below is None else below.z_top) == layer.z_bottom
-        parts.append(_table("[[layers]]", _layer(layer, chip.electrodes, with_bottom=not resting)))
+        parts.append(_table("[[layers]]", _layer(layer, chip.electrodes, folder, with_bottom=not resting)))
     if chip.ports is not None:
         parts.append(_table("[cavity]", {"ports": _ports(chip.ports)}))
     parts += [_table(_heading("states", state.name), _state(state)) for state in chip.states]
@@ -100,7 +102,7 @@ def _dimension(dimension: Dimension, kind: str = "length") -> Entry:
     return table if len(table) > 1 else table["value"]
 
 
-def _layer(layer: Layer, electrodes: Electrodes, *, with_bottom: bool) -> dict[str, Entry]:
+def _layer(layer: Layer, electrodes: Electrodes, folder: Path, *, with_bottom: bool) -> dict[str, Entry]:
     found: dict[str, Entry] = {"role": layer.role, "material": layer.material}
     if layer.density is not None:
         found["density"] = format_quantity(layer.density, "density", ("kg/m^3",))
@@ -112,7 +114,47 @@ def _layer(layer: Layer, electrodes: Electrodes, *, with_bottom: bool) -> dict[s
             found[shape] = _dimension(size, kind)
     if with_bottom:
         found["bottom"] = _length(layer.z_bottom)
+    if layer.profile is not None:
+        found["profile"] = _profile(layer.profile, folder)
     return found | ({"electrodes": _electrodes(electrodes)} if layer.role == TRANSDUCER else {})
+
+
+def _profile(profile: Profile, folder: Path) -> Entry:
+    found: dict[str, Entry] = {}
+    match profile.source:
+        case Outline(corners):
+            found["points"] = [_corner(corner) for corner in corners]
+        case Script(path, function):
+            found |= {"script": _beside(path, folder), "function": function}
+        case StepPart(path, part, scale):
+            found |= {"step": _beside(path, folder), "part": part}
+            found |= {"scale": _length(scale)} if scale != 1e-3 else {}
+    if profile.parameters:
+        found["parameters"] = {name: _dimension(size, "angle" if name in profile.angles else "length")
+                               for name, size in profile.parameters}
+    return found | ({"asymmetry": profile.asymmetry} if profile.asymmetry != ASYMMETRY else {})
+
+
+def _beside(path: Path, folder: Path) -> str:
+    """A path as a file in `folder` names it."""
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def _corner(corner: Corner) -> Entry:
+    def size(value: Size) -> Entry:
+        return value if isinstance(value, str) else _length(value)
+
+    def point(values: tuple[Size, Size]) -> Entry:
+        return [size(each) for each in values]
+
+    found: dict[str, Entry] = {"at": point(corner.at)}
+    if corner.fillet is not None:
+        found["fillet"] = size(corner.fillet)
+    if corner.through:
+        found["through"] = [point(each) for each in corner.through]
+    if corner.arc is not None:
+        found["arc"] = point(corner.arc)
+    return found if len(found) > 1 else found["at"]
 
 
 def _electrodes(electrodes: Electrodes) -> Entry:

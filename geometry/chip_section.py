@@ -9,8 +9,11 @@ from geometry.chip import Chip
 from geometry.free_section import FreeSection
 from geometry.parts import Electrodes, Layer
 from geometry.section import Section, cut_section, section_of_layers
+from geometry.shapes import outlines
 
 if TYPE_CHECKING:
+    from cadquery import Face
+
     from geometry.cad import Drawn
 
 
@@ -54,3 +57,31 @@ def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, Drawn]:
         drawn[layer.region] = cad.profile_face(layer.profile, sizes, layer.z_bottom, source=file,
                                                field=f"layers[{number}].profile")
     return drawn
+
+
+def section_faces(chip: Chip) -> dict[str, Face]:
+    """The faces of the layers of a chip with profiles, and of its cavity, by region (mm).
+
+    Raises:
+        InputError: as of :func:`chip_section`.
+        SolidError: CadQuery is not installed.
+    """
+    from geometry.dissection import faces_of
+
+    return faces_of(drawn_layers(chip.layers, chip.file), hollow=bool(chip.holes), source=chip.file)
+
+
+def volumes(chip: Chip) -> dict[str, float]:
+    """Volume of every region in cubic metres, by the outlines of its section; ports are not counted.
+
+    Raises:
+        InputError: as of :func:`chip_section`.
+        SolidError: a layer has a profile and CadQuery is not installed.
+    """
+    if chip.is_profiled:
+        section = chip_section(chip)
+        return {region: section.volume(region) for region in section.regions}
+    found: dict[str, float] = {}
+    for region, arcs in outlines(chip):
+        found[region] = found.get(region, 0.0) + sum(arc.volume for arc in arcs)
+    return found

@@ -45,14 +45,22 @@ def section_of(
     Raises:
         InputError: layers overlap, leave a gap or do not touch, or what should be the cavity is open.
     """
-    faces = {region: each.face for region, each in drawn.items()}
-    _check_fit(faces, source)
-    cavity = _enclosed(faces, hollow=hollow, source=source)
-    if cavity is not None:
-        faces[CAVITY] = cavity
+    faces = faces_of(drawn, hollow=hollow, source=source)
     notes = tuple(f"{region}: {each.left_out}" for region, each in drawn.items() if each.left_out)
     pieces = [(region, piece) for region, face in faces.items() for piece in _pieces(face)]
     return _fused(pieces, tuple(electrodes), tuple(rectangles), notes)
+
+
+def faces_of(drawn: Mapping[str, cad.Drawn], *, hollow: bool, source: str) -> dict[str, cadquery.Face]:
+    """The faces of layers by region, and of the cavity that they enclose if they are `hollow`.
+
+    Raises:
+        InputError: as of :func:`section_of`.
+    """
+    faces = {region: each.face for region, each in drawn.items()}
+    _check_fit(faces, source)
+    cavity = _enclosed(faces, hollow=hollow, source=source)
+    return faces if cavity is None else {**faces, CAVITY: cavity}
 
 
 def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:

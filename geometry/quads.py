@@ -99,7 +99,7 @@ def measures(nodes: Real) -> tuple[Real, Real, Real]:
     order = nodes.shape[2] - 1
     x, weights = legendre.leggauss(2 * order + 1)
     points = 0.5 * (1.0 + x)
-    value, slope = _tabulated(order, points)
+    value, slope = tabulated(order, points)
     fields = [np.einsum("ai,bj,xmij->xmab", one, other, nodes, optimize=True)
               for one, other in ((value, value), (slope, value), (value, slope))]
     (r, _), (r_along, z_along), (r_across, z_across) = fields
@@ -109,13 +109,19 @@ def measures(nodes: Real) -> tuple[Real, Real, Real]:
     return whole, 2.0 * np.pi * np.einsum("mab,mab,ab->m", r, area, weight), area.min(axis=(1, 2)) / whole
 
 
-def _tabulated(order: int, points: Real) -> tuple[Real, Real]:
-    """Values and slopes (n, order + 1) at `points` (n,) of the polynomials that are 1 at one node each."""
-    nodes = 2.0 * gauss_lobatto(order) - 1.0
-    coefficients = np.linalg.inv(legendre.legvander(nodes, order))
-    return (legendre.legvander(2.0 * points - 1.0, order) @ coefficients,
-            2.0 * np.stack([legendre.legval(2.0 * points - 1.0, legendre.legder(each)) for each in np.eye(order + 1)],
-                           axis=1) @ coefficients)
+def tabulated(order: int, points: Real) -> tuple[Real, Real]:
+    """Values and slopes (n, order + 1) at `points` (n,) of the polynomials that are 1 at one of the nodes each."""
+    values, slopes = _coefficients(order)
+    legendres = legendre.legvander(2.0 * points - 1.0, order)
+    return legendres @ values, legendres[:, :-1] @ slopes
+
+
+@cache
+def _coefficients(order: int) -> tuple[Real, Real]:
+    """Coefficients of these polynomials and of their slopes in Legendre polynomials: (order + 1, order + 1) and
+    (order, order + 1)."""
+    values = np.asarray(np.linalg.inv(legendre.legvander(2.0 * gauss_lobatto(order) - 1.0, order)), dtype=float)
+    return values, np.asarray(2.0 * legendre.legder(values, axis=0))
 
 
 def curved(points: Real, cells: Integers, nodes: Real, sides: Mapping[tuple[int, int], Real]) -> Real:

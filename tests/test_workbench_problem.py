@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from geometry.chip import Chip, State, read_chip
+from geometry.chip_section import volumes
 from geometry.mesh import SectionMesh, elements_per_wavelength, mesh_section
 from geometry.section import cut_section
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
@@ -199,7 +200,7 @@ def test_a_chip_of_its_own_file_is_the_model_of_the_reference(
     chip: Chip, registry: Registry, reference_materials: Callable[[str], dict[str, Material]],
     reference_chip: Callable[[str], Chip]
 ) -> None:
-    assert chip.volumes() == pytest.approx(reference_chip("chip_filled").volumes())
+    assert volumes(chip) == pytest.approx(volumes(reference_chip("chip_filled")))
     expected = reference_materials("chip_filled")
     for region, material in fill(chip, "filled", registry).materials.items():
         numbers = expected[region].parameters()

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from workbench.elements import gauss_lobatto, polynomials, polynomials_and_slopes
+from geometry.quads import gauss_lobatto, tabulated
+from workbench.elements import polynomials
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -22,6 +23,8 @@ NodalArray = NDArray[Any]
 MOST_STEPS = 20
 #: A point is in a cell up to this share of its size.
 INSIDE = 1e-8
+#: Local coordinates so far outside a cell are given up.
+FAR = 0.5
 #: Share of its size by which a cell's curved sides reach beyond its nodes at most.
 BEYOND_NODES = 0.05
 #: Sides whose middles are closer than this share of the whole mesh are one.
@@ -56,23 +59,32 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
     """Local coordinates (K, 2) of `places` (K, 2) in the cell of `nodes` (p + 1, p + 1, 2), by Newton's method; NaN
     where there are none near the cell."""
     order = nodes.shape[0] - 1
-    at = np.full(places.shape, 0.5)
     size = np.ptp(nodes, axis=(0, 1)).max()
+    # Most cells are parallelograms.
+    edges = np.stack([nodes[-1, 0] - nodes[0, 0], nodes[0, -1] - nodes[0, 0]])
+    x = gauss_lobatto(order)
+    even = nodes[0, 0] + x[:, None, None] * edges[0] + x[None, :, None] * edges[1]
+    if np.abs(even - nodes).max() < 1e-13 * size:
+        return np.asarray((places - nodes[0, 0]) @ np.linalg.inv(edges))
+    at, miss = np.full(places.shape, 0.5), np.full(len(places), np.inf)
+    left = np.arange(len(places))
     for _ in range(MOST_STEPS):
-        (f, df), (g, dg) = (polynomials_and_slopes(order, at[:, axis]) for axis in (0, 1))
-        half = np.tensordot(f, nodes, axes=(0, 0))  # (K, p + 1, 2)
-        miss = places - np.einsum("jk,kjx->kx", g, half)
-        along = np.einsum("jk,kjx->kx", g, np.tensordot(df, nodes, axes=(0, 0)))
-        across = np.einsum("jk,kjx->kx", dg, half)
+        (f, df), (g, dg) = (tabulated(order, at[left, axis]) for axis in (0, 1))
+        half = np.tensordot(f, nodes, axes=(1, 0))  # (K, p + 1, 2)
+        apart = places[left] - np.einsum("kj,kjx->kx", g, half)
+        along = np.einsum("kj,kjx->kx", g, np.tensordot(df, nodes, axes=(1, 0)))
+        across = np.einsum("kj,kjx->kx", dg, half)
         area = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
-            step = np.stack([miss[:, 0] * across[:, 1] - miss[:, 1] * across[:, 0],
-                             along[:, 0] * miss[:, 1] - along[:, 1] * miss[:, 0]], axis=1) / area[:, None]
+            step = np.stack([apart[:, 0] * across[:, 1] - apart[:, 1] * across[:, 0],
+                             along[:, 0] * apart[:, 1] - along[:, 1] * apart[:, 0]], axis=1) / area[:, None]
         # Far outside a cell its polynomials are of no meaning.
-        at = np.clip(at + np.nan_to_num(step), -1.0, 2.0)
-        if np.abs(miss).max() < 1e-13 * size:
+        at[left] = np.clip(at[left] + np.nan_to_num(step), -FAR, 1.0 + FAR)
+        miss[left] = np.abs(apart).max(axis=1)
+        left = left[(miss[left] > 1e-13 * size) & (np.abs(at[left] - 0.5) < 0.5 + FAR).all(axis=1)]
+        if not left.size:
             break
-    at[np.abs(miss).max(axis=1) > INSIDE * size] = np.nan
+    at[miss > INSIDE * size] = np.nan
     return at
 
 
@@ -80,7 +92,7 @@ def slopes(points: FloatArray, cells: IntArray, values: NodalArray) -> NodalArra
     """Derivatives along r and z of `values` (N, k) at the nodes of cells: (M, p + 1, p + 1, 2, k), of every cell's own
     polynomial."""
     order = cells.shape[1] - 1
-    matrix = polynomials_and_slopes(order, gauss_lobatto(order))[1].T  # (at, of)
+    matrix = tabulated(order, gauss_lobatto(order))[1]  # (at, of)
     own = [np.stack([np.einsum("ai,mijk->majk", matrix, each), np.einsum("bj,mijk->mibk", matrix, each)], axis=-2)
            for each in (points[cells], values[cells])]
     result: NodalArray = np.linalg.solve(own[0], own[1])

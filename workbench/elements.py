@@ -60,12 +60,8 @@ def lobatto_weights(order: int) -> Real:
 
 @lru_cache(maxsize=64)
 def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real]:
-    return polynomials_and_slopes(order, np.frombuffer(points).reshape(shape))
-
-
-def polynomials_and_slopes(order: int, x: Real) -> tuple[Real, Real]:
-    """:func:`polynomials` at some points, and their slopes: two (order + 1, ...)."""
-    nodes = gauss_lobatto(order)
+    """:func:`polynomials` at some points, and their slopes: two (order + 1, *shape)."""
+    x, nodes = np.frombuffer(points).reshape(shape), gauss_lobatto(order)
     slopes = []
     for node in range(order + 1):
         others = np.delete(nodes, node)

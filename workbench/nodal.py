@@ -450,6 +450,17 @@ def edge_nodes(mesh: NodalMesh, side: int, cells: IntArray) -> IntArray:
     return np.take(mesh.cells[cells], 0 if step < 0 else -1, axis=1 + axis)
 
 
+def border_lines(mesh: NodalMesh, label: IntArray) -> IntArray:
+    """Nodes (n, 2) at the ends of the lines that :func:`borders` consist of: whole sides of rectangles, and from node
+    to node along those of other cells."""
+    found = []
+    for side, cells in borders(mesh, label):
+        nodes = edge_nodes(mesh, side, cells)
+        nodes = nodes[:, [0, -1]] if mesh.is_grid else nodes
+        found.append(np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2).reshape(-1, 2))
+    return np.concatenate(found)
+
+
 def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slice, FloatArray]]:
     """For every interval of `lines` those of ascending `place` that lie in it, ends included, and the weights of the
     nodes there (order + 1, count)."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.nodal import FloatArray, NodalMesh, borders, cell_raster, edge_nodes, raster
+from workbench.nodal import FloatArray, NodalMesh, border_lines, cell_raster, raster
 from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, new_figure, prefixed, role_colour, save, typeset
 from workbench.traps import TrapReport
 
@@ -275,7 +275,6 @@ def region_edges(mesh: NodalMesh) -> list[FloatArray]:
 
 def _segments(mesh: NodalMesh, label: NDArray[np.int64]) -> list[FloatArray]:
     """Edges (2, 2) in mm between cells of different `label` (M,), and their mirror images; each once."""
-    nodes = np.concatenate([edge_nodes(mesh, side, cells)[:, [0, -1]] for side, cells in borders(mesh, label)])
-    ends = mesh.points[nodes] * 1e3
+    ends = mesh.points[border_lines(mesh, label)] * 1e3
     whole = np.unique(ends.round(6).reshape(-1, 4), axis=0).reshape(-1, 2, 2)
     return list(np.concatenate([whole, whole * [-1.0, 1.0]]))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.nodal import FloatArray, IntArray, NodalMesh, borders, edge_nodes, raised, transfer
+from workbench.nodal import FloatArray, IntArray, NodalMesh, border_lines, borders, edge_nodes, raised, transfer
 from workbench.render.canvas import (
     SIGNED_COLOURS,
     Shape,
@@ -228,7 +228,7 @@ def _swept(mesh: NodalMesh, edges: IntArray, *, degrees: float) -> tuple[FloatAr
 
 def _section_outlines(mesh: NodalMesh, degrees: float) -> tuple[FloatArray, IntArray]:
     """Points and lines of the outlines of the regions on the two cut faces, a hair in front of them."""
-    edges = np.concatenate([edge_nodes(mesh, side, cells)[:, [0, -1]] for side, cells in borders(mesh, mesh.region)])
+    edges = border_lines(mesh, mesh.region)
     pieces = mesh.points[edges].reshape(-1, 2)
     front = 1e-3 * mesh.points[:, 0].max()
     points = []
