@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,12 +61,15 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
         made = called(where, profile.sizes(sizes), profile.angles)
         drawn = _section(made, profile.asymmetry, str(where.path), where.function)
     else:
-        drawn = _section(step_part(where), profile.asymmetry, str(where.path), where.part)
+        drawn = _step_section(where, profile.asymmetry)
     if isinstance(where, StepPart):
         bottom = 0.0
     box = drawn.face.BoundingBox()
     if box.xmin < -CLOSE:
         raise InputError(source, field, f"r = {box.xmin:.4g} mm", "no point beyond the axis: r of zero or more")
+    if box.xmin > CLOSE and "cavity_radius" not in sizes:
+        raise InputError(source, field, f"r = {box.xmin:.4g} mm and more", "an outline that reaches the axis: a "
+                         "layer with a hole has a cavity_radius")
     up = cadquery_module().Vector(0.0, 0.0, MILLIMETRES * bottom)
     return Drawn(drawn.face.moved(cadquery_module().Location(up)), drawn.left_out)
 
@@ -147,7 +151,12 @@ def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
 def _section(made: Any, asymmetry: float, source: str, field: str) -> Drawn:
     """The section of what a script or a file holds: of a solid, or the face itself."""
     cadquery = cadquery_module()
-    values = list(made.vals()) if isinstance(made, cadquery.Workplane) else [made]
+    values = [made]
+    if isinstance(made, cadquery.Workplane):
+        # Lines that were drawn and nothing was made of yet.
+        drawn = [*made.ctx.pendingWires, *([cadquery.Wire.assembleEdges(made.ctx.pendingEdges)]
+                                           if made.ctx.pendingEdges else [])]
+        values = drawn or list(made.vals())
     shapes = [each for each in values if isinstance(each, cadquery.Shape)]
     if not shapes or len(shapes) != len(values):
         raise InputError(source, field, type(made).__name__, "a CadQuery solid, face or closed wire")
@@ -284,16 +293,22 @@ def step_part(where: StepPart) -> Solid:
     return found[where.part]
 
 
-def measured_part(where: StepPart) -> dict[str, float]:
-    """Where the solid of a STEP file begins and how large it is: ``bottom``, ``thickness`` and ``radius`` (m).
+@lru_cache(maxsize=32)
+def _step_section(where: StepPart, asymmetry: float) -> Drawn:
+    return _section(step_part(where), asymmetry, str(where.path), where.part)
+
+
+def measured_part(where: StepPart, asymmetry: float) -> dict[str, float]:
+    """Where the solid of a STEP file begins and how large it is: ``bottom``, ``thickness``, ``radius`` and, of one with
+    a hole along the axis, ``cavity_radius`` (m).
 
     Raises:
-        InputError: as of :func:`step_part`.
+        InputError: as of :func:`profile_face`.
     """
-    box = step_part(where).BoundingBox()
-    radius = max(box.xmax, box.ymax, -box.xmin, -box.ymin)
-    return {name: length / MILLIMETRES
-            for name, length in (("bottom", box.zmin), ("thickness", box.zmax - box.zmin), ("radius", radius))}
+    box = _step_section(where, asymmetry).face.BoundingBox()
+    found = {"bottom": box.zmin, "thickness": box.zmax - box.zmin, "radius": box.xmax}
+    found |= {"cavity_radius": box.xmin} if box.xmin > CLOSE else {}
+    return {name: length / MILLIMETRES for name, length in found.items()}
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -33,7 +33,12 @@ def _free_section(layers: tuple[Layer, ...], electrodes: Electrodes, file: str) 
 
     stated = section_of_layers(layers, electrodes)
     return section_of(drawn_layers(layers, file), stated.electrodes, stated.rectangles,
-                      hollow=any(layer.cavity_radius is not None for layer in layers), source=file)
+                      walls=_walls(layers), source=file)
+
+
+def _walls(layers: tuple[Layer, ...]) -> list[str]:
+    """The layers around the cavity."""
+    return [layer.region for layer in layers if layer.cavity_radius is not None]
 
 
 def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, Drawn]:
@@ -68,7 +73,7 @@ def section_faces(chip: Chip) -> dict[str, Face]:
     """
     from geometry.dissection import faces_of
 
-    return faces_of(drawn_layers(chip.layers, chip.file), hollow=bool(chip.holes), source=chip.file)
+    return faces_of(drawn_layers(chip.layers, chip.file), walls=_walls(chip.layers), source=chip.file)
 
 
 def volumes(chip: Chip) -> dict[str, float]:

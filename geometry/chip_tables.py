@@ -71,7 +71,7 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
         if profile is not None and isinstance(profile.source, StepPart):
             from geometry.cad import measured_part  # CadQuery takes seconds to import
 
-            measured = measured_part(profile.source)
+            measured = measured_part(profile.source, profile.asymmetry)
         layer = Layer(
             region=region,
             role=role,
@@ -80,7 +80,8 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
             radius=_dimension_or(table, "radius", measured),
             z_bottom=bottom if bottom is not None else measured["bottom"] if measured else (
                 layers[-1].z_top if layers else 0.0),
-            cavity_radius=_optional_dimension(table, "cavity_radius"),
+            cavity_radius=(_dimension_or(table, "cavity_radius", measured)
+                           if {"cavity_radius"} & {*table, *measured} else None),
             density=table.optional_quantity("density", "density"),
             profile=profile,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},

@@ -9,7 +9,7 @@ small part remains that is not.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -37,29 +37,30 @@ MARGIN = 0.35
 
 
 def section_of(
-    drawn: Mapping[str, cad.Drawn], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *, hollow: bool,
-    source: str,
+    drawn: Mapping[str, cad.Drawn], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *,
+    walls: Collection[str], source: str,
 ) -> FreeSection:
-    """The section of layers drawn in the half plane, from bottom to top by region; with a cavity if they are `hollow`.
+    """The section of layers drawn in the half plane, from bottom to top by region; with a cavity that those called
+    `walls` are around, if there are any.
 
     Raises:
         InputError: layers overlap, leave a gap or do not touch, or what should be the cavity is open.
     """
-    faces = faces_of(drawn, hollow=hollow, source=source)
+    faces = faces_of(drawn, walls=walls, source=source)
     notes = tuple(f"{region}: {each.left_out}" for region, each in drawn.items() if each.left_out)
     pieces = [(region, piece) for region, face in faces.items() for piece in _pieces(face)]
     return _fused(pieces, tuple(electrodes), tuple(rectangles), notes)
 
 
-def faces_of(drawn: Mapping[str, cad.Drawn], *, hollow: bool, source: str) -> dict[str, cadquery.Face]:
-    """The faces of layers by region, and of the cavity that they enclose if they are `hollow`.
+def faces_of(drawn: Mapping[str, cad.Drawn], *, walls: Collection[str], source: str) -> dict[str, cadquery.Face]:
+    """The faces of layers by region, and of the cavity that they enclose if some are its `walls`.
 
     Raises:
         InputError: as of :func:`section_of`.
     """
     faces = {region: each.face for region, each in drawn.items()}
     _check_fit(faces, source)
-    cavity = _enclosed(faces, hollow=hollow, source=source)
+    cavity = _enclosed(faces, walls=walls, source=source)
     return faces if cavity is None else {**faces, CAVITY: cavity}
 
 
@@ -85,7 +86,7 @@ def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
                              f"{cad.place(at)}", "a layer that touches one below it")
 
 
-def _enclosed(faces: Mapping[str, cadquery.Face], *, hollow: bool, source: str) -> cadquery.Face | None:
+def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], source: str) -> cadquery.Face | None:
     """What the faces leave free inside: the cavity, if there is to be one."""
     whole = cadquery_module().Compound.makeCompound(list(faces.values()))
     around = cad.half_plane(whole.BoundingBox())
@@ -94,18 +95,20 @@ def _enclosed(faces: Mapping[str, cadquery.Face], *, hollow: bool, source: str) 
     inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.CLOSE
               and each.BoundingBox().zmax < edge.zmax - cad.CLOSE and each.BoundingBox().zmin > edge.zmin + cad.CLOSE]
     inside = [each for each in inside if each.Area() > cad.SOME]
-    at_axis = [each for each in inside if each.BoundingBox().xmin < cad.CLOSE]
-    wanted = at_axis[:1] if hollow and len(at_axis) == 1 else []
+    likely = [each for each in inside if any(faces[wall].distance(each) < cad.CLOSE for wall in walls)]
+    if len(likely) > 1:
+        likely = [each for each in likely if each.BoundingBox().xmin < cad.CLOSE]
+    wanted = likely if len(likely) == 1 else []
     gaps = [each for each in inside if not any(each is other for other in wanted)]
     if gaps:
         worst = max(gaps, key=lambda face: face.Area())
         between = [name for name, face in faces.items() if face.distance(worst) < cad.CLOSE]
         expected = "layers that leave no gap"
-        if not hollow:
+        if not walls:
             expected += "; a cavity is one where layers have a cavity_radius"
         raise InputError(source, "layers " + ", ".join(between), f"a gap of {worst.Area():.4g} mm^2 about "
                          f"{cad.place(worst.Center())}", expected)
-    if hollow and not wanted:
+    if walls and not wanted:
         raise InputError(source, "cavity", _opening(faces), "layers that close the cavity on all sides")
     return wanted[0] if wanted else None
 

@@ -2,13 +2,15 @@
 
     .venv/bin/python tests/benchmarks/ngsolve_chip.py [--states empty filled] [--no-workbench] [--ordering COLAMD]
     .venv/bin/python tests/benchmarks/ngsolve_chip.py --draft 10 [--accuracy 2e-4]
+    .venv/bin/python tests/benchmarks/ngsolve_chip.py --fillet 0.3 [--accuracy 2e-4]
 
 NGSolve (the extra `oracle`) at its best for this chip: triangles of order 4 graded twice by 0.15 towards every corner,
 full solves at 22 frequencies with SuperLU of scipy on the symmetrically scaled system, and a Galerkin sweep of all 491
 frequencies on their states. Both programs run one after the other, each in a process of its own, on one thread, without
 its imports. Their spectra are compared with those of an independent solver (tests/data/reference), which are known to
 0.01 % rms of ln Z; a program's time is that of the spectrum alone. Run it on a quiet machine. With a `--draft`
-(degrees) the hole of the sidewall is a cone, and the two programs are compared with each other.
+(degrees) the hole of the sidewall is a cone, with a `--fillet` (mm) its lower end is rounded, which for the workbench
+is a profile of the substrate and the sidewall in one; the two programs are then compared with each other.
 """
 
 from __future__ import annotations
@@ -42,8 +44,9 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
-from geometry.names import AXIS, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER  # noqa: E402
+from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER  # noqa: E402
 from geometry.parts import Dimension  # noqa: E402
+from geometry.profile import Corner, Outline, Profile  # noqa: E402
 from geometry.section import Section  # noqa: E402
 from geometry.shapes import Side, sides  # noqa: E402
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric  # noqa: E402
@@ -87,7 +90,8 @@ class Run:
 @dataclass(frozen=True)
 class Settings:
     """How NGSolve is used. ``elements_per_wavelength`` of the slowest wave of each region at the end of the band;
-    ``levels`` of grading, each with elements smaller by ``factor``; full ``solves``, and SuperLU's ``ordering``."""
+    ``levels`` of grading, each with elements smaller by ``factor``; full ``solves``, and SuperLU's ``ordering``;
+    ``fillet`` (m) between floor and wall of the cavity."""
 
     order: int
     elements_per_wavelength: float
@@ -95,6 +99,7 @@ class Settings:
     factor: float
     solves: int
     ordering: str
+    fillet: float = 0.0
 
 
 def reference(state: str) -> Spectrum:
@@ -119,6 +124,19 @@ sound_speed = {{ value = {water["c"]}, unit = "m/s" }}
     states = tuple(replace(state, cavity=WATER, temperature=None) if state.cavity == "water" else state
                    for state in chip.states)
     return replace(chip, states=states), Registry((folder,))
+
+
+def rounded(chip: Chip, fillet: float) -> Chip:
+    """The chip with substrate and sidewall in one piece, and a fillet (m) between floor and wall of its cavity."""
+    floor, wall = chip.layer("substrate"), chip.layer("sidewall")
+    ends = (("radius", 0.0), ("radius", "thickness"), ("cavity_radius", "thickness"))
+    corners = (Corner((0.0, 0.0)), *map(Corner, ends), Corner(("cavity_radius", "floor"), fillet),
+               Corner((0.0, "floor")))
+    profile = Profile(Outline(corners), (("floor", floor.thickness),))
+    printed = replace(floor, thickness=Dimension(floor.thickness.value + wall.thickness.value),
+                      cavity_radius=wall.cavity_radius, profile=profile)
+    layers = [printed if layer is floor else layer for layer in chip.layers if layer is not wall]
+    return replace(chip, layers=tuple(layers), ports=None)
 
 
 def rms(spectrum: Spectrum, other: Spectrum) -> float:
@@ -228,17 +246,27 @@ def triangles(
                 parts.append(RELEASE if solid is None else f"{fluid}_{direction}")
         return "_".join(parts) or "free"
 
+    corner = _cavity_floor(section, r, z) if settings.fillet else None
     for row in range(len(z)):
         for column in range(len(r) - 1):
             below, above = (int(number) for number in cells[row:row + 2, column + 1])
-            if below != above:
+            if (column + 1, row) == corner:
+                solid = int(cells[row + 1, column + 2])
+                ends = [geometry.AppendPoint(r[column + 1] - settings.fillet, z[row]), point(column + 1, row),
+                        geometry.AppendPoint(r[column + 1], z[row] + settings.fillet)]
+                geometry.Append(["line", point(column, row), ends[0]], leftdomain=above, rightdomain=below,
+                                bc=name(below, above, z[row]))
+                geometry.Append(["line", ends[0], ends[1]], leftdomain=solid, rightdomain=below, bc="free")
+                geometry.Append(["spline3", *ends], leftdomain=above, rightdomain=solid, bc=name(above, solid, None))
+            elif below != above:
                 geometry.Append(["line", point(column, row), point(column + 1, row)], leftdomain=above,
                                 rightdomain=below, bc=name(below, above, z[row]))
     for column in range(len(r)):
         for row in range(len(z) - 1):
             left, right = (int(number) for number in cells[row + 1, column:column + 2])
             if left != right:
-                geometry.Append(["line", point(column, row), point(column, row + 1)], leftdomain=left,
+                begin = ends[2] if (column, row) == corner else point(column, row)
+                geometry.Append(["line", begin, point(column, row + 1)], leftdomain=left,
                                 rightdomain=right, bc=name(left, right, None) if column else AXIS)
     for number, region in enumerate(section.regions, start=1):
         geometry.SetMaterial(number, region)
@@ -248,7 +276,15 @@ def triangles(
     mesh = ngsolve.Mesh(geometry.GenerateMesh(maxh=max(r), grading=0.6))
     if settings.levels:
         mesh.RefineHP(settings.levels, settings.factor)
+    if settings.fillet:
+        mesh.Curve(settings.order)
     return mesh
+
+
+def _cavity_floor(section: Section, r: Sequence[float], z: Sequence[float]) -> tuple[int, int]:
+    """The break, column and row, where floor and wall of the cavity meet."""
+    cavity = min((each for each in section.rectangles if each.region == CAVITY), key=lambda each: each.z_bottom)
+    return r.index(cavity.r_outer), z.index(cavity.z_bottom)
 
 
 def matrices(
@@ -415,6 +451,7 @@ def main() -> None:
     parser.add_argument("--ordering", default="MMD_AT_PLUS_A", choices=["MMD_AT_PLUS_A", "COLAMD"],
                         help="of SuperLU, which is told that the pattern is symmetric, or is left to its defaults")
     parser.add_argument("--draft", type=float, default=0.0, help="of the sidewall's hole, degrees")
+    parser.add_argument("--fillet", type=float, default=0.0, help="between floor and wall of the cavity, mm")
     parser.add_argument("--accuracy", type=float, default=ACCURACY, help="of the workbench's mesh")
     parser.add_argument("--no-workbench", action="store_true", help="NGSolve alone")
     with_json(parser)
@@ -425,7 +462,7 @@ def main() -> None:
 
 def measure(options: argparse.Namespace, kept: Measurements) -> None:
     settings = Settings(options.order, options.elements_per_wavelength, options.levels, options.factor, options.solves,
-                        options.ordering)
+                        options.ordering, 1e-3 * options.fillet)
     print("| state | program | unknowns | rms of ln(Z/Z_ref) | steps (s) | spectrum (s) | share of NGSolve's |")
     print("| --- | --- | ---: | ---: | --- | ---: | ---: |")
     with tempfile.TemporaryDirectory() as folder:
@@ -437,8 +474,9 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         for state in options.states:
             runs = {"NGSolve": alone(by_ngsolve, chip, registry, state, settings)}
             if not options.no_workbench:
-                runs["workbench"] = alone(by_workbench, chip, registry, state, options.accuracy)
-            other = runs["NGSolve"].spectrum if options.draft else reference(state)
+                own = rounded(chip, settings.fillet) if settings.fillet else chip
+                runs["workbench"] = alone(by_workbench, own, registry, state, options.accuracy)
+            other = runs["NGSolve"].spectrum if options.draft or options.fillet else reference(state)
             for program, run in runs.items():
                 kept.add(f"{state}, {program}", run.total, "s")
                 steps = ", ".join(f"{step} {taken:.2f}" for step, taken in run.seconds.items())
