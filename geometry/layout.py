@@ -302,7 +302,7 @@ def _ends_of_electrodes(layout: Layout, section: FreeSection) -> set[int]:
 
 def under_electrodes(layout: Layout, section: FreeSection) -> dict[int, str]:
     """The edges on the faces of the transducer that electrodes cover, and the names of these."""
-    highest = max(electrode.z for electrode in section.electrodes)
+    highest = max((electrode.z for electrode in section.electrodes), default=0.0)
     found = {}
     for directed in (each for face, loops in enumerate(layout.loops) if layout.regions[face] == TRANSDUCER
                      for loop in loops for each in loop):

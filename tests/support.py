@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.dimension import Dimension
 from geometry.mesh import SectionMesh
+from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.discretisation import Discretisation
@@ -227,3 +228,17 @@ def shape(chip: Chip, region: str, **sizes: float) -> Chip:
     return replace(chip, layers=tuple(
         replace(layer, **{name: Dimension(size) for name, size in sizes.items()}) if layer.region == region else layer
         for layer in chip.layers))
+
+
+def pot(chip: Chip, *, fillet: float) -> Chip:
+    """The chip with substrate and sidewall in one piece, drawn as an outline, and a fillet (m) at the floor of its
+    cavity."""
+    floor, wall = chip.layer("substrate"), chip.layer("sidewall")
+    ends = (("radius", 0.0), ("radius", "thickness"), ("cavity_radius", "thickness"))
+    corners = (Corner((0.0, 0.0)), *map(Corner, ends), Corner(("cavity_radius", "floor"), "fillet"),
+               Corner((0.0, "floor")))
+    profile = Profile(Outline(corners), (("floor", floor.thickness), ("fillet", Dimension(fillet))))
+    printed = replace(floor, thickness=Dimension(floor.thickness.value + wall.thickness.value),
+                      cavity_radius=wall.cavity_radius, profile=profile)
+    layers = [printed if layer is floor else layer for layer in chip.layers if layer is not wall]
+    return replace(chip, layers=tuple(layers), ports=None)

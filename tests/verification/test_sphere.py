@@ -6,6 +6,9 @@ above its plane of symmetry has those of even l.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,6 +21,11 @@ from scipy.optimize import brentq
 from scipy.sparse.linalg import eigsh
 from scipy.special import spherical_jn
 
+from geometry.curves import Arc, Curve
+from geometry.free_mesh import mesh_free
+from geometry.free_section import Face, FreeSection
+from geometry.mesh import SectionMesh
+from geometry.mesh_size import MeshSize
 from geometry.quads import curved, oriented
 from workbench.elements import Lagrange, gauss_lobatto
 from workbench.physics.term import Integral, Monomial, Product
@@ -60,11 +68,11 @@ def matrix(place: Place, kinds: tuple[str, ...]) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.asarray(blocks).ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
 
 
-def roots() -> list[float]:
-    """k R of the first modes of even l but for the constant one."""
+def roots(degrees: Iterable[int] = (0, 2, 4, 6)) -> list[float]:
+    """k R of the first modes of some l, of even ones unless told, but for the constant one."""
     grid = np.linspace(0.1, 8.0, 800)
     found = []
-    for degree in (0, 2, 4, 6):
+    for degree in degrees:
         slope = spherical_jn(degree, grid, derivative=True)
         found += [brentq(lambda x, degree=degree: spherical_jn(degree, x, derivative=True), grid[k], grid[k + 1],
                          xtol=1e-14) for k in np.flatnonzero(slope[:-1] * slope[1:] < 0.0)]
@@ -96,6 +104,44 @@ def test_modes_converge_as_the_order_rises() -> None:
     print("orders 4, 6, 8", errors)
     assert errors[1] < 0.05 * errors[0]
     assert errors[2] < 0.05 * errors[1]
+
+
+def meshed_sphere() -> SectionMesh:
+    """A whole sphere, which the mesher fills with quadrilaterals of its own choice."""
+    half = math.sqrt(0.5)
+    weights = ((0.0, -1.0, 1.0), (half, -half, half), (1.0, 0.0, 1.0), (half, half, half), (0.0, 1.0, 1.0))
+    poles = tuple((RADIUS * r, RADIUS * z, w) for r, z, w in weights)
+    arc = Arc(Curve(2, (0.0, 0.0, 0.0, 0.5, 0.5, 1.0, 1.0, 1.0), poles))
+    axis = Arc(Curve.line((0.0, RADIUS), (0.0, -RADIUS)))
+    section = FreeSection(((0.0, -RADIUS), (0.0, RADIUS)), (arc, axis), ((0, 1), (1, 0)),
+                          (Face("cavity", (((0, True), (1, True)),)),), ())
+    # Six elements of order 6 to a wavelength of the highest mode, k R = 6.
+    return mesh_free(section, MeshSize({"cavity": 1500.0}, 6.0 * 1500.0 / (2.0 * np.pi * RADIUS), 4.0, 6))
+
+
+def test_modes_and_loss_of_a_sphere_that_was_meshed() -> None:
+    """Those of odd l are found too: k R = 2.0816 is the lowest, of l = 1."""
+    mesh = meshed_sphere()
+    inside, wall = place_of(mesh, MOVING), place_of(mesh, replace(ALONG, place="cavity|outside"))
+    assert inside is not None
+    assert wall is not None
+    assert inside.weights.sum() == pytest.approx(4.0 / 3.0 * np.pi * RADIUS**3, rel=1e-9)
+    assert wall.weights.sum() == pytest.approx(4.0 * np.pi * RADIUS**2, rel=1e-9)
+    stiffness, mass = matrix(inside, ("d_r", "d_z")), matrix(inside, ("value",))
+    squares, modes = eigsh(stiffness * RADIUS**2, k=6, M=mass, sigma=-1.0)
+    wanted = roots(range(5))[:5]
+    error = np.abs(np.sqrt(squares[1:]) / wanted - 1.0)
+    print(f"{mesh.mesh.t.shape[1]} cells; k R", np.sqrt(squares[1:]), "relative error", error)
+    assert error.max() < 1e-7
+    # Loss of the mode of l = 1 in the layer at the wall, by the closed form below.
+    mode = modes[:, 1]
+    slopes = [np.einsum("eqi,ie->eq", wall.shapes[kind], mode[wall.dofs]) for kind in ("d_r", "d_z")]
+    along = float(np.sum(wall.weights * (wall.factor("t_r") * slopes[0] + wall.factor("t_z") * slopes[1]) ** 2))
+    moving = float(mode @ stiffness @ mode)
+    square = squares[1]
+    closed = 2.0 / RADIUS / square / (1.0 - 2.0 / square)
+    print("int |grad_t p|^2 dS / 2 int |grad p|^2 dV", 0.5 * along / moving, "closed form", closed)
+    assert 0.5 * along / moving == pytest.approx(closed, rel=1e-6)
 
 
 def test_what_a_boundary_layer_lives_on_at_a_curved_wall() -> None:
