@@ -44,6 +44,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
+        "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of the transducer alone, see below",
     },
@@ -53,6 +54,24 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "live_inner_radius": "where it begins, if it is a ring",
         "ground_radius": "the same of the ground electrode",
         "ground_inner_radius": "the same of the ground electrode",
+    },
+    "`profile`, of a layer": {
+        "points": "the outline: three or more points, each `[\"r\", \"z\"]` or a table, see below",
+        "script": "a Python file beside the chip file that draws the layer with CadQuery",
+        "function": "its function, which gets by name the sizes it asks for, in millimetres and degrees",
+        "step": "a STEP file beside the chip file",
+        "part": "the name of the solid in it",
+        "scale": "how long one is that the STEP file counts; `1 mm` if not given",
+        "parameters": "sizes by name, each a length or an angle, that points or the function use; dimensions of the chip",
+        "asymmetry": "share of the solid's volume that may differ from its section turned about the axis; 1e-6 if not "
+                     "given",
+    },
+    "A point of an outline": {
+        "at": "where it is: r, and z above the bottom of the layer; lengths, or names of `thickness`, `radius`, "
+              "`cavity_radius` and parameters",
+        "fillet": "the radius that rounds this corner",
+        "through": "points of a spline that leads here from the point before",
+        "arc": "a point of a circular arc that leads here",
     },
     "`ports`, of the cavity": {
         "diameter": "of the channels from the cavity to the outside; only the solid model has them",
@@ -87,6 +106,8 @@ TAKES: Mapping[str, str] = {
     "band": "a list of two frequencies",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
         f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
+    "profile": "a table", "points": "a list of points", "script": "text", "step": "text", "through": "a list of points",
+    **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
     "draft": "an angle", "barrel": "a length", "bow": "a length",
     **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
 }

@@ -16,9 +16,10 @@ import workbench as wb
 ROOT = Path(__file__).resolve().parent.parent
 #: The examples of the gallery that are run; those from 10 to 13 take minutes to hours, those from 16 to 19
 #: minutes (`tests/benchmarks/design.py` runs what they show).
-SHORT = sorted([*(ROOT / "examples").glob("0*.py"), *(ROOT / "examples").glob("1[45]_*.py")])
+SHORT = sorted([*(ROOT / "examples").glob("0*.py"), *(ROOT / "examples").glob("1[45]_*.py"),
+                *(ROOT / "examples").glob("20_*.py")])
 #: What takes more than some ten seconds on a quiet machine.
-SLOW = {"05_fit_a_polymer", "07_diagnose_a_campaign", "14_study"}
+SLOW = {"05_fit_a_polymer", "07_diagnose_a_campaign", "14_study", "20_your_own_shape"}
 #: What an example may import beside `workbench`: the standard library and numpy.
 PLAIN = {"dataclasses", "numpy", "pathlib", "tempfile", "workbench"}
 #: Pictures that an example leaves below ``out``.
@@ -29,6 +30,7 @@ DRAWN = {
     "07_diagnose_a_campaign": set(), "09_bench_sweep": {"bench_sweep.png"}, "14_study": set(),
     "08_fields_and_traps": {"pressure_filled.png", "gorkov_filled.png", "cutaway_filled.png", "losses_filled.png"},
     "15_tolerance": {"yield.png", "samples.png", "tornado.png"},
+    "20_your_own_shape": {"mesh_filled.png", "pressure_filled.png"},
 }
 #: Words of what an example prints: the number that its docstring states, as far as it is printed.
 SAID = {
@@ -40,13 +42,14 @@ SAID = {
     "14_study": "soda_lime_glass/en572_2012: f0 1.0462 MHz, -1.4",
     "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
     "15_tolerance": "f0 within 8 kHz: 51.4 % (48.3 to 54.5 %), linear estimate 79 %",
+    "20_your_own_shape": "cavity 43.73 mm^3; f0=10",
 }
 
 
 def test_there_is_an_example_for_every_number() -> None:
     assert [path.stem for path in SHORT] == sorted(DRAWN) == sorted(SAID)
     numbers = [path.name[:2] for path in sorted((ROOT / "examples").glob("[0-9]*.py"))]
-    assert numbers == [f"{k:02d}" for k in range(1, 20)]
+    assert numbers == [f"{k:02d}" for k in range(1, 21)]
 
 
 @pytest.mark.parametrize("path", SHORT, ids=lambda path: path.stem)

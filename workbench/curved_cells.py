@@ -6,6 +6,7 @@ local coordinates, which run from 0 to 1 and alike in neighbours along their com
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ NodalArray = NDArray[Any]
 
 #: Newton's steps to the local coordinates of a point; from the middle of a cell it takes four or five.
 MOST_STEPS = 20
+#: A point that was as close as this share of the size of its cell before the last step is found to rounding.
+CLOSE = 1e-7
 #: A point is in a cell up to this share of its size.
 INSIDE = 1e-8
 #: Local coordinates so far outside a cell are given up.
@@ -60,13 +63,14 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
     where there are none near the cell."""
     order = nodes.shape[0] - 1
     size = np.ptp(nodes, axis=(0, 1)).max()
-    # Most cells are parallelograms.
-    edges = np.stack([nodes[-1, 0] - nodes[0, 0], nodes[0, -1] - nodes[0, 0]])
-    x = gauss_lobatto(order)
-    even = nodes[0, 0] + x[:, None, None] * edges[0] + x[None, :, None] * edges[1]
-    if np.abs(even - nodes).max() < 1e-13 * size:
-        return np.asarray((places - nodes[0, 0]) @ np.linalg.inv(edges))
-    at, miss = np.full(places.shape, 0.5), np.full(len(places), np.inf)
+    # Most cells are parallelograms, and others are like these.
+    ends = nodes[[0, 0, -1, -1], [0, -1, 0, -1]]
+    edges = 0.5 * np.stack([ends[2] + ends[3] - ends[0] - ends[1], ends[1] + ends[3] - ends[0] - ends[2]])
+    begin, x = ends.mean(axis=0) - 0.5 * edges.sum(axis=0), gauss_lobatto(order)
+    at = (places - begin) @ np.linalg.inv(edges)
+    if np.abs(begin + x[:, None, None] * edges[0] + x[None, :, None] * edges[1] - nodes).max() < 1e-13 * size:
+        return np.asarray(at)
+    at, miss = np.clip(at, -FAR, 1.0 + FAR), np.full(len(places), np.inf)
     left = np.arange(len(places))
     for _ in range(MOST_STEPS):
         (f, df), (g, dg) = (tabulated(order, at[left, axis]) for axis in (0, 1))
@@ -81,11 +85,24 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
         # Far outside a cell its polynomials are of no meaning.
         at[left] = np.clip(at[left] + np.nan_to_num(step), -FAR, 1.0 + FAR)
         miss[left] = np.abs(apart).max(axis=1)
-        left = left[(miss[left] > 1e-13 * size) & (np.abs(at[left] - 0.5) < 0.5 + FAR).all(axis=1)]
+        left = left[(miss[left] > CLOSE * size) & (np.abs(at[left] - 0.5) < 0.5 + FAR).all(axis=1)]
         if not left.size:
             break
     at[miss > INSIDE * size] = np.nan
     return at
+
+
+def interpolated(cells: IntArray, values: NodalArray, cell: IntArray, local: FloatArray) -> NodalArray:
+    """`values` (N, ...) at places (K, 2) of known cells (K,) and local coordinates (K, 2): (K, ...)."""
+    result = np.empty((len(cell), *values.shape[1:]), dtype=values.dtype)
+    order = np.argsort(cell, kind="stable")
+    bounds = np.flatnonzero(np.diff(cell[order], prepend=-1, append=-1))
+    f, g = (tabulated(cells.shape[1] - 1, local[:, axis])[0] for axis in (0, 1))
+    for begin, end in pairwise(bounds):
+        some = order[begin:end]
+        own = values[cells[cell[some[0]]]]
+        result[some] = np.einsum("kj,kj...->k...", g[some], np.tensordot(f[some], own, axes=(1, 0)))
+    return result
 
 
 def slopes(points: FloatArray, cells: IntArray, values: NodalArray) -> NodalArray:

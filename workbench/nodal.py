@@ -346,8 +346,7 @@ def sample(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Seq
     cell, local = locate(mesh, points, regions)
     found = cell >= 0
     result = np.full((len(points), *values.shape[1:]), np.nan, dtype=np.result_type(values.dtype, float))
-    along_r, along_z = (polynomials(mesh.order, local[found, axis]) for axis in (0, 1))
-    result[found] = np.einsum("ik,jk,kij...->k...", along_r, along_z, values[mesh.cells[cell[found]]])
+    result[found] = curved_cells.interpolated(mesh.cells, values, cell[found], local[found])
     return result
 
 
