@@ -62,7 +62,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "step": "a STEP file beside the chip file",
         "part": "the name of the solid in it",
         "scale": "how long one is that the STEP file counts; `1 mm` if not given",
-        "parameters": "sizes by name, each a length or an angle, that points or the function use; dimensions of the chip",
+        "parameters": "sizes by name, lengths or angles, that points or the function use; dimensions of the chip",
         "asymmetry": "share of the solid's volume that may differ from its section turned about the axis; 1e-6 if not "
                      "given",
     },
@@ -97,7 +97,8 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
 }
 
 #: The functions and methods that read a key, and what they take.
-READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "table": "a table", "tables": "a list of tables",
+READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "dimension_or": "a length",
+                              "table": "a table", "tables": "a list of tables",
                               "whole": "a whole number", "flag": "`true` or `false`"}
 
 #: What is read in a way of its own.
@@ -106,7 +107,8 @@ TAKES: Mapping[str, str] = {
     "band": "a list of two frequencies",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
         f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
-    "profile": "a table", "points": "a list of points", "script": "text", "step": "text", "through": "a list of points",
+    "profile": "a table", "points": "a list of points",
+    **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
     "draft": "an angle", "barrel": "a length", "bow": "a length",
     **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
