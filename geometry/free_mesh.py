@@ -6,7 +6,7 @@ sides of such a face are divided twice as often."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,12 +17,26 @@ from numpy.typing import NDArray
 from geometry.free_faces import freely
 from geometry.free_section import Directed, FreeSection
 from geometry.layout import Layout, divisions, laid_out, numbers_along, under_electrodes
-from geometry.mesh import SectionMesh
+from geometry.mesh import MeshError, SectionMesh
 from geometry.mesh_size import MeshSize
 from geometry.quads import curved, gauss_lobatto, numbering, oriented, rolled
 
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How the faces of a section are divided, for sections that differ from it in sizes alone.
+
+    ``layout`` of its edges, the shares at which each is ``divided``, and for every face that gmsh filled its cells
+    (4, m) and the points inside (2, n), by the ``size`` asked for.
+    """
+
+    layout: Layout
+    divided: Sequence[Real]
+    filled: Mapping[int, tuple[Real, Integers]]
+    size: MeshSize
 
 
 def mesh_free(section: FreeSection, size: MeshSize) -> SectionMesh:
@@ -33,8 +47,30 @@ def mesh_free(section: FreeSection, size: MeshSize) -> SectionMesh:
         MeshError: a face cannot be meshed, or the mesh is not the section.
     """
     layout = laid_out(section, size)
-    made = _filled(layout, divisions(layout, section, size), size)
-    return _named(layout, section, made, size.order)
+    divided = divisions(layout, section, size)
+    on_edges, along = _on_edges(layout, divided)
+    free = [face for face in range(len(layout.loops)) if face not in layout.sides]
+    inside = dict(zip(free, freely(layout, free, along, on_edges, size), strict=True))
+    return _named(Plan(layout, divided, inside, size), layout, section)
+
+
+def moved_free(mesh: SectionMesh, section: FreeSection) -> SectionMesh:
+    """The same cells on a section that differs from that of `mesh` in sizes alone.
+
+    What is divided alike stays so; points inside a face that gmsh filled move as its sides do, by a mean over their
+    neighbours: linearly, so that a small change of a size is a small change of the mesh.
+
+    Raises:
+        MeshError: the section has other edges or faces, or a cell is folded.
+    """
+    plan = mesh.plan
+    if not isinstance(plan, Plan):
+        raise MeshError("only the mesh of a section of any shape is moved to another one")
+    layout = laid_out(section, plan.size)
+    if (layout.ends, layout.loops, layout.sides, layout.regions) != (
+            plan.layout.ends, plan.layout.loops, plan.layout.sides, plan.layout.regions):
+        raise MeshError("the section is divided into other faces at these sizes: its mesh cannot be moved there")
+    return _named(plan, layout, section)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -53,8 +89,8 @@ class _Made:
     along: list[Integers]
 
 
-def _filled(layout: Layout, divided: Sequence[Real], size: MeshSize) -> _Made:
-    local = gauss_lobatto(size.order)
+def _on_edges(layout: Layout, divided: Sequence[Real]) -> tuple[Real, list[Integers]]:
+    """The points on the edges (2, n), those at their ends first, and the numbers of those along every edge."""
     points = [np.array(layout.points).T]
     count = points[0].shape[1]
     along: list[Integers] = []
@@ -64,12 +100,28 @@ def _filled(layout: Layout, divided: Sequence[Real], size: MeshSize) -> _Made:
         along.append(np.concatenate([[begin], inner, [end]]))
         points.append(layout.edges[edge].at(shares[1:-1]))
         count += inner.size
+    return np.concatenate(points, axis=1), along
+
+
+def _placed(plan: Plan, layout: Layout) -> _Made:
+    """The cells of a plan on a layout like its own."""
+    local, divided = gauss_lobatto(plan.size.order), plan.divided
+    on_edges, along = _on_edges(layout, divided)
     sides: dict[tuple[int, int], Real] = {}
     for edge, shares in enumerate(divided):
         if not layout.edges[edge].is_straight or layout.edges[edge].curve.degree > 1:
             for k, (low, high) in enumerate(pairwise(shares)):
                 sides[int(along[edge][k]), int(along[edge][k + 1])] = layout.edges[edge].at(low + local * (high - low))
+    points, count = [on_edges], on_edges.shape[1]
     cells, faces, nodes = [], [], []
+    before = _on_edges(plan.layout, divided)[0] if plan.layout is not layout else on_edges
+    for face, (inner, numbers) in plan.filled.items():
+        inner = inner if before is on_edges else inner + _followed(on_edges - before, inner, numbers, count)
+        points.append(inner)
+        count += inner.shape[1]
+        cells.append(numbers)
+        nodes.append(curved(np.concatenate(points, axis=1), numbers, local, sides))
+        faces.append(np.full(numbers.shape[1], face))
     for face in layout.sides:
         own, numbers, there = _block(layout, face, divided, along, local, count)
         points.append(own)
@@ -77,16 +129,24 @@ def _filled(layout: Layout, divided: Sequence[Real], size: MeshSize) -> _Made:
         cells.append(numbers)
         nodes.append(there)
         faces.append(np.full(numbers.shape[1], face))
-    free = [face for face in range(len(layout.loops)) if face not in layout.sides]
-    there_are = np.concatenate(points, axis=1)
-    for face, (own, numbers) in zip(free, freely(layout, free, along, there_are, size), strict=True):
-        points.append(own)
-        count += own.shape[1]
-        cells.append(numbers)
-        nodes.append(curved(np.concatenate(points, axis=1), numbers, local, sides))
-        faces.append(np.full(numbers.shape[1], face))
     return _Made(np.concatenate(points, axis=1), np.concatenate(cells, axis=1), np.concatenate(faces),
                  np.concatenate(nodes, axis=1), along)
+
+
+def _followed(moved: Real, inner: Real, cells: Integers, count: int) -> Real:
+    """By how much the points inside a face (2, n), numbered from `count` on, are moved where those on the edges are
+    (2, m): each by the mean of its neighbours in the cells (4, k)."""
+    pairs = np.unique(np.sort(np.concatenate([cells[[a, b]] for a, b in ((0, 1), (1, 2), (2, 3), (3, 0))], axis=1),
+                              axis=0), axis=1)
+    own = [np.concatenate([pairs[0], pairs[1]]), np.concatenate([pairs[1], pairs[0]])]
+    from_inside = own[0] >= count
+    row, other = own[0][from_inside] - count, own[1][from_inside]
+    matrix, right = np.zeros((inner.shape[1], inner.shape[1])), np.zeros((inner.shape[1], 2))
+    np.add.at(matrix, (row, row), 1.0)
+    inside = other >= count
+    np.add.at(matrix, (row[inside], other[inside] - count), -1.0)
+    np.add.at(right, row[~inside], moved[:, other[~inside]].T)
+    return np.asarray(np.linalg.solve(matrix, right).T)
 
 
 def _block(
@@ -135,7 +195,8 @@ def _position(line: Real) -> Real:
 # Names
 
 
-def _named(layout: Layout, section: FreeSection, made: _Made, order: int) -> SectionMesh:
+def _named(plan: Plan, layout: Layout, section: FreeSection) -> SectionMesh:
+    made, order = _placed(plan, layout), plan.size.order
     cells = oriented(made.cells)
     nodes = rolled(made.nodes, made.cells, cells)
     mesh = skfem.MeshQuad(made.points, cells)
@@ -144,7 +205,7 @@ def _named(layout: Layout, section: FreeSection, made: _Made, order: int) -> Sec
     facets = _facets(layout, section, made, mesh)
     along, across = np.array(numbering(order)).T
     return SectionMesh(mesh.with_subdomains(regions).with_boundaries(facets), order, section,
-                       np.ascontiguousarray(nodes[:, :, along, across].transpose(0, 2, 1)))
+                       np.ascontiguousarray(nodes[:, :, along, across].transpose(0, 2, 1)), plan)
 
 
 def _facets(layout: Layout, section: FreeSection, made: _Made, mesh: skfem.MeshQuad) -> dict[str, Integers]:

@@ -66,6 +66,7 @@ class SectionMesh:
     numbered along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
     ``coordinates`` (2, nodes, cells) in metres of the nodes of any order in every cell, numbered as those of
     `workbench.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from.
+    ``plan`` is what the mesh of a section of any shape can be moved by (`geometry.free_mesh.Plan`).
 
     Raises:
         MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or
@@ -76,6 +77,7 @@ class SectionMesh:
     order: int
     section: Section | FreeSection
     coordinates: NDArray[np.float64] | None = None
+    plan: object = None
 
     def __post_init__(self) -> None:
         _check_names(self.mesh, self.section)
