@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
 
+import geometry
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
 from geometry.chip_section import chip_section, volumes
 from geometry.dimension import Dimension
+from geometry.export import export_step
 from geometry.free_section import FreeSection
 from workbench.files.errors import InputError
+from workbench.problem import LeftOutWarning, build, fill
 
 pytest.importorskip("cadquery")
 
@@ -293,3 +297,30 @@ def test_shapes_and_profiles_are_not_mixed(folder: Path) -> None:
         'thickness = "1 mm"\n', 'thickness = "1 mm"\nbow = "10 um"\n'), encoding="utf-8")
     with pytest.raises(InputError, match=r"layers\[3\].bow: .*none in a chip of which a layer has a profile"):
         read_chip(file)
+
+
+def test_an_assembly_is_read_as_it_was_written(tmp_path: Path) -> None:
+    """Solids of a stack of discs with ports, in one STEP file; the printed part is one piece."""
+    stack = read_chip(Path(geometry.__file__).parent / "chips" / "reference_chip.toml")
+    export_step(stack, tmp_path / "chip.step")
+    text = '[chip]\nname = "assembly"\nband = ["0.91 MHz", "1.155 MHz"]\n'
+    for region in ("transducer", "couplant", "substrate", "bond", "superstrate"):
+        material = stack.layer(region).material
+        text += f'\n[[layers]]\nrole = "{region}"\nmaterial = "{material}"\n'
+        text += f'profile = {{ step = "chip.step", part = "{region}", asymmetry = "1 %" }}\n'
+    file = tmp_path / "assembly.toml"
+    file.write_text(text + '\n[states.filled]\ncavity = "water"\n', encoding="utf-8")
+    read = read_chip(file)
+    assert [layer.z_bottom for layer in read.layers] == pytest.approx([0.0, 2.02e-3, 2.04e-3, 3.61e-3, 3.71e-3])
+    assert read.layer("bond").inner_radius == pytest.approx(4e-3, rel=1e-9)
+    found, wanted = volumes(read), volumes(stack)
+    assert found["substrate"] == pytest.approx(wanted["substrate"] + wanted["sidewall"], rel=1e-9)
+    for region in ("transducer", "couplant", "bond", "superstrate", "cavity"):
+        assert found[region] == pytest.approx(wanted[region], rel=1e-9)
+    section = chip_section(read)
+    assert isinstance(section, FreeSection)
+    # Of two ports of 0.4 mm through 9 mm of wall.
+    (note,) = section.notes
+    assert re.match(r"substrate: 0.285 % of its volume \(2.262 mm\^3 in 2 places\)", note)
+    with pytest.warns(LeftOutWarning, match=r"left out of substrate: 0.285 % of its volume"):
+        build(fill(read), accuracy=5e-3)

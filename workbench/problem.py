@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +22,10 @@ from workbench.files.errors import InputError
 from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
 from workbench.shaped_mesh import meshed, shaped
+
+
+class LeftOutWarning(UserWarning):
+    """A part of a solid does not turn about the axis and is not in the model: a port, a chamfer on one side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +215,8 @@ def build(
     low, high = device.chip.band if band is None else band
     check_use(device.materials.values(), band=(low, high))
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
+    for note in device.section.notes if isinstance(device.section, FreeSection) else ():
+        warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size, cache=cache), device.chip)
     made = problem(mesh, device.materials, (low, high), name=device.name)
     return replace(made, discretisation=fineness)
