@@ -169,9 +169,7 @@ class Chip:
                 thickness=always(f"{layer.region}.thickness", layer.thickness),
                 radius=always(f"{layer.region}.radius", layer.radius),
                 cavity_radius=changed(shared.get(layer.region, ""), layer.cavity_radius),
-                draft=changed(f"{layer.region}.draft", layer.draft),
-                barrel=changed(f"{layer.region}.barrel", layer.barrel),
-                bow=changed(f"{layer.region}.bow", layer.bow),
+                **{shape: changed(f"{layer.region}.{shape}", getattr(layer, shape)) for shape in SHAPES},
             )
             for layer in self.layers
         )

@@ -18,7 +18,7 @@ SAME_LENGTH = 1e-9
 
 
 #: What may be stated of the shape of a layer, and the dimension of each.
-SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length"}
+SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length", "dome": "length"}
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Layer:
     """One layer: a disc, or a ring around the cavity when ``cavity_radius`` is given.
 
     ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own when a person weighed the part. ``draft``
-    (rad), ``barrel`` and ``bow`` (m) say how it differs from a disc with plane faces and upright sides, see
+    (rad), ``barrel``, ``bow`` and ``dome`` (m) say how it differs from a disc with plane faces and upright sides, see
     `geometry.shapes`.
     """
 
@@ -75,6 +75,7 @@ class Layer:
     draft: Dimension | None = None
     barrel: Dimension | None = None
     bow: Dimension | None = None
+    dome: Dimension | None = None
 
     @property
     def z_top(self) -> float:

@@ -9,20 +9,23 @@ side, so nothing tears, and where nothing is moved all stays exactly as it is.
   moves along.
 - ``barrel`` of a layer: how far its outer side bulges at mid-height, in a parabola.
 - ``bow`` of a layer: how much higher its axis is than its rim, in a parabola; both its faces.
+- ``dome`` of a layer: how much thicker it is on its axis than at its rim, in a parabola of its upper face; what lies on
+  it, a gel above all, fills what is between.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
-from geometry.parts import SAME_LENGTH
+from geometry.parts import SAME_LENGTH, SHAPES, Dimension, Layer
+from workbench.files.errors import choose
 
 Real = NDArray[np.float64]
 Moved = Callable[[Real], Real]
@@ -50,6 +53,60 @@ class Side:
         return np.where(inside, self.moved(along), 0.0)
 
 
+@dataclass(frozen=True)
+class Reach:
+    """How the points that a shape moves follow its size and the lengths of the chip.
+
+    They are moved along r where it is ``upright``, else along z, in proportion to its size in metres; of an ``angle``,
+    to its tangent and to the thickness of the layer that has it. ``within`` (m) is the radius up to which the size is
+    spread over the section, and changes with what lies there: 0 where it is the same at all radii.
+    """
+
+    upright: bool
+    angle: bool
+    within: float
+
+
+def reach(layer: Layer, shape: str) -> Reach:
+    """How the points that a shape of a layer moves follow it."""
+    match shape:
+        case "draft":
+            return Reach(True, True, 0.0)
+        case "barrel":
+            return Reach(True, False, 0.0)
+        case "bow" | "dome":
+            return Reach(False, False, layer.outer_radius)
+        case _:
+            raise KeyError(f"unknown shape {shape!r}; known: {', '.join(SHAPES)}")
+
+
+def possible(chip: Chip) -> dict[str, tuple[str, str]]:
+    """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions."""
+    return {f"{layer.region}.{shape}": (layer.region, shape) for layer in chip.layers for shape in SHAPES
+            if shape != "draft" or layer.cavity_radius is not None}
+
+
+def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
+    """The chip with shapes of these names among its dimensions: of size 0 where it states none.
+
+    Raises:
+        InputError: no layer can have such a shape.
+    """
+    known = possible(chip)
+    stated: dict[str, dict[str, Dimension]] = {}
+    for name in names:
+        region, shape = known[choose(name, known, source=chip.file, field="shape")]
+        if getattr(chip.layer(region), shape) is None:
+            stated.setdefault(region, {})[shape] = Dimension(0.0)
+    if not stated:
+        return chip
+    return replace(chip, layers=tuple(_stating(layer, stated.get(layer.region, {})) for layer in chip.layers))
+
+
+def _stating(layer: Layer, shapes: Mapping[str, Dimension]) -> Layer:
+    return replace(layer, **{shape: shapes.get(shape, getattr(layer, shape)) for shape in SHAPES})
+
+
 def sides(chip: Chip) -> Iterator[Side]:
     """The sides that the shapes of a chip's layers move."""
     for number, layer in enumerate(chip.layers):
@@ -73,6 +130,9 @@ def sides(chip: Chip) -> Iterator[Side]:
             rim = layer.outer_radius
             for face in (low, high):
                 yield Side(False, face, 0.0, rim, _bulging(layer.bow.value, -rim, rim))
+        if layer.dome is not None:
+            rim = layer.outer_radius
+            yield Side(False, high, 0.0, rim, _bulging(layer.dome.value, -rim, rim))
 
 
 def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:
