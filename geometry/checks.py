@@ -62,10 +62,7 @@ def check_dimensions(
 def check_shapes(layers: Sequence[Layer], file: str) -> None:
     """What is stated of the shapes of layers is finite, and can be made; tolerances are not negative."""
     for i, layer in enumerate(layers):
-        for name in SHAPES:
-            size: Dimension | None = getattr(layer, name)
-            if size is None:
-                continue
+        for name, size in layer.shapes.items():
             place, shown = f"layers[{i}].{name}", _shown(name, size.value)
             if name == "draft" and layer.cavity_radius is None:
                 raise InputError(file, place, shown, "none where there is no hole: it is that of the hole's wall")

@@ -17,7 +17,6 @@ from geometry import checks
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.parts import (
-    SHAPES,
     Dimension,
     ElectrodeDisc,
     Electrodes,
@@ -82,7 +81,7 @@ class Chip:
     @property
     def is_shaped(self) -> bool:
         """Whether a layer is no disc with plane faces and upright sides."""
-        return any(getattr(layer, shape) is not None for layer in self.layers for shape in SHAPES)
+        return any(layer.shapes for layer in self.layers)
 
     def layer(self, region: str) -> Layer:
         """The layer of that region.
@@ -169,8 +168,7 @@ class Chip:
                 thickness=always(f"{layer.region}.thickness", layer.thickness),
                 radius=always(f"{layer.region}.radius", layer.radius),
                 cavity_radius=changed(shared.get(layer.region, ""), layer.cavity_radius),
-                **{shape: changed(f"{layer.region}.{shape}", getattr(layer, shape)) for shape in SHAPES},
-            )
+            ).with_shapes({shape: changed(f"{layer.region}.{shape}", size) for shape, size in layer.shapes.items()})
             for layer in self.layers
         )
         live, ground = (

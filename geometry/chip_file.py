@@ -106,9 +106,7 @@ def _layer(layer: Layer, electrodes: Electrodes, *, with_bottom: bool) -> dict[s
     found |= {"thickness": _dimension(layer.thickness), "radius": _dimension(layer.radius)}
     if layer.cavity_radius is not None:
         found["cavity_radius"] = _dimension(layer.cavity_radius)
-    for shape, kind in SHAPES.items():
-        if (size := getattr(layer, shape)) is not None:
-            found[shape] = _dimension(size, kind)
+    found |= {shape: _dimension(size, SHAPES[shape]) for shape, size in layer.shapes.items()}
     if with_bottom:
         found["bottom"] = _length(layer.z_bottom)
     return found | ({"electrodes": _electrodes(electrodes)} if layer.role == TRANSDUCER else {})

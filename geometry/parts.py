@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE
 from workbench.files.errors import InputError
@@ -92,6 +92,16 @@ class Layer:
         """Radius of the layer, metres."""
         return self.radius.value
 
+    @property
+    def shapes(self) -> dict[str, Dimension]:
+        """What is stated of its shape, by the names of :data:`SHAPES`."""
+        return {name: size for name in SHAPES if (size := getattr(self, name)) is not None}
+
+    def with_shapes(self, sizes: Mapping[str, Dimension | None]) -> Layer:
+        """The same layer with other sizes of shapes, by the names of :data:`SHAPES`."""
+        changed: dict[str, Any] = dict(sizes)
+        return replace(self, **changed)
+
 
 @dataclass(frozen=True)
 class Ports:
@@ -164,9 +174,8 @@ def named_dimensions(
     for layer in layers:
         yield f"{layer.region}.thickness", layer.thickness
         yield f"{layer.region}.radius", layer.radius
-        for shape in SHAPES:
-            if (size := getattr(layer, shape)) is not None:
-                yield f"{layer.region}.{shape}", size
+        for shape, size in layer.shapes.items():
+            yield f"{layer.region}.{shape}", size
     # Reversed, so that the lowest hole speaks for the shared radius.
     for layer in reversed(layers):
         if layer.cavity_radius is not None:

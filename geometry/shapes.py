@@ -16,7 +16,7 @@ side, so nothing tears, and where nothing is moved all stays exactly as it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,15 +96,11 @@ def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
     stated: dict[str, dict[str, Dimension]] = {}
     for name in names:
         region, shape = known[choose(name, known, source=chip.file, field="shape")]
-        if getattr(chip.layer(region), shape) is None:
+        if shape not in chip.layer(region).shapes:
             stated.setdefault(region, {})[shape] = Dimension(0.0)
     if not stated:
         return chip
-    return replace(chip, layers=tuple(_stating(layer, stated.get(layer.region, {})) for layer in chip.layers))
-
-
-def _stating(layer: Layer, shapes: Mapping[str, Dimension]) -> Layer:
-    return replace(layer, **{shape: shapes.get(shape, getattr(layer, shape)) for shape in SHAPES})
+    return replace(chip, layers=tuple(layer.with_shapes(stated.get(layer.region, {})) for layer in chip.layers))
 
 
 def sides(chip: Chip) -> Iterator[Side]:

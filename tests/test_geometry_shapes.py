@@ -17,10 +17,8 @@ from geometry.parts import Dimension
 from geometry.section import cut_section
 from geometry.shapes import moved
 from geometry.solid import SolidError, solids
-from workbench.dimensions import flexible
 from workbench.elements import Lagrange
 from workbench.files.errors import InputError
-from workbench.problem import Problem
 from workbench.shaped_mesh import shaped
 
 ORDER = 4
@@ -85,6 +83,17 @@ def test_a_side_that_bulges_and_a_lid_that_is_bowed(small_chip: Chip, straight: 
     assert found[0].max() == pytest.approx(small_chip.layer("sidewall").outer_radius + 1e-4, rel=1e-6)
 
 
+def test_a_dome_is_filled_by_what_lies_on_it(small_chip: Chip, straight: SectionMesh) -> None:
+    found, before = moved(straight, shape(small_chip, "transducer", dome=1e-5), LOCAL), nodes(straight)
+    assert found is not None
+    disc, gel = small_chip.layer("transducer"), small_chip.layer("couplant")
+    face = np.abs(before[1] - disc.z_top) < 1e-12
+    np.testing.assert_allclose(found[1][face], disc.z_top + 1e-5 * (1.0 - (before[0][face] / disc.outer_radius) ** 2),
+                               rtol=1e-13)
+    beyond = (before[1] > gel.z_top - 1e-12) | (before[1] < disc.z_bottom + 1e-12)
+    assert np.array_equal(found[:, beyond], before[:, beyond])
+
+
 def test_a_shape_that_reaches_beyond_what_is_beside_it_is_refused(small_chip: Chip, straight: SectionMesh) -> None:
     # A bow of 60 um of a bond of 100 um would do; 0.12 mm do not.
     with pytest.raises(MeshError, match=r"folds its section at r = .* mm, z = .* mm"):
@@ -127,12 +136,10 @@ def test_shapes_are_read_and_are_dimensions(tmp_path: Path) -> None:
     assert again.layers == chip.layers
 
 
-def test_what_cannot_be_done_with_shapes_yet_says_so(small_chip: Chip, filled: Problem) -> None:
+def test_what_cannot_be_done_with_shapes_yet_says_so(small_chip: Chip) -> None:
     drafted = shape(small_chip, "sidewall", draft=0.05)
     with pytest.raises(SolidError, match="cannot be drawn yet"):
         solids(drafted)
-    with pytest.raises(InputError, match="others are not stretched yet"):
-        flexible(filled, drafted)
 
 
 CHIP = """

@@ -51,7 +51,7 @@ def flexible(
 
     Where a layer has a shape, thicknesses may go as far as `thicknesses` (m) say by name, or else a fifth to either
     side: beyond, coefficients raise `ModelError`. A parabola over a radius that moves is another one on the cells: this
-    is refused, unless it may be `carried` along with the cells as the radius moves, which is off by the product of both.
+    is refused, unless it may be `carried` along with the cells as the radius moves: off by the product of both moves.
 
     Raises:
         InputError: a radius or shape that the chip has not or cannot have, one that is given twice under two of its
@@ -111,8 +111,9 @@ def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], le
             raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
     straight = replace(mesh, coordinates=None)
     found = coordinates_of(straight, chip)
-    if (found is None) != (mesh.coordinates is None) or (
-            found is not None and np.abs(found - mesh.coordinates).max() > SAME_LENGTH):
+    own = mesh.coordinates
+    if (found is None) != (own is None) or (
+            found is not None and own is not None and np.abs(found - own).max() > SAME_LENGTH):
         raise MeshError(f"the mesh is not of chip {chip.name!r} with the shapes that its layers have")
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
     return MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal)
@@ -130,7 +131,7 @@ def _check_parabolas(shapes: Sequence[Shape], chip: Chip, ranges: Mapping[str, R
         for name in ranges:
             if chip.dimensions()[name].value < shape.reach.within + SAME_LENGTH:
                 raise InputError(chip.file, name, f"a radius that moves, within the parabola of {shape.name}",
-                                 f"one that is fixed where {shape.name} is stated or moves, or that has it carried along")
+                                 "one that is fixed, or carries it along")
 
 
 def _moved_parts(

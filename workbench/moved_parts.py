@@ -32,9 +32,13 @@ INTERPOLATION = 1e-8
 #: Most powers of one size. More are asked for where a layer is moved by about its own thickness.
 POWERS = 16
 
-#: Of the area of a cell so much is left where a range is cut short: sizes about which a thickness or a radius would
-#: have to change before they are reached.
-LEFT = 0.15
+#: Where lengths change as well, forms are interpolated as far as so much is left of the area of every cell, and
+#: extrapolated beyond: a bow of half the bond that it compresses, as thin as that can get. A quarter takes twice as
+#: many nodes.
+LEFT = 0.5
+
+#: No length between two others is taken to shrink to less than this share.
+LEAST = 0.1
 
 #: Shares of a range at which the interpolation is checked, from -1 to 1: none is near a node.
 CHECKED = (-0.87, -0.36, 0.29, 0.71)
@@ -59,11 +63,11 @@ class Shape:
 
 
 def shapes_of(chip: Chip, ranges: Mapping[str, Range]) -> tuple[Shape, ...]:
-    """The shapes of a chip; those with `ranges` by name are parameters."""
+    """The shapes of a chip, but for those that stay at 0; those with `ranges` by name are parameters."""
     found = []
     for name, (region, shape) in possible(chip).items():
         size = getattr(chip.layer(region), shape)
-        if size is not None:
+        if size is not None and (size.value or name in ranges):
             found.append(Shape(name, region, reach(chip.layer(region), shape),
                                Length(size.value, name if name in ranges else ""),
                                ranges.get(name, (size.value, size.value))))
@@ -154,7 +158,7 @@ class MovedMeshes:
                 (low, high), (least, most) = (self.lengths.get(each.parameter, (each.nominal,) * 2)
                                               for each in (ratio.outer, ratio.inner))
                 width = ratio.outer.nominal - ratio.inner.nominal
-                ends = [end * ((out - within) / width) ** power for end in ends
+                ends = [end * max((out - within) / width, LEAST) ** power for end in ends
                         for out, within in ((low, most), (high, least))]
         return min(ends), max(ends)
 
@@ -243,7 +247,7 @@ def moved_pieces(mesh: SectionMesh, pieces: Sequence[Piece], meshes: MovedMeshes
         moving = _moving(meshes, Cells(mesh, indices))
         patterns = np.unique(moving, axis=1)
         for pattern in patterns.T:
-            shapes = tuple(shape for shape, moves in zip(meshes.shapes, pattern, strict=True) if moves)
+            shapes = tuple(meshes.shapes[k] for k in np.flatnonzero(pattern))
             own = piece
             if patterns.shape[1] > 1:
                 own = replace(piece, name=moved_by(piece.name, (shape.name for shape in shapes)))
@@ -254,8 +258,7 @@ def moved_pieces(mesh: SectionMesh, pieces: Sequence[Piece], meshes: MovedMeshes
 
 def shapes_that_move(meshes: MovedMeshes, cells: Cells) -> tuple[Shape, ...]:
     """Those that move any of some cells, or of sides of cells."""
-    moving = _moving(meshes, cells).any(axis=1)
-    return tuple(shape for shape, moves in zip(meshes.shapes, moving, strict=True) if moves)
+    return tuple(meshes.shapes[k] for k in np.flatnonzero(_moving(meshes, cells).any(axis=1)))
 
 
 def _moving(meshes: MovedMeshes, cells: Cells) -> NDArray[np.bool_]:
@@ -307,9 +310,9 @@ def _grid(metric: _Metric, bounds: tuple[Range, ...], limits: tuple[Range, ...],
 
     def made(degrees: Sequence[int]) -> Grid:
         if max(degrees, default=0) > POWERS:
-            names = " and ".join(f"{shape.name} from {shape.range[0]:.4g} to {shape.range[1]:.4g}" for shape in shapes)
-            raise InputError(chip.file, "range of a shape", names, "a narrower range: it moves cells by about their own "
-                             "size")
+            names = " and ".join("{} from {:.4g} to {:.4g}".format(shape.name, *shape.range) for shape in shapes)
+            raise InputError(chip.file, "range of a shape", names, "a narrower range: it moves cells by about their "
+                             "own size")
         return Grid(bounds, tuple(degrees), limits)
 
     def at(shares: Sequence[float]) -> tuple[float, ...]:

@@ -145,7 +145,8 @@ def _polynomials(grid: Grid, point: tuple[float, ...]) -> tuple[Real, Real]:
 def _chebyshev(x: float, degree: int) -> tuple[Real, Real]:
     """Chebyshev's polynomials (degree + 1,) at x and their slopes."""
     unit = np.eye(degree + 1)
-    return chebyshev.chebval(x, unit), chebyshev.chebval(x, chebyshev.chebder(unit)) if degree else np.zeros(1)
+    slopes = chebyshev.chebval(x, chebyshev.chebder(unit)) if degree else np.zeros(1)
+    return np.asarray(chebyshev.chebval(x, unit)), np.asarray(slopes)
 
 
 @cache
