@@ -16,6 +16,7 @@ from geometry.parts import (
     Ports,
     State,
     discs,
+    largest_shape,
     millimetres,
     port_axis,
 )
@@ -66,8 +67,7 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
             place, shown = f"layers[{i}].{name}", _shown(name, size.value)
             if name == "draft" and layer.cavity_radius is None:
                 raise InputError(file, place, shown, "none where there is no hole: it is that of the hole's wall")
-            limit = math.pi / 4.0 if name == "draft" else 0.5 * layer.thickness.value if name in ("bow", "dome") else (
-                0.5 * (layer.outer_radius - layer.inner_radius))
+            limit = largest_shape(layer, name)
             if not abs(size.value) < limit:
                 raise InputError(file, place, shown, f"less than {_shown(name, limit)} to either side")
             if size.tolerance is not None and not 0.0 <= size.tolerance < math.inf:

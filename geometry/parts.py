@@ -6,6 +6,7 @@ axis, and the cavity is a cylindrical hole through one or more neighbouring laye
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -143,6 +144,15 @@ class State:
     particle: str | None = None
     particle_radius: float | None = None
     reported: tuple[ReportedFigures, ...] = ()
+
+
+def largest_shape(layer: Layer, name: str) -> float:
+    """What the size of a shape of that name (m or rad) of a layer is less than, to either side."""
+    if name == "draft":
+        return math.pi / 4.0
+    if name == "barrel":
+        return 0.5 * (layer.outer_radius - layer.inner_radius)
+    return 0.5 * layer.thickness.value
 
 
 def stacked(layers: Iterable[Layer]) -> tuple[Layer, ...]:

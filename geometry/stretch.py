@@ -15,7 +15,7 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.mesh import MeshError, SectionMesh
 from geometry.names import COLUMN, LEVEL, part
-from geometry.parts import SAME_LENGTH
+from geometry.parts import SAME_LENGTH, SHAPES, largest_shape
 from geometry.section import cut_section
 
 #: A length that moves keeps this share of the way to where it would vanish, or meet another.
@@ -25,13 +25,17 @@ KEPT = 0.1
 def between(chip: Chip, name: str) -> tuple[float, float]:
     """The lengths (m) on both sides of a dimension of `chip` that it cannot be moved past without other cells.
 
-    For a radius those of the next breaks of the section; else, and where there is none, zero and infinity. All radii
-    of the same length are taken to change together.
+    For a radius those of the next breaks of the section; for a shape (m or rad) what no layer can have; else, and where
+    there is none, zero and infinity. All radii of the same length are taken to change together.
 
     Raises:
         KeyError: the chip has no dimension of that name.
     """
     value = chip.dimensions()[name].value
+    region, _, what = name.rpartition(".")
+    if what in SHAPES:
+        limit = largest_shape(chip.layer(region), what)
+        return -limit, limit
     breaks = cut_section(chip).r_breaks if name.endswith("radius") else (0.0,)
     return (max(b for b in breaks if b < value - SAME_LENGTH),
             min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))

@@ -15,6 +15,7 @@ from geometry.shapes import with_shapes
 from geometry.stretch import Piece, movable, split, tied
 from workbench.files.errors import InputError, choose
 from workbench.moved_parts import Cells, MovedMeshes, Shape, moved_pieces, shapes_of, shapes_that_move
+from workbench.parameter_names import ParameterName
 from workbench.physics.shaped import Length, Moves, Ratio
 from workbench.physics.stretched import Column, Part, Rim, Stretched
 from workbench.problem import Problem
@@ -101,6 +102,17 @@ def flexible(
     return replace(problem, mesh=mesh, terms=tuple(terms), values=values)
 
 
+def flexible_within(
+    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, carried: bool = False
+) -> Problem:
+    """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
+    move as far as these say."""
+    found = {name: ParameterName.parse(name) for name in ranges}
+    radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
+        lambda each: each.is_radius, lambda each: each.is_shape, lambda each: each.is_thickness))
+    return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, carried=carried)
+
+
 def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range]
                   ) -> MovedMeshes:
     """The meshes of the chip by its shapes; those of `shapes` are parameters."""
@@ -110,13 +122,16 @@ def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], le
         if not low <= value <= high:
             raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
     straight = replace(mesh, coordinates=None)
-    found = coordinates_of(straight, chip)
-    own = mesh.coordinates
-    if (found is None) != (own is None) or (
-            found is not None and own is not None and np.abs(found - own).max() > SAME_LENGTH):
-        raise MeshError(f"the mesh is not of chip {chip.name!r} with the shapes that its layers have")
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
-    return MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal)
+    found = MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal)
+    if stating.is_shaped:
+        own, wanted = mesh.coordinates, coordinates_of(straight, stating)
+        own = found.at({}) if own is None else own
+        assert own is not None
+        assert wanted is not None
+        if np.abs(own - wanted).max() > SAME_LENGTH:
+            raise MeshError(f"the mesh is not of chip {chip.name!r} with the shapes that its layers have")
+    return found
 
 
 def _thickness_ranges(nominal: Mapping[str, float], wanted: Mapping[str, Range]) -> dict[str, Range]:

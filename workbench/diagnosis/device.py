@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from geometry.mesh import SectionMesh
 from geometry.section import Section
+from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
 from workbench.design.uncertainty import limits
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.catalogue import effects, mistaken_length
+from workbench.diagnosis.catalogue import effects, mistaken_length, mistaken_shape
 from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.diagnosis.numbers import DeviceNumbers, unit_of, value_of
-from workbench.dimensions import flexible
+from workbench.dimensions import flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import (
@@ -27,7 +28,7 @@ from workbench.fitting.parameter import (
     Parameter,
     bench_parameter,
     material_parameter,
-    ranges_of_radii,
+    ranges_of_dimensions,
     stretchable,
 )
 from workbench.parameter_names import Kind, ParameterName
@@ -156,10 +157,13 @@ def model(
     recordings: dict[str, Recording] = {}
     meshes: dict[Section, SectionMesh] = {}
     for state, problem in zip(campaign.states, problems, strict=True):
-        problem = flexible(problem, state.chip, ranges_of_radii(parameters, state.chip.dimensions()))
+        # Shapes that only hypotheses bring in are 0 on the chip.
+        shapes = [name for p in parameters for name in p.names if name in possible(state.chip)]
+        chip = with_shapes(state.chip, shapes)
+        problem = flexible_within(problem, chip, ranges_of_dimensions(parameters, chip.dimensions()), carried=True)
         # One mesh for states of one chip, so that they share what is solved on it.
         problem = replace(problem, mesh=meshes.setdefault(problem.mesh.section, problem.mesh))
-        recordings[state.name] = Recording(state.name, problem, state.measured, state.chip)
+        recordings[state.name] = Recording(state.name, problem, state.measured, chip)
 
     # Models grow where they are told to (`Objective.cover`), not on the way.
     whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
@@ -176,7 +180,8 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         found = bench_parameter(name)
         return Parameter(found.name, 0.0, found.low, found.high, error, unit)
     if parsed.kind is Kind.DIMENSION:
-        limit = mistaken_length(name, value)
+        limit = (mistaken_length(name, value) if not parsed.is_shape else
+                 mistaken_shape(next(s.chip for s in campaign.states if name in s.chip.dimensions()), name))
         low, high = min(limit.lowest, value - REACH * error), max(limit.highest, value + REACH * error)
         others = campaign.tied.get(name, ())
         for each in (name, *others):

@@ -31,7 +31,11 @@ from workbench.physics.term import ModelError, Values
 
 Real = NDArray[np.float64]
 
-#: Share of a range by which rounding may leave it.
+#: Share of its range by which a variable may leave it. At the end of that, the error of the interpolation is a hundred
+#: to a thousand times as large.
+BEYOND = 0.25
+
+#: What rounding leaves of the sum of shares that make one.
 ROUNDING = 1e-9
 
 
@@ -97,7 +101,9 @@ class Grid:
 
     The polynomials are the products of powers b of the variables with sum(b / degrees) <= 1; variables of degree 0 stay
     in the middle. Nodes are those of a Leja sequence in each variable, which make the interpolation unique on any such
-    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). ``limits`` are those that a value may have.
+    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). ``limits`` are those that a value may have, further
+    apart where it is no chip any more with lengths at the ends of their ranges as well: there, all stays as it is a
+    little (:data:`BEYOND`) outside the bounds.
     """
 
     bounds: tuple[tuple[float, float], ...]
@@ -120,8 +126,8 @@ class Grid:
             ModelError: a value outside its limits.
         """
         for value, (low, high) in zip(point, self.limits, strict=True):
-            rounding = ROUNDING * (max(abs(low), abs(high)))
-            if not low - rounding <= value <= high + rounding:
+            further = BEYOND * (high - low) + ROUNDING * max(abs(low), abs(high))
+            if not low - further <= value <= high + further:
                 raise ModelError(f"a shape of {value:.4g} (m, or a slope), as the lengths about it have it, is outside "
                                  f"the range that the model was made for, {low:.4g} to {high:.4g}")
         return _polynomials(self, point)
@@ -130,14 +136,15 @@ class Grid:
 @lru_cache(maxsize=256)
 def _polynomials(grid: Grid, point: tuple[float, ...]) -> tuple[Real, Real]:
     powers = np.array(_powers(grid.degrees))
-    scaled = [2.0 * (x - low) / (high - low) - 1.0 if degree else 0.0
-              for x, degree, (low, high) in zip(point, grid.degrees, grid.bounds, strict=True)]
+    free = [2.0 * (x - low) / (high - low) - 1.0 if degree else 0.0
+            for x, degree, (low, high) in zip(point, grid.degrees, grid.bounds, strict=True)]
+    scaled = [min(max(x, -1.0 - 2.0 * BEYOND), 1.0 + 2.0 * BEYOND) for x in free]
     inverse = _from_nodes(grid.degrees)
     tables = [_chebyshev(x, degree) for x, degree in zip(scaled, grid.degrees, strict=True)]
     taken = np.array([values[powers[:, k]] for k, (values, _) in enumerate(tables)]).reshape(len(tables), -1)
     slopes = []
     for k, ((_, by), degree, (low, high)) in enumerate(zip(tables, grid.degrees, grid.bounds, strict=True)):
-        own = by[powers[:, k]] * (2.0 / (high - low) if degree else 0.0)
+        own = by[powers[:, k]] * (2.0 / (high - low) if degree and scaled[k] == free[k] else 0.0)
         slopes.append((own * np.delete(taken, k, axis=0).prod(axis=0)) @ inverse)
     return taken.prod(axis=0) @ inverse, np.array(slopes)
 
