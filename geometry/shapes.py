@@ -7,7 +7,8 @@ side, so nothing tears, and where nothing is moved all stays exactly as it is.
 
 - ``draft`` of a layer around the cavity: the angle by which its hole grows wider upwards; what continues the hole above
   moves along.
-- ``barrel`` of a layer: how far its outer side bulges at mid-height, in a parabola.
+- ``barrel`` of a layer: how far its outer side bulges at mid-height, in a parabola; lines within the layer that others
+  end at move along, in proportion to their distance from its hole or axis.
 - ``bow`` of a layer: how much higher its axis is than its rim, in a parabola; both its faces.
 - ``dome`` of a layer: how much thicker it is on its axis than at its rim, in a parabola of its upper face; what lies on
   it, a gel above all, fills what is between.
@@ -103,8 +104,8 @@ def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
     return replace(chip, layers=tuple(layer.with_shapes(stated.get(layer.region, {})) for layer in chip.layers))
 
 
-def sides(chip: Chip) -> Iterator[Side]:
-    """The sides that the shapes of a chip's layers move."""
+def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
+    """The sides that the shapes of a chip's layers move; `radii` (m) are those of all upright lines of its section."""
     for number, layer in enumerate(chip.layers):
         low, high = layer.z_bottom, layer.z_top
         if layer.draft is not None:
@@ -121,7 +122,11 @@ def sides(chip: Chip) -> Iterator[Side]:
                 if not goes_on:
                     break
         if layer.barrel is not None:
-            yield Side(True, layer.outer_radius, low, high, _bulging(layer.barrel.value, low, high))
+            inner, width = layer.inner_radius, layer.outer_radius - layer.inner_radius
+            for radius in radii:
+                if inner + SAME_LENGTH < radius < layer.outer_radius + SAME_LENGTH:
+                    share = (radius - inner) / width
+                    yield Side(True, radius, low, high, _bulging(share * layer.barrel.value, low, high))
         if layer.bow is not None:
             rim = layer.outer_radius
             for face in (low, high):
@@ -148,7 +153,7 @@ def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
     Args:
         local: (2, nodes) coordinates of the nodes within a cell, 0 to 1 along r and along z.
     """
-    found = list(sides(chip))
+    found = list(sides(chip, mesh.section.r_breaks))
     if not found:
         return None
     corners = mesh.mesh.p[:, mesh.mesh.t]

@@ -14,7 +14,16 @@ from geometry.parts import SAME_LENGTH
 from geometry.shapes import with_shapes
 from geometry.stretch import Piece, movable, split, tied
 from workbench.files.errors import InputError, choose
-from workbench.moved_parts import Cells, MovedMeshes, Shape, moved_pieces, shapes_of, shapes_that_move
+from workbench.moved_parts import (
+    TO_ROUNDING,
+    Cells,
+    Interpolation,
+    MovedMeshes,
+    Shape,
+    moved_pieces,
+    shapes_of,
+    shapes_that_move,
+)
 from workbench.parameter_names import ParameterName
 from workbench.physics.shaped import Length, Moves, Ratio
 from workbench.physics.stretched import Column, Part, Rim, Stretched
@@ -38,7 +47,7 @@ def thickness(layer: str) -> str:
 def flexible(
     problem: Problem, chip: Chip, radii: Mapping[str, Range] | Sequence[str] = (),
     shapes: Mapping[str, Range] = MappingProxyType({}), *, thicknesses: Mapping[str, Range] = MappingProxyType({}),
-    carried: bool = False,
+    interpolation: Interpolation = TO_ROUNDING,
 ) -> Problem:
     """`problem` with ``<layer>.thickness`` (m) of every layer of `chip` among its parameters, and some `radii` (m) and
     `shapes` (m, or rad).
@@ -47,12 +56,13 @@ def flexible(
     another one. Radii that coincide are one parameter, under the first of their names in the chip file
     (`geometry.stretch.tied`). Shapes are given with their range, by the names that they have, or would have, among the
     dimensions of the chip; one that the chip does not state is 0. Spectra are those of a mesh stretched to the new
-    lengths and moved to the new shapes; the mesh itself stays. Terms added afterwards do not follow a length: add them
-    first. They may name parts of places (`geometry.names.part`).
+    lengths and moved to the new shapes, whose forms are interpolated; the mesh itself stays.
+    Terms added afterwards do not follow a length: add them first. They may name parts of places
+    (`geometry.names.part`).
 
     Where a layer has a shape, thicknesses may go as far as `thicknesses` (m) say by name, or else a fifth to either
     side: beyond, coefficients raise `ModelError`. A parabola over a radius that moves is another one on the cells: this
-    is refused, unless it may be `carried` along with the cells as the radius moves: off by the product of both moves.
+    is refused, unless the `interpolation` carries it along.
 
     Raises:
         InputError: a radius or shape that the chip has not or cannot have, one that is given twice under two of its
@@ -64,8 +74,9 @@ def flexible(
     moving = {known[name].value: name for name in ranges}
     mesh, pieces = split(problem.mesh, chip, tuple(moving))
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
-    meshes = _moved_meshes(problem.mesh, chip, shapes, {**ranges, **_thickness_ranges(nominal, thicknesses)})
-    if not carried:
+    lengths = {**ranges, **_thickness_ranges(nominal, thicknesses)}
+    meshes = _moved_meshes(problem.mesh, chip, shapes, lengths, interpolation)
+    if not interpolation.carried:
         _check_parabolas(meshes.shapes, chip, ranges)
 
     def radius(value: float) -> Length:
@@ -103,18 +114,19 @@ def flexible(
 
 
 def flexible_within(
-    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, carried: bool = False
+    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *,
+    interpolation: Interpolation = TO_ROUNDING,
 ) -> Problem:
     """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
     move as far as these say."""
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
         lambda each: each.is_radius, lambda each: each.is_shape, lambda each: each.is_thickness))
-    return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, carried=carried)
+    return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation)
 
 
-def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range]
-                  ) -> MovedMeshes:
+def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],
+                  interpolation: Interpolation) -> MovedMeshes:
     """The meshes of the chip by its shapes; those of `shapes` are parameters."""
     stating = with_shapes(chip, list(shapes))
     for name, (low, high) in shapes.items():
@@ -123,7 +135,7 @@ def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], le
             raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
     straight = replace(mesh, coordinates=None)
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
-    found = MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal)
+    found = MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal, interpolation)
     if stating.is_shaped:
         own, wanted = mesh.coordinates, coordinates_of(straight, stating)
         own = found.at({}) if own is None else own

@@ -26,9 +26,6 @@ Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Range = tuple[float, float]
 
-#: Largest relative error of what forms are made of, anywhere in a part and within the ranges.
-INTERPOLATION = 1e-8
-
 #: Most powers of one size. More are asked for where a layer is moved by about its own thickness.
 POWERS = 16
 
@@ -40,8 +37,28 @@ LEFT = 0.5
 #: No length between two others is taken to shrink to less than this share.
 LEAST = 0.1
 
+
 #: Shares of a range at which the interpolation is checked, from -1 to 1: none is near a node.
 CHECKED = (-0.87, -0.36, 0.29, 0.71)
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """How well forms follow shapes.
+
+    ``error`` is the largest relative one of what forms are made of, anywhere in a part. What a size is relative to the
+    lengths about it is covered while each of these changes by a factor of ``followed`` at most, even where it may move
+    further, and extrapolated beyond. Where ``carried``, a parabola over a radius that moves is carried along with the
+    cells, which is off by the product of both moves; it is refused else.
+    """
+
+    error: float = 1e-8
+    followed: float = 1.0 / LEAST
+    carried: bool = False
+
+
+#: As far below the errors of meshes and solves as what stretches exactly.
+TO_ROUNDING = Interpolation()
 
 
 @dataclass(frozen=True)
@@ -90,6 +107,7 @@ class MovedMeshes:
     shapes: tuple[Shape, ...]
     lengths: Mapping[str, Range]
     nominal: Mapping[str, float]
+    interpolation: Interpolation = TO_ROUNDING
     variants: dict[str, Real] = field(default_factory=dict)
     _known: dict[tuple[tuple[str, float], ...], Real | None] = field(default_factory=dict)
 
@@ -129,10 +147,12 @@ class MovedMeshes:
         """
         amplitudes = tuple(self._amplitude(shape, piece, cells, column, side) for shape in shapes)
         inner = [shape.amplitudes for shape in shapes]
-        outer = [self._range(shape, amplitude) for shape, amplitude in zip(shapes, amplitudes, strict=True)]
-        bounds = self._unfolded(shapes, cells, inner, outer)
+        outer, followed = ([self._range(shape, amplitude, most) for shape, amplitude in zip(
+            shapes, amplitudes, strict=True)] for most in (1.0 / LEAST, self.interpolation.followed))
+        bounds = self._unfolded(shapes, cells, inner, followed)
         metric = _Metric(self, shapes, cells)
-        grid = _grid(metric, tuple(bounds), tuple(outer), self.chip, shapes)
+        start = [math.tan(shape.size.nominal) if shape.reach.angle else shape.size.nominal for shape in shapes]
+        grid = _grid(metric, tuple(bounds), start, tuple(outer), self.chip)
         return Moves(amplitudes, grid, tuple(self.named(dict(zip(shapes, node, strict=True))) for node in grid.nodes),
                      side)
 
@@ -150,16 +170,17 @@ class MovedMeshes:
             grown = stretched = None
         return Amplitude(shape.size, shape.reach.angle, grown, stretched)
 
-    def _range(self, shape: Shape, amplitude: Amplitude) -> Range:
-        """What an amplitude can be while its size and the lengths that it follows move within their ranges."""
+    def _range(self, shape: Shape, amplitude: Amplitude, most: float) -> Range:
+        """What an amplitude can be while its size and the lengths that it follows move within their ranges, and their
+        ratios from one over `most` to that."""
         ends = list(shape.amplitudes)
         for ratio, power in ((amplitude.grown, 1), (amplitude.stretched, -1)):
             if ratio is not None:
-                (low, high), (least, most) = (self.lengths.get(each.parameter, (each.nominal,) * 2)
+                (low, high), (below, above) = (self.lengths.get(each.parameter, (each.nominal,) * 2)
                                               for each in (ratio.outer, ratio.inner))
                 width = ratio.outer.nominal - ratio.inner.nominal
-                ends = [end * max((out - within) / width, LEAST) ** power for end in ends
-                        for out, within in ((low, most), (high, least))]
+                ends = [end * min(max((out - within) / width, 1.0 / most), most) ** power for end in ends
+                        for out, within in ((low, above), (high, below))]
         return min(ends), max(ends)
 
     def _unfolded(self, shapes: Sequence[Shape], cells: Cells, inner: Sequence[Range],
@@ -256,6 +277,16 @@ def moved_pieces(mesh: SectionMesh, pieces: Sequence[Piece], meshes: MovedMeshes
     return replace(mesh, mesh=mesh.mesh.with_subdomains(regions)), found
 
 
+def joined(meshes: Sequence[SectionMesh]) -> SectionMesh:
+    """One of several meshes that are the same but for the parts they name and the variants they have: with all."""
+    first = meshes[0]
+    regions = {name: cells for mesh in meshes for name, cells in mesh.mesh.subdomains.items()}
+    variants = {name: coordinates for mesh in meshes for name, coordinates in mesh.variants.items()}
+    if len(regions) == len(first.mesh.subdomains) and len(variants) == len(first.variants):
+        return first
+    return replace(first, mesh=first.mesh.with_subdomains(regions), variants=variants)
+
+
 def shapes_that_move(meshes: MovedMeshes, cells: Cells) -> tuple[Shape, ...]:
     """Those that move any of some cells, or of sides of cells."""
     return tuple(meshes.shapes[k] for k in np.flatnonzero(_moving(meshes, cells).any(axis=1)))
@@ -303,33 +334,33 @@ class _Metric:
         return worst
 
 
-def _grid(metric: _Metric, bounds: tuple[Range, ...], limits: tuple[Range, ...], chip: Chip,
-          shapes: Sequence[Shape]) -> Grid:
-    """The smallest grid that interpolates to :data:`INTERPOLATION`."""
+def _grid(metric: _Metric, bounds: tuple[Range, ...], start: Sequence[float], limits: tuple[Range, ...],
+          chip: Chip) -> Grid:
+    """The smallest grid that interpolates as well as wanted."""
     free = [high > low for low, high in bounds]
 
     def made(degrees: Sequence[int]) -> Grid:
         if max(degrees, default=0) > POWERS:
-            names = " and ".join("{} from {:.4g} to {:.4g}".format(shape.name, *shape.range) for shape in shapes)
+            names = " and ".join("{} from {:.4g} to {:.4g}".format(shape.name, *shape.range) for shape in metric.shapes)
             raise InputError(chip.file, "range of a shape", names, "a narrower range: it moves cells by about their "
                              "own size")
-        return Grid(bounds, tuple(degrees), limits)
+        return Grid(bounds, tuple(start), tuple(degrees), limits)
 
     def at(shares: Sequence[float]) -> tuple[float, ...]:
         return tuple(0.5 * (low + high) + 0.5 * (high - low) * share
                      for share, (low, high) in zip(shares, bounds, strict=True))
 
     degrees = [0] * len(bounds)
-    for k in np.flatnonzero(free):
-        alone, points = [0] * len(bounds), [at([share if j == k else 0.0 for j in range(len(bounds))])
+    for k in map(int, np.flatnonzero(free)):
+        alone, points = [0] * len(bounds), [(*start[:k], at([share] * len(bounds))[k], *start[k + 1 :])
                                             for share in CHECKED]
         alone[k] = 1
-        while metric.error(made(alone), iter(points)) > INTERPOLATION:
+        while metric.error(made(alone), iter(points)) > metric.meshes.interpolation.error:
             alone[k] += 1
         degrees[k] = alone[k]
     if sum(free) > 1:
         points = [at([CHECKED[(k + turn * (j + 1)) % len(CHECKED)] for j in range(len(bounds))])
                   for k in range(len(CHECKED)) for turn in (1, 2)]
-        while metric.error(made(degrees), iter(points)) > INTERPOLATION:
+        while metric.error(made(degrees), iter(points)) > metric.meshes.interpolation.error:
             degrees = [degree + 1 if degree else 0 for degree in degrees]
     return made(degrees)

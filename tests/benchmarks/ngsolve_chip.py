@@ -167,7 +167,7 @@ def by_ngsolve(chip: Chip, registry: Registry, state: str, settings: Settings) -
         now = time.perf_counter()
         seconds[name], started = now - started, now
 
-    mesh = triangles(ngsolve, geom2d, section, list(sides(chip)), materials, float(frequency[-1]), settings)
+    mesh = triangles(ngsolve, geom2d, section, list(sides(chip, section.r_breaks)), materials, float(frequency[-1]), settings)
     lap("mesh")
     parts, electrode = matrices(ngsolve, mesh, materials, settings.order)
     lap("assembly")

@@ -24,8 +24,8 @@ from functools import cache, cached_property, lru_cache
 from itertools import product
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from workbench.physics.term import ModelError, Values
 
@@ -97,26 +97,38 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Grid:
-    """Nodes of a polynomial interpolation in several variables within ``bounds``.
+    """Nodes of a polynomial interpolation in several variables within ``bounds``, the first of which is ``start``.
 
     The polynomials are the products of powers b of the variables with sum(b / degrees) <= 1; variables of degree 0 stay
-    in the middle. Nodes are those of a Leja sequence in each variable, which make the interpolation unique on any such
-    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). ``limits`` are those that a value may have, further
-    apart where it is no chip any more with lengths at the ends of their ranges as well: there, all stays as it is a
-    little (:data:`BEYOND`) outside the bounds.
+    at the start. Nodes are those of a Leja sequence in each variable, which make the interpolation unique on any such
+    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). Where a variable is at its start, nodes at which it
+    is not have exactly no part. ``limits`` are those that a value may have, further apart where it is no chip any more
+    with lengths at the ends of their ranges as well: there, all stays as it is a little (:data:`BEYOND`) outside the
+    bounds.
     """
 
     bounds: tuple[tuple[float, float], ...]
+    start: tuple[float, ...]
     degrees: tuple[int, ...]
     limits: tuple[tuple[float, float], ...]
 
     @cached_property
+    def sequences(self) -> tuple[tuple[float, ...], ...]:
+        """The scaled nodes (degree + 1,), from -1 to 1, of every variable."""
+        return tuple(_leja(self.scaled(k, start), degree + 1)
+                     for k, (start, degree) in enumerate(zip(self.start, self.degrees, strict=True)))
+
+    @cached_property
     def nodes(self) -> tuple[tuple[float, ...], ...]:
         """Values of the variables, node by node."""
-        sequence = _leja(max(self.degrees, default=0) + 1)
-        return tuple(tuple(0.5 * (low + high) + 0.5 * (high - low) * (sequence[b] if degree else 0.0)
-                           for b, degree, (low, high) in zip(powers, self.degrees, self.bounds, strict=True))
-                     for powers in _powers(self.degrees))
+        values = [(start, *(0.5 * (low + high) + 0.5 * (high - low) * each for each in sequence[1:]))
+                  for start, sequence, (low, high) in zip(self.start, self.sequences, self.bounds, strict=True)]
+        return tuple(tuple(own[b] for b, own in zip(powers, values, strict=True)) for powers in _powers(self.degrees))
+
+    def scaled(self, variable: int, value: float) -> float:
+        """A value of a variable on the scale from -1 to 1 of its bounds; 0 where it stays at the start."""
+        low, high = self.bounds[variable]
+        return (value - 0.5 * (low + high)) / (0.5 * (high - low)) if self.degrees[variable] else 0.0
 
     def polynomials(self, point: tuple[float, ...]) -> tuple[Real, Real]:
         """The Lagrange polynomials (nodes,) of all nodes at values of the variables, and their slopes (variables,
@@ -133,27 +145,29 @@ class Grid:
         return _polynomials(self, point)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=4096)
 def _polynomials(grid: Grid, point: tuple[float, ...]) -> tuple[Real, Real]:
-    powers = np.array(_powers(grid.degrees))
-    free = [2.0 * (x - low) / (high - low) - 1.0 if degree else 0.0
-            for x, degree, (low, high) in zip(point, grid.degrees, grid.bounds, strict=True)]
-    scaled = [min(max(x, -1.0 - 2.0 * BEYOND), 1.0 + 2.0 * BEYOND) for x in free]
-    inverse = _from_nodes(grid.degrees)
-    tables = [_chebyshev(x, degree) for x, degree in zip(scaled, grid.degrees, strict=True)]
-    taken = np.array([values[powers[:, k]] for k, (values, _) in enumerate(tables)]).reshape(len(tables), -1)
-    slopes = []
-    for k, ((_, by), degree, (low, high)) in enumerate(zip(tables, grid.degrees, grid.bounds, strict=True)):
-        own = by[powers[:, k]] * (2.0 / (high - low) if degree and scaled[k] == free[k] else 0.0)
-        slopes.append((own * np.delete(taken, k, axis=0).prod(axis=0)) @ inverse)
+    powers, inverse = np.array(_powers(grid.degrees)), _from_nodes(grid)
+    tables = []
+    for k, value in enumerate(point):
+        free = grid.scaled(k, value)
+        held = min(max(free, -1.0 - 2.0 * BEYOND), 1.0 + 2.0 * BEYOND)
+        low, high = grid.bounds[k]
+        newton, by = _newton(grid.sequences[k], held)
+        tables.append((newton[powers[:, k]], by[powers[:, k]] * (
+            2.0 / (high - low) if grid.degrees[k] and held == free else 0.0)))
+    taken = np.array([values for values, _ in tables])
+    slopes = [(by * np.delete(taken, k, axis=0).prod(axis=0)) @ inverse for k, (_, by) in enumerate(tables)]
     return taken.prod(axis=0) @ inverse, np.array(slopes)
 
 
-def _chebyshev(x: float, degree: int) -> tuple[Real, Real]:
-    """Chebyshev's polynomials (degree + 1,) at x and their slopes."""
-    unit = np.eye(degree + 1)
-    slopes = chebyshev.chebval(x, chebyshev.chebder(unit)) if degree else np.zeros(1)
-    return np.asarray(chebyshev.chebval(x, unit)), np.asarray(slopes)
+def _newton(sequence: tuple[float, ...], x: float) -> tuple[Real, Real]:
+    """Newton's polynomials (n,) of some nodes, each 0 at all nodes before its own, at x, and their slopes."""
+    values, slopes = [1.0], [0.0]
+    for node in sequence[:-1]:
+        slopes.append(slopes[-1] * (x - node) + values[-1])
+        values.append(values[-1] * (x - node))
+    return np.array(values), np.array(slopes)
 
 
 @cache
@@ -163,32 +177,27 @@ def _powers(degrees: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
                  if sum(b / degree for b, degree in zip(powers, degrees, strict=True) if degree) <= 1.0 + ROUNDING)
 
 
-@cache
-def _from_nodes(degrees: tuple[int, ...]) -> Real:
-    """What brings products of Chebyshev's polynomials (n,) into the Lagrange polynomials of the nodes: (n, n)."""
-    powers = np.array(_powers(degrees))
-    table = _chebyshev_at(np.array(_leja(max(degrees, default=0) + 1)), max(degrees, default=0))
-    middle = _chebyshev_at(np.zeros(1), 0)
+@lru_cache(maxsize=1024)
+def _from_nodes(grid: Grid) -> Real:
+    """What brings products of Newton's polynomials (n,) into the Lagrange polynomials of the nodes: (n, n)."""
+    powers = np.array(_powers(grid.degrees))
     values = np.ones((len(powers), len(powers)))
-    for k, degree in enumerate(degrees):
-        values *= (table if degree else middle)[np.ix_(powers[:, k], powers[:, k])]
-    return np.asarray(np.linalg.inv(values))
-
-
-def _chebyshev_at(x: Real, degree: int) -> Real:
-    """(points, degree + 1)."""
-    return np.asarray(chebyshev.chebvander(x, degree))
+    for k, sequence in enumerate(grid.sequences):
+        table = np.array([_newton(sequence, node)[0] for node in sequence])
+        values *= table[np.ix_(powers[:, k], powers[:, k])]
+    # Triangular, since a polynomial is 0 at all nodes before its own.
+    return np.asarray(solve_triangular(values, np.eye(len(powers)), lower=True))
 
 
 @cache
-def _leja(count: int) -> tuple[float, ...]:
-    """The first points of a Leja sequence on [-1, 1] that begins in the middle."""
-    found = [0.0, 1.0, -1.0]
+def _leja(start: float, count: int) -> tuple[float, ...]:
+    """The first points of a Leja sequence on [-1, 1] that begins at `start`."""
+    found = [start]
     candidates = np.linspace(-1.0, 1.0, 4001)
     while len(found) < count:
         distance = np.log(np.abs(candidates[:, None] - np.array(found)) + 1e-300).sum(axis=1)
         found.append(float(candidates[int(np.argmax(distance))]))
-    return tuple(found[:count])
+    return tuple(found)
 
 
 class _OfLengths:
