@@ -44,6 +44,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
+        "dome": "how much thicker the layer is on its axis than at its rim, in a parabola of its upper face",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of the transducer alone, see below",
     },
@@ -87,7 +88,7 @@ TAKES: Mapping[str, str] = {
     "band": "a list of two frequencies",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
         f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
-    "draft": "an angle", "barrel": "a length", "bow": "a length",
+    "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
     **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
 }
 

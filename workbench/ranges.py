@@ -458,6 +458,8 @@ def fingerprint(problem: Problem) -> str:
     found = hashlib.sha256()
     found.update(np.ascontiguousarray(problem.mesh.mesh.p).tobytes())
     found.update(np.ascontiguousarray(problem.mesh.mesh.t).tobytes())
+    if problem.mesh.coordinates is not None:
+        found.update(np.ascontiguousarray(problem.mesh.coordinates).tobytes())
     found.update(repr((problem.mesh.order, problem.terms, sorted(problem.values.items()))).encode())
     return found.hexdigest()
 
