@@ -41,8 +41,8 @@ def between(chip: Chip, name: str) -> tuple[float, float]:
             min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))
 
 
-def movable(chip: Chip, name: str, low: float = 0.0, high: float = math.inf) -> tuple[float, float]:
-    """How far (m) a dimension of `chip` can be moved: within the bounds given, and nine tenths of the way to the next.
+def movable(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
+    """How far (m or rad) a dimension of `chip` can be moved: within the bounds given, nine tenths of the way to the next.
 
     Raises:
         KeyError: the chip has no dimension of that name.
