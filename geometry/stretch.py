@@ -42,7 +42,8 @@ def between(chip: Chip, name: str) -> tuple[float, float]:
 
 
 def movable(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
-    """How far (m or rad) a dimension of `chip` can be moved: within the bounds given, nine tenths of the way to the next.
+    """How far (m or rad) a dimension of `chip` can be moved: within the bounds given, nine tenths of the way to the
+    next.
 
     Raises:
         KeyError: the chip has no dimension of that name.
