@@ -62,7 +62,8 @@ def flexible(
 
     Where a layer has a shape, thicknesses may go as far as `thicknesses` (m) say by name, or else a fifth to either
     side: beyond, coefficients raise `ModelError`. A parabola over a radius that moves is another one on the cells: this
-    is refused, unless the `interpolation` carries it along.
+    is refused, unless the `interpolation` carries it along. What leaves less than half of a cell, since a layer is thin
+    and what is beside it bent, is extrapolated (`workbench.moved_parts.LEFT`).
 
     Raises:
         InputError: a radius or shape that the chip has not or cannot have, one that is given twice under two of its

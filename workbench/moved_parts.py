@@ -176,8 +176,9 @@ class MovedMeshes:
         ends = list(shape.amplitudes)
         for ratio, power in ((amplitude.grown, 1), (amplitude.stretched, -1)):
             if ratio is not None:
-                (low, high), (below, above) = (self.lengths.get(each.parameter, (each.nominal,) * 2)
-                                              for each in (ratio.outer, ratio.inner))
+                (low, high), (below, above) = (
+                    (min(each.nominal, least), max(each.nominal, greatest)) for each in (ratio.outer, ratio.inner)
+                    for least, greatest in [self.lengths.get(each.parameter, (each.nominal,) * 2)])
                 width = ratio.outer.nominal - ratio.inner.nominal
                 ends = [end * min(max((out - within) / width, 1.0 / most), most) ** power for end in ends
                         for out, within in ((low, above), (high, below))]
