@@ -44,6 +44,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
+        "dome": "how much thicker the layer is on its axis than at its rim, in a parabola of its upper face",
         "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of the transducer alone, see below",
@@ -110,7 +111,7 @@ TAKES: Mapping[str, str] = {
     "profile": "a table", "points": "a list of points",
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
-    "draft": "an angle", "barrel": "a length", "bow": "a length",
+    "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
     **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
 }
 

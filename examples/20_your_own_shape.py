@@ -1,9 +1,10 @@
 """Your own shape
 ==============
 
-A chip whose lid is drawn by a CadQuery script (``examples/shapes/domed_lid.py``): glass, hollowed to a shallow dome over
-the cavity. The chip file names the script and states its parameters, with units and tolerances; from there everything
-is as of any chip: spectrum, fields, traps. The dome is a dimension like others, so it can be changed by its name.
+A chip whose lid is drawn by a CadQuery script (``examples/shapes/domed_lid.py``): glass, hollowed to a shallow dome
+over the cavity. The chip file names the script and states its parameters, with units and tolerances; from there
+everything is as of any chip: spectrum, fields, traps. The dome is a dimension like others, so it can be changed by its
+name.
 
 Reference number: below a dome of 0.1 mm the cavity of 4 mm radius and 0.82 mm height holds 43.73 mm^3 (a cylinder and
 a spherical cap).

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
-from geometry.parts import Electrodes, Layer, Ports, State, discs, port_axis
+from geometry.parts import Electrodes, Layer, Ports, State, discs, largest_shape, port_axis
 from workbench.files.errors import InputError, choose
 
 
@@ -53,18 +53,14 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
     """What is stated of the shapes of layers is finite, and can be made; tolerances are not negative."""
     profiled = any(layer.profile is not None for layer in layers)
     for i, layer in enumerate(layers):
-        for name in SHAPES:
-            size: Dimension | None = getattr(layer, name)
-            if size is None:
-                continue
+        for name, size in layer.shapes.items():
             if profiled:
                 raise InputError(file, f"layers[{i}].{name}", _shown(name, size.value), "none in a chip of which "
                                  "a layer has a profile: say it in a profile of this one")
             place, shown = f"layers[{i}].{name}", _shown(name, size.value)
             if name == "draft" and layer.cavity_radius is None:
                 raise InputError(file, place, shown, "none where there is no hole: it is that of the hole's wall")
-            limit = math.pi / 4.0 if name == "draft" else 0.5 * layer.thickness.value if name == "bow" else (
-                0.5 * (layer.outer_radius - layer.inner_radius))
+            limit = largest_shape(layer, name)
             if not abs(size.value) < limit:
                 raise InputError(file, place, shown, f"less than {_shown(name, limit)} to either side")
             if size.tolerance is not None and not 0.0 <= size.tolerance < math.inf:

@@ -14,7 +14,7 @@ from typing import Any
 
 from geometry import checks
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
-from geometry.dimension import SHAPES, Dimension
+from geometry.dimension import Dimension
 from geometry.names import CAVITY, TRANSDUCER
 from geometry.parts import (
     ElectrodeDisc,
@@ -80,7 +80,7 @@ class Chip:
     @property
     def is_shaped(self) -> bool:
         """Whether a layer is no disc with plane faces and upright sides."""
-        return self.is_profiled or any(getattr(layer, shape) is not None for layer in self.layers for shape in SHAPES)
+        return self.is_profiled or any(layer.shapes for layer in self.layers)
 
     @property
     def is_profiled(self) -> bool:
@@ -164,11 +164,8 @@ class Chip:
                 thickness=always(f"{layer.region}.thickness", layer.thickness),
                 radius=always(f"{layer.region}.radius", layer.radius),
                 cavity_radius=changed(shared.get(layer.region, ""), layer.cavity_radius),
-                draft=changed(f"{layer.region}.draft", layer.draft),
-                barrel=changed(f"{layer.region}.barrel", layer.barrel),
-                bow=changed(f"{layer.region}.bow", layer.bow),
                 profile=layer.profile and layer.profile.changed(partial(of_profile, layer.region)),
-            )
+            ).with_shapes({shape: changed(f"{layer.region}.{shape}", size) for shape, size in layer.shapes.items()})
             for layer in self.layers
         )
         live, ground = (

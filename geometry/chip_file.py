@@ -109,9 +109,7 @@ def _layer(layer: Layer, electrodes: Electrodes, folder: Path, *, with_bottom: b
     found |= {"thickness": _dimension(layer.thickness), "radius": _dimension(layer.radius)}
     if layer.cavity_radius is not None:
         found["cavity_radius"] = _dimension(layer.cavity_radius)
-    for shape, kind in SHAPES.items():
-        if (size := getattr(layer, shape)) is not None:
-            found[shape] = _dimension(size, kind)
+    found |= {shape: _dimension(size, SHAPES[shape]) for shape, size in layer.shapes.items()}
     if with_bottom:
         found["bottom"] = _length(layer.z_bottom)
     if layer.profile is not None:

@@ -10,7 +10,7 @@ SAME_LENGTH = 1e-9
 
 
 #: What may be stated of the shape of a layer, and the dimension of each.
-SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length"}
+SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length", "dome": "length"}
 
 
 @dataclass(frozen=True)

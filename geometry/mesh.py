@@ -22,7 +22,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from threading import RLock
 from types import ModuleType
@@ -65,8 +65,9 @@ class SectionMesh:
     (bottom left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes are
     numbered along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
     ``coordinates`` (2, nodes, cells) in metres of the nodes of any order in every cell, numbered as those of
-    `workbench.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from.
-    ``plan`` is what the mesh of a section of any shape can be moved by (`geometry.free_mesh.Plan`).
+    `workbench.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from. ``variants`` are
+    such coordinates for other shapes of the layers, by name. ``plan`` is what the mesh of a section of any shape can be
+    moved by (`geometry.free_mesh.Plan`).
 
     Raises:
         MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or
@@ -78,6 +79,7 @@ class SectionMesh:
     section: Section | FreeSection
     coordinates: NDArray[np.float64] | None = None
     plan: object = None
+    variants: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _check_names(self.mesh, self.section)

@@ -5,7 +5,8 @@ A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its regi
 :data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
 ``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of
 these within one layer of the stack is ``<place>@<layer>`` (:func:`part`), and a part of that within one column between
-two radii ``<place>@<layer>#<column>``. No other name of a place exists anywhere.
+two radii ``<place>@<layer>#<column>``. The cells of any of these that the same shapes of layers move are
+``<place>~<shape>`` (:func:`moved_by`). No other name of a place exists anywhere.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ LEVEL = "level"
 #: ``cavity@sidewall#0``.
 COLUMN = "#"
 
+#: Joins a region or a part of one and the shapes of layers that move its cells: ``cavity@sidewall~sidewall.draft``.
+MOVED = "~"
+
 #: What a state writes for a cavity with nothing in it: its walls are then traction-free.
 VACUUM = "vacuum"
 
@@ -79,11 +83,16 @@ def part(place: str, layer: str) -> str:
     return f"{place}{PART}{layer}"
 
 
+def moved_by(place: str, shapes: Iterable[str]) -> str:
+    """Name of the cells of a region, or of a part of one, that these shapes of layers move and no others."""
+    return f"{place}{MOVED}{'+'.join(shapes)}"
+
+
 def across_columns(place: str) -> str:
-    """Name of the part of which `place` is one column, or `place` itself."""
-    return place.split(COLUMN)[0]
+    """Name of the part of which `place` is one column, or some cells of one, or `place` itself."""
+    return place.split(MOVED)[0].split(COLUMN)[0]
 
 
 def whole(place: str) -> str:
     """Name of the region or boundary of which `place` is a part, or `place` itself."""
-    return place.split(PART)[0].split(COLUMN)[0]
+    return place.split(MOVED)[0].split(PART)[0].split(COLUMN)[0]

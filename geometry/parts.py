@@ -6,9 +6,10 @@ axis, and the cavity is a cylindrical hole through one or more neighbouring laye
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
 from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE
@@ -41,7 +42,7 @@ class Layer:
     """One layer: a disc, or a ring around the cavity when ``cavity_radius`` is given.
 
     ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own when a person weighed the part. ``draft``
-    (rad), ``barrel`` and ``bow`` (m) say how it differs from a disc with plane faces and upright sides, see
+    (rad), ``barrel``, ``bow`` and ``dome`` (m) say how it differs from a disc with plane faces and upright sides, see
     `geometry.shapes`; ``profile`` that its outline is another altogether, see `geometry.profile`. ``thickness`` is then
     how far the layer above is from the bottom of this one.
     """
@@ -57,6 +58,7 @@ class Layer:
     draft: Dimension | None = None
     barrel: Dimension | None = None
     bow: Dimension | None = None
+    dome: Dimension | None = None
     profile: Profile | None = None
 
     @property
@@ -73,6 +75,16 @@ class Layer:
     def outer_radius(self) -> float:
         """Radius of the layer, metres."""
         return self.radius.value
+
+    @property
+    def shapes(self) -> dict[str, Dimension]:
+        """What is stated of its shape, by the names of :data:`SHAPES`."""
+        return {name: size for name in SHAPES if (size := getattr(self, name)) is not None}
+
+    def with_shapes(self, sizes: Mapping[str, Dimension | None]) -> Layer:
+        """The same layer with other sizes of shapes, by the names of :data:`SHAPES`."""
+        changed: dict[str, Any] = dict(sizes)
+        return replace(self, **changed)
 
 
 @dataclass(frozen=True)
@@ -117,6 +129,15 @@ class State:
     reported: tuple[ReportedFigures, ...] = ()
 
 
+def largest_shape(layer: Layer, name: str) -> float:
+    """What the size of a shape of that name (m or rad) of a layer is less than, to either side."""
+    if name == "draft":
+        return math.pi / 4.0
+    if name == "barrel":
+        return 0.5 * (layer.outer_radius - layer.inner_radius)
+    return 0.5 * layer.thickness.value
+
+
 def stacked(layers: Iterable[Layer]) -> tuple[Layer, ...]:
     """The layers moved so that each rests on the one below; the bottom one stays where it is."""
     stack: list[Layer] = []
@@ -146,9 +167,8 @@ def named_dimensions(
     for layer in layers:
         yield f"{layer.region}.thickness", layer.thickness
         yield f"{layer.region}.radius", layer.radius
-        for shape in SHAPES:
-            if (size := getattr(layer, shape)) is not None:
-                yield f"{layer.region}.{shape}", size
+        for shape, size in layer.shapes.items():
+            yield f"{layer.region}.{shape}", size
         if layer.profile is not None:
             for name, size in layer.profile.parameters:
                 yield f"{layer.region}.{name}", size

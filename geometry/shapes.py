@@ -7,24 +7,29 @@ side, so nothing tears, and where nothing is moved all stays exactly as it is.
 
 - ``draft`` of a layer around the cavity: the angle by which its hole grows wider upwards; what continues the hole above
   moves along.
-- ``barrel`` of a layer: how far its outer side bulges at mid-height, in a parabola.
+- ``barrel`` of a layer: how far its outer side bulges at mid-height, in a parabola; lines within the layer that others
+  end at move along, in proportion to their distance from its hole or axis.
 - ``bow`` of a layer: how much higher its axis is than its rim, in a parabola; both its faces.
+- ``dome`` of a layer: how much thicker it is on its axis than at its rim, in a parabola of its upper face; what lies on
+  it, a gel above all, fills what is between.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.curves import Arc, Curve
-from geometry.dimension import SAME_LENGTH
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension
 from geometry.mesh import SectionMesh
+from geometry.parts import Layer
 from geometry.section import Section, cut_section
+from workbench.files.errors import choose
 
 Real = NDArray[np.float64]
 Moved = Callable[[Real], Real]
@@ -52,8 +57,58 @@ class Side:
         return np.where(inside, self.moved(along), 0.0)
 
 
-def sides(chip: Chip) -> Iterator[Side]:
-    """The sides that the shapes of a chip's layers move."""
+@dataclass(frozen=True)
+class Reach:
+    """How the points that a shape moves follow its size and the lengths of the chip.
+
+    They are moved along r where it is ``upright``, else along z, in proportion to its size in metres; of an ``angle``,
+    to its tangent and to the thickness of the layer that has it. ``within`` (m) is the radius up to which the size is
+    spread over the section, and changes with what lies there: 0 where it is the same at all radii.
+    """
+
+    upright: bool
+    angle: bool
+    within: float
+
+
+def reach(layer: Layer, shape: str) -> Reach:
+    """How the points that a shape of a layer moves follow it."""
+    match shape:
+        case "draft":
+            return Reach(True, True, 0.0)
+        case "barrel":
+            return Reach(True, False, 0.0)
+        case "bow" | "dome":
+            return Reach(False, False, layer.outer_radius)
+        case _:
+            raise KeyError(f"unknown shape {shape!r}; known: {', '.join(SHAPES)}")
+
+
+def possible(chip: Chip) -> dict[str, tuple[str, str]]:
+    """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions."""
+    return {f"{layer.region}.{shape}": (layer.region, shape) for layer in chip.layers for shape in SHAPES
+            if shape != "draft" or layer.cavity_radius is not None}
+
+
+def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
+    """The chip with shapes of these names among its dimensions: of size 0 where it states none.
+
+    Raises:
+        InputError: no layer can have such a shape.
+    """
+    known = possible(chip)
+    stated: dict[str, dict[str, Dimension]] = {}
+    for name in names:
+        region, shape = known[choose(name, known, source=chip.file, field="shape")]
+        if shape not in chip.layer(region).shapes:
+            stated.setdefault(region, {})[shape] = Dimension(0.0)
+    if not stated:
+        return chip
+    return replace(chip, layers=tuple(layer.with_shapes(stated.get(layer.region, {})) for layer in chip.layers))
+
+
+def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
+    """The sides that the shapes of a chip's layers move; `radii` (m) are those of all upright lines of its section."""
     for number, layer in enumerate(chip.layers):
         low, high = layer.z_bottom, layer.z_top
         if layer.draft is not None:
@@ -70,11 +125,18 @@ def sides(chip: Chip) -> Iterator[Side]:
                 if not goes_on:
                     break
         if layer.barrel is not None:
-            yield Side(True, layer.outer_radius, low, high, _bulging(layer.barrel.value, low, high))
+            inner, width = layer.inner_radius, layer.outer_radius - layer.inner_radius
+            for radius in radii:
+                if inner + SAME_LENGTH < radius < layer.outer_radius + SAME_LENGTH:
+                    share = (radius - inner) / width
+                    yield Side(True, radius, low, high, _bulging(share * layer.barrel.value, low, high))
         if layer.bow is not None:
             rim = layer.outer_radius
             for face in (low, high):
                 yield Side(False, face, 0.0, rim, _bulging(layer.bow.value, -rim, rim))
+        if layer.dome is not None:
+            rim = layer.outer_radius
+            yield Side(False, high, 0.0, rim, _bulging(layer.dome.value, -rim, rim))
 
 
 def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:
@@ -94,8 +156,10 @@ def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
     Args:
         local: (2, nodes) coordinates of the nodes within a cell, 0 to 1 along r and along z.
     """
-    found = list(sides(chip))
-    if not found or not isinstance(mesh.section, Section):
+    if not isinstance(mesh.section, Section):
+        return None
+    found = list(sides(chip, mesh.section.r_breaks))
+    if not found:
         return None
     corners = mesh.mesh.p[:, mesh.mesh.t]
     low, high = corners[:, 0], corners[:, 2]
@@ -111,7 +175,8 @@ def _moved(found: Sequence[Side], section: Section, r: Real, z: Real) -> Real:
 
 def outlines(chip: Chip) -> list[tuple[str, list[Arc]]]:
     """The outline of every layer, and of the cavity in every layer, anticlockwise, by region: lines and parabolas."""
-    section, found = cut_section(chip), list(sides(chip))
+    section = cut_section(chip)
+    found = list(sides(chip, section.r_breaks))
     result = []
     for each in section.rectangles:
         columns = range(section.r_breaks.index(each.r_inner), section.r_breaks.index(each.r_outer))

@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.chip import Chip
-from geometry.dimension import SAME_LENGTH
+from geometry.dimension import SAME_LENGTH, SHAPES
 from geometry.mesh import MeshError, SectionMesh
 from geometry.names import COLUMN, LEVEL, part
+from geometry.parts import largest_shape
 from geometry.section import cut_section
 
 #: A length that moves keeps this share of the way to where it would vanish, or meet another.
@@ -25,20 +26,25 @@ KEPT = 0.1
 def between(chip: Chip, name: str) -> tuple[float, float]:
     """The lengths (m) on both sides of a dimension of `chip` that it cannot be moved past without other cells.
 
-    For a radius those of the next breaks of the section; else, and where there is none, zero and infinity. All radii
-    of the same length are taken to change together.
+    For a radius those of the next breaks of the section; for a shape (m or rad) what no layer can have; else, and where
+    there is none, zero and infinity. All radii of the same length are taken to change together.
 
     Raises:
         KeyError: the chip has no dimension of that name.
     """
     value = chip.dimensions()[name].value
+    region, _, what = name.rpartition(".")
+    if what in SHAPES:
+        limit = largest_shape(chip.layer(region), what)
+        return -limit, limit
     breaks = cut_section(chip).r_breaks if name.endswith("radius") else (0.0,)
     return (max(b for b in breaks if b < value - SAME_LENGTH),
             min((b for b in breaks if b > value + SAME_LENGTH), default=math.inf))
 
 
-def movable(chip: Chip, name: str, low: float = 0.0, high: float = math.inf) -> tuple[float, float]:
-    """How far (m) a dimension of `chip` can be moved: within the bounds given, and nine tenths of the way to the next.
+def movable(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
+    """How far (m or rad) a dimension of `chip` can be moved: within the bounds given, nine tenths of the way to the
+    next.
 
     Raises:
         KeyError: the chip has no dimension of that name.

@@ -12,7 +12,7 @@ import pytest
 from concealed import detection, folder, response, section, solver, trial
 from concealed.design import BETWEEN, draw, draw_own, random_design
 from concealed.device import DRIVES, FILLINGS, STATES, body, seen, swept
-from concealed.mechanisms import CATALOGUED, MECHANISMS, OUTSIDE
+from concealed.mechanisms import CATALOGUED, MECHANISMS, OUTSIDE, SHAPES
 from concealed.media import VACUUM_PERMITTIVITY, Bubbles, Liquid, Medium, Necks, Piezo, Solid, Viscous
 from concealed.section import Body, Box, Face, grid
 from concealed.solver import Model, assemble, spectrum, system
@@ -20,6 +20,12 @@ from numpy.typing import NDArray
 from scipy.optimize import newton
 from scipy.special import jn_zeros, jv
 
+from geometry.chip import read_chip
+from geometry.shapes import with_shapes
+from materials.registry import Registry
+from workbench.operators import assemble as assemble_theirs
+from workbench.problem import build, fill
+from workbench.solve import solve_full
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -243,11 +249,11 @@ SPARED = {"cavity": ("disc", "empty"), "couplant": ("disc",), "substrate": ("dis
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*CATALOGUED, *OUTSIDE])
+@pytest.mark.parametrize("name", [*CATALOGUED, *SHAPES, *OUTSIDE])
 def test_a_mechanism_acts_where_it_sits_and_gives_no_energy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(section, "CELLS", 1.0)
     design = random_design(np.random.default_rng(3))
-    effect = {**CATALOGUED, **OUTSIDE}[name](np.random.default_rng(5), design, design.nominal)
+    effect = {**CATALOGUED, **SHAPES, **OUTSIDE}[name](np.random.default_rng(5), design, design.nominal)
     middle = design.frequency[120:121]
     for state in STATES[:3]:
         seen_by = []
@@ -358,3 +364,53 @@ def test_constants_fitted_with_a_wrong_density_do_not_show_in_the_disc(monkeypat
     # Density, stiffness and the square of e have one factor: the disc moves less, and as much current flows.
     assert np.abs(disc).max() < 1e-7
     assert np.abs(empty).max() > 1e-3
+
+
+def volume(model: Model, medium: type) -> float:
+    """Volume (m^3) of what is filled with a kind of fluid: the functions that stand for pressure add up to one."""
+    return float(sum(block.matrices["compressibility"].sum() for block in model.blocks
+                     if isinstance(block.medium, medium)))
+
+
+def test_warped_cells_have_the_volume_of_their_shape() -> None:
+    design = random_design(np.random.default_rng(5))
+    values, filled = design.nominal, next(s for s in STATES if s.filling == "filled")
+    a, c, wide = (values[f"{name}.radius"] for name in ("transducer", "couplant", "cavity"))
+    bond, wall = values["bond.thickness"], values["sidewall.thickness"]
+    top, outer = wide + math.tan(0.05) * wall, values["substrate.radius"]
+    expected = {
+        "sidewall.draft": (0.05, math.pi * (wall * (wide**2 + wide * top + top**2) / 3.0 + bond * top**2),
+                           math.pi * c**2 * values["couplant.thickness"]),
+        "superstrate.bow": (5e-6, math.pi * (wide**2 * (wall + bond + 5e-6) - 5e-6 * wide**4 / (2.0 * outer**2)),
+                            math.pi * c**2 * values["couplant.thickness"]),
+        "transducer.dome": (3e-6, math.pi * wide**2 * (wall + bond),
+                            math.pi * (c**2 * (values["couplant.thickness"] - 3e-6) + 3e-6 * c**4 / (2.0 * a**2))),
+        "sidewall.barrel": (5e-5, math.pi * wide**2 * (wall + bond), math.pi * c**2 * values["couplant.thickness"]),
+    }
+    for name, (size, water, gel) in expected.items():
+        section = body(values, {name: size}, filled)
+        model = assemble(section, grid(section, float(design.frequency[-1]), per_wavelength=0.5), order=4)
+        assert volume(model, Viscous) == pytest.approx(water, rel=1e-12), name
+        assert volume(model, Liquid) == pytest.approx(gel, rel=1e-12), name
+
+
+def test_a_disc_with_a_dome_is_that_of_the_workbench(tmp_path: Path) -> None:
+    design = random_design(np.random.default_rng(5), points=21)
+    folder.write(tmp_path, design, FILLINGS[:1], {"disc": np.ones(21, dtype=complex)}, np.random.default_rng(1))
+    frequency, disc = design.frequency[[4, 10, 16]], FILLINGS[0]
+    known = Registry((tmp_path / "materials",))
+    changes = []
+    for dome in (0.0, 5e-6):
+        section = body(design.nominal, {"transducer.dome": dome}, disc)
+        model = assemble(section, grid(section, float(design.frequency[-1])))
+        ours = np.array([solver.solve(model, each)[0] for each in frequency])
+        chip = with_shapes(read_chip(tmp_path / "disc.toml"), ["transducer.dome"])
+        made = build(fill(chip.with_dimensions({"transducer.dome": dome}), None, known), accuracy=2e-4,
+                     band=(float(design.frequency[0]), float(design.frequency[-1])))
+        theirs = solve_full(assemble_theirs(made.mesh, made.terms), frequency, made.values).impedance
+        changes.append((ours, theirs))
+    (flat, flat_there), (bent, bent_there) = changes
+    effect = np.log(bent / flat)
+    assert np.abs(effect).max() > 0.1
+    # 8e-7 of the effect measured; the reference is good for 1e-6 of Z.
+    assert np.abs(effect - np.log(bent_there / flat_there)).max() < 1e-5 * np.abs(effect).max()

@@ -11,17 +11,15 @@ from support import shape
 
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
+from geometry.chip_section import volumes
 from geometry.dimension import Dimension
-from geometry.kernel import SolidError
 from geometry.mesh import MeshError, SectionMesh, mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
 from geometry.shapes import moved
-from geometry.solid import solids
-from workbench.dimensions import flexible
+from geometry.solid import solids, volume
 from workbench.elements import Lagrange
 from workbench.files.errors import InputError
-from workbench.problem import Problem
 from workbench.shaped_mesh import shaped
 
 ORDER = 4
@@ -86,6 +84,17 @@ def test_a_side_that_bulges_and_a_lid_that_is_bowed(small_chip: Chip, straight: 
     assert found[0].max() == pytest.approx(small_chip.layer("sidewall").outer_radius + 1e-4, rel=1e-6)
 
 
+def test_a_dome_is_filled_by_what_lies_on_it(small_chip: Chip, straight: SectionMesh) -> None:
+    found, before = moved(straight, shape(small_chip, "transducer", dome=1e-5), LOCAL), nodes(straight)
+    assert found is not None
+    disc, gel = small_chip.layer("transducer"), small_chip.layer("couplant")
+    face = np.abs(before[1] - disc.z_top) < 1e-12
+    np.testing.assert_allclose(found[1][face], disc.z_top + 1e-5 * (1.0 - (before[0][face] / disc.outer_radius) ** 2),
+                               rtol=1e-13)
+    beyond = (before[1] > gel.z_top - 1e-12) | (before[1] < disc.z_bottom + 1e-12)
+    assert np.array_equal(found[:, beyond], before[:, beyond])
+
+
 def test_a_shape_that_reaches_beyond_what_is_beside_it_is_refused(small_chip: Chip, straight: SectionMesh) -> None:
     # A bow of 60 um of a bond of 100 um would do; 0.12 mm do not.
     with pytest.raises(MeshError, match=r"folds its section at r = .* mm, z = .* mm"):
@@ -128,12 +137,23 @@ def test_shapes_are_read_and_are_dimensions(tmp_path: Path) -> None:
     assert again.layers == chip.layers
 
 
-def test_what_cannot_be_done_with_shapes_yet_says_so(small_chip: Chip, filled: Problem) -> None:
-    drafted = shape(small_chip, "sidewall", draft=0.05)
-    with pytest.raises(SolidError, match="cannot be drawn yet"):
-        solids(drafted)
-    with pytest.raises(InputError, match="others are not stretched yet"):
-        flexible(filled, drafted)
+def test_solids_and_volumes_are_those_of_the_shapes(small_chip: Chip) -> None:
+    """A cone, a barrel, a bowed lid and a domed disc, drawn and by arithmetic."""
+    both = shape(shape(small_chip, "sidewall", draft=0.05, barrel=0.1e-3), "superstrate", bow=20e-6)
+    chip = shape(both, "transducer", dome=10e-6)
+    found = volumes(chip)
+    wall, bond, disc = (chip.layer(region) for region in ("sidewall", "bond", "transducer"))
+    a, b = wall.inner_radius, wall.inner_radius + math.tan(0.05) * wall.thickness.value
+    rim = chip.layer("superstrate").outer_radius
+    lifted = 20e-6 * math.pi * b**2 * (1.0 - 0.5 * (b / rim) ** 2)  # of the parabola over the hole
+    assert found["cavity"] == pytest.approx(math.pi * wall.thickness.value * (a**2 + a * b + b**2) / 3.0
+                                            + math.pi * b**2 * bond.thickness.value + lifted, rel=1e-12)
+    # The paraboloid holds half of its cylinder.
+    assert found["transducer"] == pytest.approx(
+        math.pi * disc.outer_radius**2 * (disc.thickness.value + 5e-6), rel=1e-12)
+    drawn = solids(chip)
+    for region in ("transducer", "couplant", "bond", "superstrate", "cavity"):
+        assert volume(drawn[region]) == pytest.approx(found[region], rel=1e-7)
 
 
 CHIP = """

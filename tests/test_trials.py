@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import trials
 from concealed import scoring
-from concealed.mechanisms import CATALOGUED, CLASHING, OUTSIDE
+from concealed.mechanisms import CATALOGUED, CLASHING, OUTSIDE, SHAPES
 from concealed.running import Piece, work
 
 SAID: dict[str, Any] = {"verdict": "below_detection", "effects": [], "rivals": [], "location": [{"region": "couplant"}],
@@ -63,6 +63,12 @@ def test_a_round_holds_what_is_asked_for() -> None:
     assert {name for pair in CLASHING for name in pair} <= set(CATALOGUED)
     assert drawn == list(islice(trials.schedule(1), 300))
     assert drawn != list(islice(trials.schedule(2), 300))
+
+
+def test_shapes_have_rounds_of_their_own() -> None:
+    drawn = [name for (name,) in islice(trials.schedule(1, shapes=True), 20)]
+    assert Counter(drawn) == dict.fromkeys(("none", *SHAPES), 4)
+    assert not {*SHAPES} & {name for names in islice(trials.schedule(1), 300) for name in names}
 
 
 def test_a_run_survives_what_fails_and_what_hangs_and_goes_on_where_it_was(

@@ -50,7 +50,7 @@ def found(trial: Campaign) -> Mapping[str, Effect]:
 
 
 def test_a_device_has_the_hypotheses_of_its_parts(trial: Campaign, found: Mapping[str, Effect]) -> None:
-    assert len(found) == 64 == len(effects(device(trial)))
+    assert len(found) == 68 == len(effects(device(trial)))
     with_a_bond = {"imperfect bond at the sidewall", "imperfect bond at the superstrate",
                    "superstrate bonded on a part of its radius", "superstrate loose around the cavity"}
     assert {name: found[name].region for name in ALWAYS} == ALWAYS

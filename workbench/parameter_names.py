@@ -5,6 +5,7 @@ Names say what they are:
     pzt4/acevedo_2026_initial.c33        real part of a material's coefficient, SI
     pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
     transducer.thickness                 a dimension of the chip, metres
+    sidewall.draft                       a shape of a layer (`geometry.shapes`), metres or radians
     bench.series_resistance              an element between the electrodes and the instrument
     bench.gain@filled                    what that state alone adds to the number of that name
 """
@@ -14,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+
+from geometry.dimension import SHAPES
 
 LOSS = ".loss"
 BENCH = "bench."
@@ -61,8 +64,8 @@ class ParameterName:
             owner, _, coefficient = key.partition(".")
             return cls(owner, coefficient, is_loss, Kind.MATERIAL, state)
         owner, _, coefficient = key.rpartition(".")
-        is_length = coefficient in LENGTHS and not is_loss
-        return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_length else Kind.TERM, state)
+        is_dimension = (coefficient in LENGTHS or coefficient in SHAPES) and not is_loss
+        return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_dimension else Kind.TERM, state)
 
     def __str__(self) -> str:
         return self.shared + (STATE + self.state if self.state else "")
@@ -93,6 +96,20 @@ class ParameterName:
     @property
     def is_thickness(self) -> bool:
         return self.kind is Kind.DIMENSION and self.coefficient == "thickness"
+
+    @property
+    def is_shape(self) -> bool:
+        return self.kind is Kind.DIMENSION and self.coefficient in SHAPES
+
+    @property
+    def quantity(self) -> str:
+        """What kind of quantity a dimension of the chip is, see `workbench.files.quantities.UNITS`."""
+        return SHAPES.get(self.coefficient, "length")
+
+    @property
+    def dimension_unit(self) -> str:
+        """SI unit of a dimension of the chip."""
+        return "rad" if self.quantity == "angle" else "m"
 
     def within(self, owner: str) -> str:
         """The name as it is told of one `owner`: without it, or in full where it belongs to another."""

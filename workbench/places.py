@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,12 @@ class Place:
 
 
 def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
-    """The place of an integral; None if nothing is left of it."""
+    """The place of an integral; None if nothing is left of it.
+
+    Where cells are those of a variant of the mesh, what restricts a region is moved with them.
+    """
+    if integral.variant:
+        mesh = replace(mesh, coordinates=mesh.variants[integral.variant])
     if not integral.on_boundary:
         return _volume_place(mesh, integral)
     if integral.beyond or integral.skin:
@@ -109,8 +114,8 @@ def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
 
 
 def _check_straight(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> None:
-    """Refuse to restrict a region whose cells are not rectangles."""
-    if not are_rectangles(mesh, cells):
+    """Refuse to restrict a region whose cells are not rectangles, where shapes are no parameters."""
+    if not integral.variant and not are_rectangles(mesh, cells):
         raise ModelError(f"{integral.domain!r} is a part of a region of which some cells are no rectangles: only a "
                          "layer with plane faces and upright sides can be restricted")
 
@@ -158,7 +163,12 @@ def _tabulated(
 def mapped(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Real, Real]:
     """Radii (ne, nq) of local points (2, nq) of some cells, and the slopes (2, 2, ne, nq) of r and z along the local
     coordinates."""
-    own = mesh.mesh.p[:, mesh.mesh.t[:, cells]] if mesh.coordinates is None else mesh.coordinates[:, :, cells]
+    return mapped_nodes(mesh.mesh.p[:, mesh.mesh.t[:, cells]] if mesh.coordinates is None
+                        else mesh.coordinates[:, :, cells], points)
+
+
+def mapped_nodes(own: Real, points: Real) -> tuple[Real, Real]:
+    """The same as of :func:`mapped` for cells by the coordinates (2, nodes, cells) of their nodes."""
     # Four corners, or nodes of the order that cells are curved by.
     value, along, across = Lagrange(math.isqrt(own.shape[1]) - 1).tabulated(points)
     slopes = np.stack([np.einsum("xie,qi->xeq", own, each) for each in (along, across)], axis=1)
@@ -212,8 +222,8 @@ def _facing_facets(
 
 
 def _facing_place(near: Place, far: Place) -> Place:
-    """Both boundaries as one place, integrated over the first. Points in the same order: their weights agree."""
-    if not np.allclose(near.weights, far.weights, rtol=1e-9, atol=0.0):
+    """Both boundaries as one place, integrated over the first."""
+    if not np.array_equal(np.diff(near.radius) > 0.0, np.diff(far.radius) > 0.0):
         raise ModelError("the points of two boundaries that face each other are in different order")
     shapes = {kind: np.concatenate([s, np.zeros_like(far.shapes[kind])], axis=2) for kind, s in near.shapes.items()}
     shapes |= {kind + FACING: np.concatenate([np.zeros_like(near.shapes[kind]), s], axis=2)

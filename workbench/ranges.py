@@ -35,7 +35,7 @@ from geometry.names import whole
 from geometry.stretch import movable, tied
 from materials.registry import Registry
 from workbench.coefficients import Coefficients
-from workbench.dimensions import flexible
+from workbench.dimensions import flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.energy_norm import energy_matrix
 from workbench.files.errors import InputError, choose
@@ -308,8 +308,7 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
             radii that coincide.
     """
     first, lengths = tied(chip), chip.dimensions()
-    radii = {key: ends for key, ends in ranges.items() if key in first}
-    flexed = flexible(problem, chip, radii)
+    flexed = flexible_within(problem, chip, ranges)
     found: dict[str, tuple[float, float]] = {}
     for key, ends in ranges.items():
         known = first.get(key, key)
@@ -459,6 +458,8 @@ def fingerprint(problem: Problem) -> str:
     found = hashlib.sha256()
     found.update(np.ascontiguousarray(problem.mesh.mesh.p).tobytes())
     found.update(np.ascontiguousarray(problem.mesh.mesh.t).tobytes())
+    if problem.mesh.coordinates is not None:
+        found.update(np.ascontiguousarray(problem.mesh.coordinates).tobytes())
     found.update(repr((problem.mesh.order, problem.terms, sorted(problem.values.items()))).encode())
     return found.hexdigest()
 

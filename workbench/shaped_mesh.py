@@ -33,26 +33,42 @@ def meshed(section: Section | FreeSection, size: MeshSize, *, cache: Path | None
     return mesh_section(section, size, cache=cache) if isinstance(section, Section) else mesh_free(section, size)
 
 
+def coordinates_of(mesh: SectionMesh, chip: Chip) -> NDArray[np.float64] | None:
+    """Coordinates (2, nodes, cells) in metres of a mesh of a chip's straight section as the layers of the chip are
+    shaped, folded cells or not; None where no layer has a shape.
+
+    Raises:
+        MeshError: a side is moved as another one is not.
+    """
+    element = Lagrange(mesh.order)
+    coordinates = moved(mesh, chip, np.array(element.doflocs).T)
+    if coordinates is not None:
+        _check_whole(mesh, element, coordinates)
+    return coordinates
+
+
 def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
     """The mesh of a chip's straight section as the layers of the chip are shaped.
 
     Raises:
         MeshError: a cell is folded: a shape reaches beyond what is beside it.
     """
-    element = Lagrange(mesh.order)
-    local = np.array(element.doflocs).T
-    coordinates = moved(mesh, chip, local)
+    coordinates = coordinates_of(mesh, chip)
     if coordinates is None:
         return mesh
     result = replace(mesh, coordinates=coordinates)
-    area = areas(mapped(result, np.arange(coordinates.shape[2]), local)[1])
+    area = node_areas(result, np.arange(coordinates.shape[2]))
     if area.min() <= 0.0:
         cell, node = np.unravel_index(int(np.argmin(area)), area.shape)
         r, z = 1e3 * coordinates[:, node, cell]
         raise MeshError(f"the shape of chip {chip.name!r} folds its section at r = {r:.4g} mm, z = {z:.4g} mm: a side "
                         "reaches beyond what is beside it")
-    _check_whole(mesh, element, coordinates)
     return result
+
+
+def node_areas(mesh: SectionMesh, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    """What an area in local coordinates is multiplied by at the nodes of some cells: (cells, nodes)."""
+    return areas(mapped(mesh, cells, np.array(Lagrange(mesh.order).doflocs).T)[1])
 
 
 def _check_whole(mesh: SectionMesh, element: Lagrange, coordinates: NDArray[np.float64]) -> None:

@@ -185,7 +185,8 @@ def by_ngsolve(chip: Chip, registry: Registry, state: str, settings: Settings) -
         now = time.perf_counter()
         seconds[name], started = now - started, now
 
-    mesh = triangles(ngsolve, geom2d, section, list(sides(chip)), materials, float(frequency[-1]), settings)
+    shape = list(sides(chip, section.r_breaks))
+    mesh = triangles(ngsolve, geom2d, section, shape, materials, float(frequency[-1]), settings)
     lap("mesh")
     parts, electrode = matrices(ngsolve, mesh, materials, settings.order)
     lap("assembly")

@@ -11,11 +11,11 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from geometry.stretch import movable, tied
 from materials.kinds import Fluid, IsotropicSolid
-from workbench.dimensions import flexible
+from workbench.dimensions import flexible_within
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
-from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
-from workbench.parameter_names import LENGTHS, LOSS, Kind, ParameterName, part
+from workbench.fitting.parameter import UNITS, UNSTATED_SHAPE, shown_factor, shown_unit
+from workbench.parameter_names import LOSS, Kind, ParameterName, part
 from workbench.problem import Problem
 
 #: How far a number can be moved to either side unless told otherwise, relative. Twice as far, a range model of six
@@ -31,8 +31,8 @@ TOLERANCES = 2.0
 ENDS = ".."
 
 #: Which units the ends of a range may be written in, by the SI unit of what they are of.
-_DIMENSIONS = {"m": "length", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless", "kg/m^3": "density",
-               "m/s": "speed", "m^2/s": "diffusivity"}
+_DIMENSIONS = {"m": "length", "rad": "angle", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless",
+               "kg/m^3": "density", "m/s": "speed", "m^2/s": "diffusivity"}
 #: Thinner layers than this (m) are told in micrometres.
 _THIN = 2e-4
 
@@ -105,8 +105,8 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
             does not hold the present number, or passes another radius.
     """
     first, lengths = tied(chip), chip.dimensions()
-    felt = {name: complex(each.value) for name, each in lengths.items()
-            if name.endswith(".thickness") or name in first} | dict(problem.values)
+    felt = {name: complex(each.value) for name, each in lengths.items() if name in first
+            or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)
     found: dict[str, Control] = {}
     for text in wanted or _usual(chip, problem):
         name, _, ends = text.partition("=")
@@ -115,8 +115,8 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         if name in found:
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
         found[name] = _control(chip, problem, name, part(felt, name), ends.strip())
-    # Refuses a radius that would pass another one.
-    flexible(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_radius})
+    # Refuses a radius that would pass another one, and a shape that folds a cell.
+    flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_length})
     return tuple(found.values())
 
 
@@ -132,8 +132,8 @@ def _usual(chip: Chip, problem: Problem) -> list[str]:
 
 def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -> Control:
     parsed = ParameterName.parse(name)
-    if parsed.coefficient in LENGTHS and parsed.kind is Kind.DIMENSION:
-        unit, tolerance = "m", chip.dimensions()[name].tolerance
+    if parsed.kind is Kind.DIMENSION:
+        unit, tolerance = parsed.dimension_unit, chip.dimensions()[name].tolerance
     else:
         unit = UNITS.get(parsed.coefficient, "1")
         tolerance = _uncertainty(problem, parsed)
@@ -144,10 +144,12 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         low, high = _ends(name, ends, _DIMENSIONS[unit])
     else:
         reach = max(REACH * abs(value), TOLERANCES * (tolerance or 0.0))
+        if parsed.is_shape and tolerance is None:
+            reach = max(reach, TOLERANCES * UNSTATED_SHAPE[parsed.coefficient])
         low, high = value - reach, value + reach
-        if unit == "m":
+        if parsed.kind is Kind.DIMENSION:
             low, high = movable(chip, name, low, high)
-    if unit == "m" and movable(chip, name, low, high) != (low, high):
+    if parsed.kind is Kind.DIMENSION and movable(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
         low, high = movable(chip, name, low, high)
         raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "

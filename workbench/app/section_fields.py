@@ -23,6 +23,7 @@ from workbench.fields import Fields, fields
 from workbench.parameter_names import ParameterName, placed
 from workbench.particles import Particle
 from workbench.ranges import RangeModel
+from workbench.shaped_mesh import shaped
 from workbench.traps import TrapReport, find_traps
 
 
@@ -75,7 +76,8 @@ def moved_mesh(mesh: SectionMesh, chip: Chip, moved: Chip) -> SectionMesh:
     old, new = cut_section(chip), cut_section(moved)
     r, z = mesh.mesh.p
     places = np.stack([np.interp(r, old.r_breaks, new.r_breaks), np.interp(z, old.z_breaks, new.z_breaks)])
-    return replace(mesh, mesh=replace(mesh.mesh, doflocs=places), section=new)
+    straight = replace(mesh, mesh=replace(mesh.mesh, doflocs=places), section=new, coordinates=None, variants={})
+    return shaped(straight, moved)
 
 
 def with_numbers(material: Material, values: Mapping[str, float]) -> Material:

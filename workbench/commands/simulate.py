@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import subprocess
 import sys
 import tempfile
@@ -17,6 +18,7 @@ from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
 from workbench.commands.terminal import Show, print_table, progress_bars
+from workbench.parameter_names import ParameterName
 from workbench.problem import fill
 from workbench.report.figures import FIGURE_COLUMNS, figures_row
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
@@ -141,6 +143,13 @@ def _without_resonance(runs: list[Simulation]) -> list[Note]:
     return [Note(f"{run.state}: {run.no_resonance}") for run in runs if run.figures is None]
 
 
+def _millimetres(name: str, value: float, factor: float) -> str:
+    """A dimension (m or rad) times a factor; an angle with its unit."""
+    if ParameterName.parse(name).quantity == "angle":
+        return f"{math.degrees(value):.3g} deg"
+    return f"{factor * value:.4g}"
+
+
 def _simulation_report(
     chip: Chip, runs: list[Simulation], pictures: Mapping[str, list[Picture]], solid_view: list[Picture], folder: Path
 ) -> None:
@@ -148,7 +157,7 @@ def _simulation_report(
 
     spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
     dimensions = Table(("dimension", "value (mm)", "tolerance (um)", ""), tuple(
-        (name, f"{d.value * 1e3:.4g}", "" if d.tolerance is None else f"{d.tolerance * 1e6:.3g}",
+        (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
          ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
     sections: list[tuple[str, list[Block]]] = [
         ("Figures of merit", [chip.description, f"Source: {chip.source}" if chip.source else "",

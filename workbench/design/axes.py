@@ -241,7 +241,7 @@ def dimension_of(name: str) -> str:
     """The dimension of a parameter by name, a key of `workbench.files.quantities.UNITS`."""
     parsed = ParameterName.parse(name)
     if "/" not in parsed.owner:
-        return "length"
+        return parsed.quantity
     for kind in KINDS.values():
         # The first form of a kind is the one that a solver has.
         known = {**kind.required, **kind.optional, **(kind.forms[0].dimensions if kind.forms else {})}
@@ -260,7 +260,7 @@ def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: Table) -> None
             continue
         field, ends = table.at(axis.name), f"{millimetres(axis.low)} to {millimetres(axis.high)}"
         low, high = movable(base, axis.name)
-        if not axis.low > 0.0:
+        if not axis.low > 0.0 and not ParameterName.parse(axis.name).is_shape:
             raise InputError(table.source, field, ends, "lengths above zero")
         if axis.name not in first:
             continue

@@ -29,6 +29,7 @@ from workbench.design.figures import LOSS_SHARE, check_figures
 from workbench.dimensions import flexible
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.files.errors import InputError, nearest_names
+from workbench.fitting.parameter import about
 from workbench.linearised import FullSystem, ReducedSystem
 from workbench.operators import FullOperators, assemble
 from workbench.parameter_names import Kind, ParameterName, placed
@@ -220,7 +221,9 @@ def full_evaluation(
     device = fill(moved, state, registry)
     problem = build(device, band=band, accuracy=accuracy)
     if gradient and lengths:
-        problem = flexible(problem, moved, [n for n in lengths if ParameterName.parse(n).is_radius])
+        parsed = [ParameterName.parse(n) for n in lengths]
+        problem = flexible(problem, moved, [str(n) for n in parsed if n.is_radius],
+                           {str(n): about(moved, str(n)) for n in parsed if n.is_shape})
     unknown = sorted(n for n in others if ParameterName.parse(n).key not in problem.values)
     if unknown:
         raise InputError(chip.file, "values", unknown[0], "a length or a coefficient of the chip's materials",

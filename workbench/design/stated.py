@@ -364,7 +364,7 @@ def _dimension(name: str, device: FilledChip) -> str:
     """What kind of quantity a number is, see `workbench.files.quantities.UNITS`."""
     parsed = ParameterName.parse(name)
     if parsed.kind is Kind.DIMENSION:
-        return "length"
+        return parsed.quantity
     material = next(each for each in device.materials.values() if each.name == parsed.owner)
     kind = next(each for each in KINDS.values() if each.build is type(material))
     dimensions = {**kind.required, **kind.optional, **{k: v for form in kind.forms for k, v in form.dimensions.items()}}

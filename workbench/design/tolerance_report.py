@@ -36,7 +36,7 @@ def shown(figure: Figure, value: float, digits: int = 4) -> str:
 def _unit(name: str) -> str:
     """SI unit of a number by its name."""
     parsed = ParameterName.parse(name)
-    return "m" if parsed.kind is Kind.DIMENSION else UNITS.get(parsed.key.rpartition(".")[2], "")
+    return parsed.dimension_unit if parsed.kind is Kind.DIMENSION else UNITS.get(parsed.key.rpartition(".")[2], "")
 
 
 def amount(name: str, value: float) -> str:

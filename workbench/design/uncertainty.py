@@ -210,7 +210,7 @@ def limits(name: str, mean: float) -> tuple[float, float]:
     takes energy up. Coefficients that couple two motions may have either sign."""
     parsed = ParameterName.parse(name)
     if parsed.kind is Kind.DIMENSION:
-        return 0.0, math.inf
+        return -math.inf if parsed.is_shape else 0.0, math.inf
     coefficient = parsed.key.rpartition(".")[2]
     if coefficient in ("c12", "c13", "e31", "e33", "e15"):
         return -math.inf, math.inf

@@ -10,11 +10,15 @@ To add one: a function below, or in `transducer`, that yields it, listed in :dat
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
+from geometry.chip import Chip
+from geometry.dimension import SHAPES
 from geometry.names import CAVITY, LEVEL, TRANSDUCER, interface, outside, part, role_of
+from geometry.shapes import possible
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.diagnosis.campaign import DeviceState
 from workbench.diagnosis.hypothesis import (
@@ -57,6 +61,30 @@ POLYMER = "from none to a rubber"
 #: Shares of a stated length between which somebody may have mistaken it: layers spread by hand are hardly known.
 SPREAD: Mapping[str, tuple[float, float]] = {"couplant": (0.1, 5.0), "bond": (0.2, 3.0)}
 MISTAKEN_THICKNESS, MISTAKEN_RADIUS = (0.8, 1.2), (0.95, 1.05)
+
+#: Shapes that layers of some roles have without being meant to, and in words.
+SHAPED: Mapping[tuple[str, str], str] = {
+    ("sidewall", "draft"): "the hole of the printed wall grows wider or narrower upwards",
+    ("sidewall", "barrel"): "the outer side of the printed wall bulges, or is hollow",
+    ("superstrate", "bow"): "the lid is bent: higher on its axis than at its rim, or lower",
+    (TRANSDUCER, "dome"): "the disc is not plane-parallel: thicker on its axis than at its rim, or thinner",
+}
+
+#: Most that a shape is off what is stated, to either side (m or rad), and why.
+SHAPE_LIMITS: Mapping[str, tuple[float, str]] = {
+    "draft": (math.radians(5.0), "a hole printed layer on layer: a tenth of a line of 0.4 mm wider at its top than "
+              "at the first layer, which is pressed out, is 3 degrees of a wall of 0.7 mm"),
+    "barrel": (1e-4, "a printed side: within a quarter of a line of 0.4 mm of where it is meant to be"),
+    "bow": (2e-5, "a lid of glass or polymer bent by glue that shrinks: no more than four tenths of what holds it"),
+    "dome": (1e-5, "lapped discs are sold as plane-parallel to 10 um, and no more than four tenths of the gel on them"),
+}
+
+#: Of the thinnest layer beside a face that is bent, so much is taken up at most; half would leave none beside a mistake
+#: of its thickness.
+TAKEN_UP = 0.4
+
+#: SI units by the kind of quantity.
+SHAPE_UNITS: Mapping[str, str] = {"angle": "rad", "length": "m"}
 
 #: Roles of the parts that are printed, layer on layer.
 PRINTED = {"substrate", "sidewall"}
@@ -313,13 +341,43 @@ def _polymer(device: Device, name: str, regions: Sequence[str]) -> Iterator[Effe
                          lambda state: [anisotropy.TransverseIsotropy(r, name) for r in filled_with(state, name)])
 
 
+def shapes(device: Device) -> Iterator[Effect]:
+    """Layers that are no discs with plane faces and upright sides, or others than stated."""
+    chips = {layer.region: state.chip for state in device.states for layer in state.chip.layers}
+    materials = {region: material for state in device.states for region, material in state.materials.items()}
+    for region, chip in chips.items():
+        role = role_of(region)
+        for shape in SHAPES:
+            name, about = f"{region}.{shape}", SHAPED.get((role, shape), "")
+            made_so = name in possible(chip) and (role not in PRINTED or is_polymer(materials.get(region)))
+            if name in device.known or (about and made_so):
+                yield other_than_stated(device, f"{shape} of the {region}", region, "geometry",
+                                        about or "another shape than stated", {name: mistaken_shape(chip, name)})
+
+
+def mistaken_shape(chip: Chip, name: str) -> Admissible:
+    """What the shape ``<region>.<what>`` of a layer may be, about what the chip's file states, if anything."""
+    region, _, shape = name.rpartition(".")
+    most, source = SHAPE_LIMITS[shape]
+    layers = [layer.region for layer in chip.layers]
+    at = layers.index(region)
+    # What is beside a face that is bent takes it up.
+    beside = {"bow": (at - 1, at + 1), "dome": (at + 1,)}.get(shape, ())
+    thinnest = min((chip.layers[k].thickness.value for k in beside if 0 <= k < len(layers)), default=math.inf)
+    most = min(most, TAKEN_UP * thinnest)
+    stated = chip.layer(region).shapes.get(shape)
+    value = 0.0 if stated is None else stated.value
+    return Admissible(value - most, value + most, SHAPE_UNITS[SHAPES[shape]], source)
+
+
 def lengths(device: Device) -> Iterator[Effect]:
     """Dimensions that are not as stated."""
     known = {name: dimension for state in device.states for name, dimension in state.chip.dimensions().items()}
     for name, dimension in known.items():
         parsed = ParameterName.parse(name)
         region, what = parsed.owner, parsed.coefficient
-        if region.startswith(("ports", "electrode")) or (what != "thickness" and name not in device.known):
+        if parsed.is_shape or region.startswith(("ports", "electrode")) or (
+                what != "thickness" and name not in device.known):
             continue
         yield other_than_stated(device, f"{what} of the {region}", region, "geometry",
                                 "a wrong thickness" if what == "thickness" else "a wrong radius",
@@ -347,4 +405,4 @@ def bench(device: Device) -> Iterator[Effect]:
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
-    cavity_fluid, ports, soaked, top, couplant, bonds, joints, solids, lengths, transducer, bench)
+    cavity_fluid, ports, soaked, top, couplant, bonds, joints, solids, lengths, shapes, transducer, bench)

@@ -31,7 +31,7 @@ def unit_of(name: str, states: Sequence[DeviceState]) -> str:
         element = BENCH_ELEMENTS.get(parsed.coefficient)
         return "" if element is None else element.unit
     if parsed.kind is Kind.DIMENSION:
-        return "m" if any(parsed.shared in s.chip.dimensions() for s in states) else ""
+        return parsed.dimension_unit if any(parsed.shared in s.chip.dimensions() for s in states) else ""
     materials = [m for s in states for m in s.materials.values()]
     if any(m.name == parsed.owner and parsed.coefficient in m.parameters() for m in materials):
         return UNITS.get(parsed.coefficient, "1")

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.stretch import tied
-from workbench.dimensions import flexible
-from workbench.fitting.parameter import Parameter, ranges_of_radii
+from workbench.dimensions import flexible_within
+from workbench.fitting.parameter import Parameter, ranges_of_dimensions
 from workbench.fitting.predict import Prediction, Predictor
 from workbench.fitting.seen import log_ratio, lorentzian, through_bench
 from workbench.neighbourhood import TERMS, Neighbourhood, neighbourhood
@@ -86,9 +86,9 @@ class Residual:
 class Objective:
     """Residuals of several recordings as a function of one vector of parameters.
 
-    A parameter moves the value of its name among those of a recording's problem, and an offset adds to that; lengths of
-    the chip are put among them (`dimensions.flexible`). Recordings of one problem share a predictor. ``tolerance`` as
-    of a `Predictor`.
+    A parameter moves the value of its name among those of a recording's problem, and an offset adds to that; dimensions
+    of the chip are put among them (`dimensions.flexible_within`). Recordings of one problem share a predictor.
+    ``tolerance`` as of a `Predictor`.
     """
 
     def __init__(
@@ -449,14 +449,12 @@ def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: 
     lacking = [p for p in parameters if p.is_dimension and not set(p.names) & set(problem.values)]
     if chip is None or not lacking:
         return recording
-    lengths = chip.dimensions()
-    radii = ranges_of_radii(lacking, lengths)
-    if not radii and not any(ParameterName.parse(name).is_thickness for p in lacking for name in p.names
-                             if name in lengths):
+    ranges = ranges_of_dimensions(lacking, chip.dimensions())
+    if not any(each.is_thickness or each.is_radius or each.is_shape for each in map(ParameterName.parse, ranges)):
         return recording
-    key = id(problem.mesh), problem.terms, tuple(radii.items())
+    key = id(problem.mesh), problem.terms, tuple(ranges.items())
     if key not in known:
-        known[key] = flexible(problem, chip, radii)
+        known[key] = flexible_within(problem, chip, ranges)
     like = known[key]
     return replace(recording, problem=replace(problem, mesh=like.mesh, terms=like.terms,
                                               values={**like.values, **problem.values}))

@@ -5,6 +5,7 @@ Their names are those of `workbench.parameter_names`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +36,11 @@ POLYMER_LOSS_REACH = 0.3
 
 #: Standard uncertainty of a dimension without a stated tolerance, relative.
 MEASURED = 0.005
+
+#: The same of a shape (m; rad for a draft), as far as parts of its kind have it: printers and moulds widen a hole by a
+#: degree, a printed side bulges by a tenth of a line of filament, glass as thin as a lid and lapped discs are flat to a
+#: few micrometres.
+UNSTATED_SHAPE: Mapping[str, float] = {"draft": math.radians(1.0), "barrel": 4e-5, "bow": 4e-6, "dome": 2e-6}
 
 #: What to do about a radius that would pass another (`geometry.stretch.movable`).
 BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
@@ -75,7 +81,8 @@ UNITS: Mapping[str, str] = {
 
 
 #: Units in which numbers are shown, and their factor from SI.
-SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9), "1": ("", 1.0)}
+SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9),
+         "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
 
 
 @dataclass(frozen=True)
@@ -238,12 +245,21 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
     if tolerance == 0.0:
         raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
                          "free")
-    prior = MEASURED * found.value if tolerance is None else tolerance / np.sqrt(3.0)
-    reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * found.value)
+    parsed = ParameterName.parse(first)
+    unknown = UNSTATED_SHAPE[parsed.coefficient] if parsed.is_shape else MEASURED * found.value
+    prior = unknown if tolerance is None else tolerance / np.sqrt(3.0)
+    reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * abs(found.value))
     wanted = found.value - reach, found.value + reach
     low, high = stretchable([chip], first, *wanted)
-    beyond = BEYOND if ParameterName.parse(first).is_radius and (low, high) != wanted else ""
-    return Parameter(first, found.value, low, high, float(prior), "m", beyond=beyond, tied=others)
+    beyond = BEYOND if parsed.is_radius and (low, high) != wanted else ""
+    return Parameter(first, found.value, low, high, float(prior), parsed.dimension_unit, beyond=beyond, tied=others)
+
+
+def about(chip: Chip, name: str) -> tuple[float, float]:
+    """A range (m or rad) about a shape that the chip states: twice what is usual of such shapes, to either side."""
+    value = chip.dimensions()[name].value
+    reach = 2.0 * UNSTATED_SHAPE[ParameterName.parse(name).coefficient]
+    return movable(chip, name, value - reach, value + reach)
 
 
 def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tuple[float, float]:
@@ -254,21 +270,21 @@ def stretchable(chips: Iterable[Chip], name: str, low: float, high: float) -> tu
     return low, high
 
 
-def ranges_of_radii(
-    parameters: Iterable[Parameter], lengths: Mapping[str, Dimension]
+def ranges_of_dimensions(
+    parameters: Iterable[Parameter], known: Mapping[str, Dimension]
 ) -> dict[str, tuple[float, float]]:
-    """How far (m) `parameters` may take each radius among `lengths` in any recording, by its name there."""
+    """How far (m or rad) `parameters` may take each of the `known` dimensions in any recording, by its name there."""
     shared: dict[str, tuple[float, float]] = {}
     own: dict[str, tuple[float, float]] = {}
     for p in parameters:
         for name in p.names:
-            if p.is_dimension and name in lengths and ParameterName.parse(name).is_radius:
-                found, start = (own, 0.0) if p.offset else (shared, lengths[name].value)
+            if p.is_dimension and name in known:
+                found, start = (own, 0.0) if p.offset else (shared, known[name].value)
                 low, high = found.get(name, (start, start))
                 found[name] = min(low, p.low), max(high, p.high)
     result = dict(shared)
     for name, (below, above) in own.items():
-        low, high = shared.get(name, (lengths[name].value,) * 2)
+        low, high = shared.get(name, (known[name].value,) * 2)
         result[name] = low + below, high + above
     return result
 

@@ -27,6 +27,7 @@ from workbench.fitting.derived import Derived, derived, moduli_of
 from workbench.fitting.joint import FitResult, Match
 from workbench.fitting.multistart import Start
 from workbench.fitting.paper import PaperFit
+from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import Prepared
 from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.merit import NoResonance, figures
@@ -304,7 +305,8 @@ def _status(estimate: ParameterEstimate | None) -> str:
 
 def _sample(chip: Chip, result: FitResult) -> dict[str, str]:
     found = {"chip": chip.name}
-    found |= {name: f"{1e3 * d.value:.6g} mm" for name, d in chip.dimensions().items()}
+    found |= {name: f"{d.value * shown_factor(unit):.6g} {shown_unit(unit)}" for name, d in chip.dimensions().items()
+              for unit in [ParameterName.parse(name).dimension_unit]}
     for layer in chip.layers:
         if layer.density is not None:
             found[f"{layer.region}.density"] = f"{layer.density:g} kg/m^3"

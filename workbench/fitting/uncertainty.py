@@ -379,7 +379,7 @@ def _symmetry(search: Search, x: Real, direction: Real) -> str:
 
 def _quantity(parameter: Parameter) -> str:
     if parameter.is_dimension:
-        return "length"
+        return parameter.parsed.quantity
     last = parameter.parsed.coefficient
     for prefix in ("eps", "e", "c"):
         if last.startswith(prefix) and last != "density":

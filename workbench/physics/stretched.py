@@ -26,7 +26,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.physics.shaped import Length, Moves, Ratio, Receding
 from workbench.physics.term import (
+    OPERATORS,
     Coefficient,
     Condition,
     Constant,
@@ -49,26 +51,15 @@ Sorted = Iterator[tuple[Kind, Product]]
 
 
 @dataclass(frozen=True)
-class Radius:
-    """A radius of the section: its length on the mesh (m) and the parameter that moves it, "" if none does."""
-
-    nominal: float
-    parameter: str = ""
-
-    def at(self, values: Values) -> float:
-        return complex(values[self.parameter]).real if self.parameter else self.nominal
-
-
-@dataclass(frozen=True)
 class Column:
     """What lies between two radii, `ratios` the nodes of k = outer / inner - 1; none where it begins at the axis."""
 
-    inner: Radius
-    outer: Radius
+    inner: Length
+    outer: Length
     ratios: tuple[float, ...] = ()
 
     @classmethod
-    def between(cls, inner: Radius, outer: Radius, ranges: Mapping[str, tuple[float, float]]) -> Column:
+    def between(cls, inner: Length, outer: Length, ranges: Mapping[str, tuple[float, float]]) -> Column:
         """The column for radii within `ranges` (m), by parameter."""
         if inner.nominal == 0.0:
             return cls(inner, outer)
@@ -97,7 +88,7 @@ class Column:
 class Rim:
     """Facets along z at a radius that moves."""
 
-    radius: Radius
+    radius: Length
 
     def radial(self, kind: tuple[int, int]) -> Iterator[tuple[Radial | None, Constant]]:
         power = 1 - kind[1]
@@ -201,7 +192,8 @@ def _lagrange(nodes: tuple[float, ...], x: float) -> tuple[tuple[float, ...], tu
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a place: its name on the mesh, the layer whose thickness and the column whose radii it follows.
+    """A part of a place: its name on the mesh, the layer whose thickness and the column whose radii it follows, and how
+    shapes move it.
 
     "" and None for what follows none.
     """
@@ -209,6 +201,7 @@ class Part:
     name: str
     layer: str = ""
     across: Column | Rim | None = None
+    moves: Moves | None = None
 
 
 @dataclass(frozen=True)
@@ -245,24 +238,59 @@ class Stretched(Term):
 
 def _stretched(integral: Integral, part: Part, nominal: Mapping[str, float]) -> list[Integral]:
     """The integrals that one becomes on a part of its place."""
-    found: dict[tuple[Radial | None, Constant | None, Monomial | None], list[Product]] = {}
+    found: dict[tuple[Radial | None, tuple[Constant, ...]], list[Product]] = {}
+    for radial, factors, product in (_moved_facets if part.moves and integral.on_boundary else _scaled)(
+            integral, part, nominal):
+        found.setdefault((radial, factors), []).append(product)
+    result = []
+    for variant, node in part.moves.nodes() if part.moves else [("", None)]:
+        for (radial, factors), products in found.items():
+            coefficient: Coefficient = integral.coefficient
+            for factor in factors if node is None else (*factors, node):
+                coefficient = times(coefficient, factor)
+            result.append(replace(integral, coefficient=coefficient, products=tuple(products), radial=radial,
+                                  variant=variant))
+    return result
+
+
+#: Products of operators with a further factor of the measure and the coefficients of both.
+Measured = Iterator[tuple[Radial | None, tuple[Constant, ...], Product]]
+
+
+def _scaled(integral: Integral, part: Part, nominal: Mapping[str, float]) -> Measured:
+    """What an integral over cells, or over facets that only stretch, falls into."""
     for (along_z, along_r, divided), product in _by_kinds(integral.products, radially=part.across is not None):
-        power = 1 - along_z
-        high = None
-        if part.layer and power:
-            high = Monomial(nominal[part.layer] ** -power, 0, ((f"{part.layer}.thickness", power),))
+        high = _power(part.layer, 1 - along_z, nominal)
         if part.across is None:
-            found.setdefault((integral.radial, None, high), []).append(product)
+            yield integral.radial, high, product
         else:
             for radial, across in part.across.radial((along_r, divided)):
-                found.setdefault((radial, across, high), []).append(product)
-    result = []
-    for (radial, wide, high), products in found.items():
-        coefficient: Coefficient = integral.coefficient
-        coefficient = coefficient if high is None else times(coefficient, high)
-        coefficient = coefficient if wide is None else times(coefficient, wide)
-        result.append(replace(integral, coefficient=coefficient, products=tuple(products), radial=radial))
-    return result
+                yield radial, (*high, across), product
+
+
+def _moved_facets(integral: Integral, part: Part, nominal: Mapping[str, float]) -> Measured:
+    """The same over facets that shapes move: all lengths along them scale alike, and operators are not taken apart."""
+    assert part.moves is not None
+    side = part.moves.side
+    for product in integral.products:
+        slopes = sum(any(kind.startswith("d_") for _, kind, _ in OPERATORS[name])
+                     for name in (product.row, product.column))
+        if side is not None:
+            stretched = Ratio(Length(nominal[part.layer], f"{part.layer}.thickness"))
+            yield None, _power(part.layer, 2 - slopes, nominal), product
+            yield Radial(0, 0.0), (*_power(part.layer, 1 - slopes, nominal), Receding(side, stretched)), product
+        elif isinstance(part.across, Column):
+            for radial, across in part.across.radial((slopes, 0)):
+                yield radial, (across,), product
+        else:
+            yield integral.radial, (), product
+
+
+def _power(layer: str, power: int, nominal: Mapping[str, float]) -> tuple[Constant, ...]:
+    """By what a stretch of a layer multiplies what has that power of it."""
+    if not layer or not power:
+        return ()
+    return (Monomial(nominal[layer] ** -power, 0, ((f"{layer}.thickness", power),)),)
 
 
 def _by_kinds(products: tuple[Product, ...], *, radially: bool) -> Sorted:

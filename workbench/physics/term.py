@@ -327,6 +327,8 @@ class Integral:
     radii larger than that share of its outer one, also within an element. ``skin`` restricts it to the row of elements
     that takes so much of its thickness at its upper face, or, where it is negative, at its lower one; the mesh must
     have that row (`geometry.mesh_size.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz.
+    ``variant`` names the coordinates of the mesh that are integrated over (`geometry.mesh.SectionMesh.variants`), where
+    these are not its own.
     """
 
     coefficient: Coefficient
@@ -339,6 +341,7 @@ class Integral:
     beyond: float = 0.0
     skin: float = 0.0
     radial: Radial | None = None
+    variant: str = ""
 
     @property
     def on_boundary(self) -> bool:
@@ -346,11 +349,11 @@ class Integral:
 
     @property
     def domain(self) -> str:
-        """The name of what is integrated over: the place, with what faces or restricts it."""
-        if self.facing:
-            return f"{self.place} facing {self.facing}"
-        name = self.place if not self.beyond else f"{self.place} beyond {self.beyond!r}"
-        return name if not self.skin else f"{name} skin {self.skin!r}"
+        """The name of what is integrated over: the place, with what faces or restricts it, and how it is moved."""
+        name = f"{self.place} facing {self.facing}" if self.facing else self.place
+        name = name if not self.beyond else f"{name} beyond {self.beyond!r}"
+        name = name if not self.skin else f"{name} skin {self.skin!r}"
+        return name if not self.variant else f"{name} at {self.variant}"
 
 
 @dataclass(frozen=True)

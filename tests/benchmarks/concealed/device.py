@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 from concealed.media import Bubbles, Liquid, Load, Medium, Necks, Piezo, Solid, Viscous
-from concealed.section import Body, Box, Face
+from concealed.section import Body, Box, Face, Profile, Warp
 from numpy.typing import NDArray
 
 from materials.kinds import Fluid
@@ -171,7 +171,7 @@ def body(values: Values, defects: Values, state: State) -> Body:
     if "clamp.normal" in defects:
         faces.append(Face(0.0, a, 0.0, 0.0, Load(defects["clamp.normal"], 0.0)))
     if state.filling == "disc":
-        return Body(tuple(boxes), live, ground, tuple(faces))
+        return Body(tuple(boxes), live, ground, tuple(faces), warps=warps(values, defects, state))
 
     outer, cavity = values["substrate.radius"], values["cavity.radius"]
     z = 2.0 * metal + h
@@ -231,7 +231,40 @@ def body(values: Values, defects: Values, state: State) -> Body:
             faces.append(Face(cavity, cavity, floor, ceiling, necks))
     if "lid.normal" in defects:
         faces.append(Face(0.0, outer, top, top, Load(defects["lid.normal"], 0.0)))
-    return Body(tuple(boxes), live, ground, tuple(faces), tuple(lines_r), tuple(lines_z))
+    return Body(tuple(boxes), live, ground, tuple(faces), tuple(lines_r), tuple(lines_z), warps(values, defects, state))
+
+
+def warps(values: Values, defects: Values, state: State) -> tuple[Warp, ...]:
+    """How parts differ from discs with plane faces and upright sides: what is beside them makes room."""
+    h, a = values["transducer.thickness"], values["transducer.radius"]
+    metal = defects.get("electrode.thickness", 0.0)
+    top = 2.0 * metal + h
+    across = Profile(((-a, 0.0), (a, 0.0)), parabola=True)
+    found: list[Warp] = []
+    if state.filling == "disc":
+        if "transducer.dome" in defects:
+            found.append(Warp(False, defects["transducer.dome"], across, Profile(((metal, 0.0), (top - metal, 1.0)))))
+        return tuple(found)
+    outer, cavity = values["substrate.radius"], values["cavity.radius"]
+    gel = top + values["couplant.thickness"]
+    floor = gel + values["substrate.thickness"]
+    wall = floor + values["sidewall.thickness"]
+    ceiling = wall + values["bond.thickness"]
+    lid = ceiling + values["superstrate.thickness"]
+    if "transducer.dome" in defects:
+        found.append(Warp(False, defects["transducer.dome"], across,
+                          Profile(((metal, 0.0), (top - metal, 1.0), (gel, 0.0)))))
+    if "sidewall.draft" in defects:
+        widened = math.tan(defects["sidewall.draft"]) * (wall - floor)
+        found.append(Warp(True, widened, Profile(((0.0, 0.0), (cavity, 1.0), (outer, 0.0))),
+                          Profile(((floor, 0.0), (wall, 1.0), (ceiling, 1.0), (lid, 0.0)))))
+    if "sidewall.barrel" in defects:
+        found.append(Warp(True, defects["sidewall.barrel"], Profile(((cavity, 0.0), (outer, 1.0))),
+                          Profile(((floor, 0.0), (wall, 0.0)), parabola=True)))
+    if "superstrate.bow" in defects:
+        found.append(Warp(False, defects["superstrate.bow"], Profile(((-outer, 0.0), (outer, 0.0)), parabola=True),
+                          Profile(((wall, 0.0), (ceiling, 1.0), (lid, 1.0)))))
+    return tuple(found)
 
 
 def swept(values: Values, defects: Values, state: State, frequency: Real) -> Real:

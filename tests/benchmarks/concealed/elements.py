@@ -1,4 +1,4 @@
-"""Matrices of tensor-product elements of any order on rectangles of the (r, z) plane, weight 2 pi r dr dz.
+"""Matrices of tensor-product elements of any order on cells of the (r, z) plane, curved or not, weight 2 pi r dr dz.
 
 Gauss-Lobatto nodes, Gauss quadrature; everything (cells, ...) at once. A node of a cell is counted with the one along
 z running fastest.
@@ -76,17 +76,22 @@ def line(order: int, points: int) -> Line:
     return Line(nodes, at, weights, legendre.legvander(at, order) @ inverse, slopes @ inverse)
 
 
-def matrices(kind: str, order: int, low_r: Real, width: Real, height: Real) -> dict[str, Real]:
-    """(cells, k, k) matrix of every form of `kind` on cells of inner radius `low_r`, `width`, `height` (cells,) m."""
+def matrices(kind: str, order: int, r_nodes: Real, z_nodes: Real) -> dict[str, Real]:
+    """(cells, k, k) matrix of every form of `kind` on cells with nodes at `r_nodes`, `z_nodes` (cells, nodes) m."""
     along = line(order, order + 2)
     value = np.einsum("ai,bj->abij", along.value, along.value).reshape(along.points.size**2, -1)
     by_r = np.einsum("ai,bj->abij", along.slope, along.value).reshape(value.shape)
     by_z = np.einsum("ai,bj->abij", along.value, along.slope).reshape(value.shape)
-    r = low_r[:, None] + 0.5 * width[:, None] * (1.0 + np.repeat(along.points, along.points.size))
-    weight = (np.outer(along.weights, along.weights).ravel() * 2.0 * np.pi * r * (0.25 * width * height)[:, None])
-    cells, nodes = low_r.size, value.shape[1]
-    d_r = by_r * (2.0 / width)[:, None, None]
-    d_z = by_z * (2.0 / height)[:, None, None]
+    r = r_nodes @ value.T
+    (r_first, r_second), (z_first, z_second) = ([each @ by.T for by in (by_r, by_z)] for each in (r_nodes, z_nodes))
+    area = r_first * z_second - r_second * z_first
+    if area.min() <= 0.0:
+        raise ValueError("a cell is folded")
+    weight = np.outer(along.weights, along.weights).ravel() * 2.0 * np.pi * r * area
+    cells, nodes = r_nodes.shape
+    first_r, second_r, first_z, second_z = (
+        (each / area)[:, :, None] for each in (z_second, -z_first, -r_second, r_first))
+    d_r, d_z = first_r * by_r + second_r * by_z, first_z * by_r + second_z * by_z
     over_r = value / r[:, :, None]
     plain = np.broadcast_to(value, (cells, *value.shape))
     one = {
@@ -116,11 +121,13 @@ def matrices(kind: str, order: int, low_r: Real, width: Real, height: Real) -> d
     return found
 
 
-def edge_matrices(order: int, horizontal: bool, low: Real, length: Real, radius: Real) -> Real:
-    """(edges, order + 1, order + 1) integral of products of two traces with 2 pi r: along r from `low` when
-    `horizontal`, else along z at `radius`."""
+def edge_matrices(order: int, traces: int, r_nodes: Real, z_nodes: Real) -> tuple[Real, Real, Real]:
+    """(edges, traces + 1, traces + 1) integrals of products of two traces with 2 pi r over edges whose nodes of `order`
+    are at `r_nodes`, `z_nodes` (edges, order + 1) m: by dr, by dz and by ds along them."""
     along = line(order, order + 2)
-    at = low[:, None] + 0.5 * length[:, None] * (1.0 + along.points)
-    r = at if horizontal else np.broadcast_to(radius[:, None], at.shape)
-    weight = 2.0 * np.pi * r * along.weights * 0.5 * length[:, None]
-    return np.einsum("eq,qi,qj->eij", weight, along.value, along.value)
+    value = line(traces, order + 2).value
+    slopes = [each @ along.slope.T for each in (r_nodes, z_nodes)]
+    measures = (*slopes, np.hypot(*slopes))
+    r = 2.0 * np.pi * (r_nodes @ along.value.T) * along.weights
+    by_dr, by_dz, by_ds = (np.einsum("eq,qi,qj->eij", r * each, value, value) for each in measures)
+    return by_dr, by_dz, by_ds

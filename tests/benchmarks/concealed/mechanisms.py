@@ -295,6 +295,31 @@ def wandering_temperature(rng: np.random.Generator, design: Design, truth: Value
         catalogued=False)
 
 
+# --------------------------------------------------------------------------------------------------------------------
+# Shapes
+
+
+def wall_draft(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    return _hidden("draft of the sidewall", "sidewall", "geometry",
+                   {"sidewall.draft": _sign(rng) * math.radians(_log(rng, 0.1, 4.5))})
+
+
+def wall_barrel(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    return _hidden("barrel of the sidewall", "sidewall", "geometry",
+                   {"sidewall.barrel": _sign(rng) * _log(rng, 2e-6, 9e-5)})
+
+
+def lid_bow(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """What holds it makes room for a third of itself at most."""
+    return _hidden("bow of the superstrate", "superstrate", "geometry", {
+        "superstrate.bow": _sign(rng) * min(_log(rng, 2e-7, 1.8e-5), truth["bond.thickness"] / 3.0)})
+
+
+def disc_dome(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    return _hidden("dome of the transducer", "transducer", "geometry", {
+        "transducer.dome": _sign(rng) * min(_log(rng, 1e-7, 9e-6), truth["couplant.thickness"] / 3.0)})
+
+
 CATALOGUED: Mapping[str, Draw] = {
     "fluid_absorption": fluid_absorption, "cavity_bubbles": cavity_bubbles, "resonant_bubbles": resonant_bubbles,
     "fluid_temperature": fluid_temperature, "port_necks": port_necks, "gel_bubbles": gel_bubbles,
@@ -316,9 +341,13 @@ OUTSIDE: Mapping[str, Draw] = {
     "lateral_gradient": lateral_gradient, "mode_splitting": mode_splitting, "substrate_crack": substrate_crack,
     "poling_gradient": poling_gradient, "wandering_temperature": wandering_temperature,
 }
+#: Shapes that the catalogue knows, too; in trials of their own, so that those of a seed stay what they are.
+SHAPES: Mapping[str, Draw] = {
+    "wall_draft": wall_draft, "wall_barrel": wall_barrel, "lid_bow": lid_bow, "disc_dome": disc_dome,
+}
 #: Effects that say two things of one place, so that one device cannot have both.
 CLASHING = (
     {"cavity_bubbles", "resonant_bubbles"}, {"imperfect_bond", "delamination"}, {"wrong_density", "density_gauge"},
 )
 NONE = "none"
-MECHANISMS: tuple[str, ...] = (NONE, *CATALOGUED, *OUTSIDE)
+MECHANISMS: tuple[str, ...] = (NONE, *CATALOGUED, *SHAPES, *OUTSIDE)

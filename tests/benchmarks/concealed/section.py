@@ -44,8 +44,36 @@ class Face:
 
 
 @dataclass(frozen=True)
+class Profile:
+    """A function of one coordinate, nothing outside of its first and last point (m): linear between ``points`` (m,
+    value), or a parabola that is 1 in the middle of the first and the last and 0 there."""
+
+    points: tuple[tuple[float, float], ...]
+    parabola: bool = False
+
+    def __call__(self, at: Real) -> Real:
+        places, values = np.array(self.points).T
+        if self.parabola:
+            a, b = places[0], places[-1]
+            return np.asarray(np.maximum(4.0 * (at - a) * (b - at) / (b - a) ** 2, 0.0))
+        return np.interp(at, places, values, left=0.0, right=0.0)
+
+
+@dataclass(frozen=True)
+class Warp:
+    """Points that are not where the boxes have them: moved along r, or else along z, by ``size`` (m) times a profile in
+    r and one in z, whose kinks lie on lines of the grid."""
+
+    radially: bool
+    size: float
+    in_r: Profile
+    in_z: Profile
+
+
+@dataclass(frozen=True)
 class Body:
-    """Boxes, faces, both electrodes as (z, inner radius, outer radius), and where the grid needs further lines."""
+    """Boxes, faces, both electrodes as (z, inner radius, outer radius), where the grid needs further lines, and how all
+    that is warped."""
 
     boxes: tuple[Box, ...]
     live: tuple[float, float, float]
@@ -53,6 +81,14 @@ class Body:
     faces: tuple[Face, ...] = ()
     lines_r: tuple[float, ...] = ()
     lines_z: tuple[float, ...] = ()
+    warps: tuple[Warp, ...] = ()
+
+    def warped(self, r: Real, z: Real) -> tuple[Real, Real]:
+        """Where the nodes on lines r (n,) and z (m,) of the grid are: (n, m) each, m."""
+        found = [np.broadcast_to(r[:, None], (r.size, z.size)).copy(), np.broadcast_to(z, (r.size, z.size)).copy()]
+        for warp in self.warps:
+            found[0 if warp.radially else 1] += warp.size * np.outer(warp.in_r(r), warp.in_z(z))
+        return found[0], found[1]
 
     def extents(self) -> dict[str, tuple[float, float, float, float]]:
         """r0, r1, z0, z1 (m) of every part that has a name."""

@@ -1,5 +1,7 @@
 """Impedance of an axisymmetric body of rectangles, by tensor-product elements of high order on a graded grid.
 
+The rectangles may be warped: nodes are then moved, and cells are curved by their order.
+
 Apart from the solver of the workbench in everything: grid, order of the elements, fluids with viscosity as displacement
 and pressure (Taylor-Hood), assembly, scaling and reduction. The unknowns are the displacement in solids and viscous
 fluids, the potential in piezoelectric cells, the pressure in liquids without viscosity, e^{-i w t}:
@@ -82,17 +84,19 @@ def assemble(body: Body, cells: Grid, *, order: int = 5, uneven: Inhomogeneity |
         number[name] = numbered
     number["phi"][live] = count
 
+    r_nodes, z_nodes = body.warped(node_r, node_z)
     blocks = []
     for index, medium in enumerate(cells.media):
         i, j = np.nonzero(cells.fill == index)
         if i.size:
             unknowns = [number[name].ravel()[nodes(i, j, order - 1 if name == "q" else order,
                                                    m_z if name == "q" else n_z)] for name in UNKNOWNS[medium.kind]]
-            found = matrices(medium.kind, order, cells.r[i], np.diff(cells.r)[i], np.diff(cells.z)[j])
+            at = nodes(i, j, order, n_z)
+            found = matrices(medium.kind, order, r_nodes.ravel()[at], z_nodes.ravel()[at])
             field = None if uneven is None else uneven.values(body, cells, i, j)
             blocks.append(Block(medium, np.concatenate(unknowns, axis=1), found, field, (i, j)))
-    blocks += _contacts(cells, kind_of, number, order)
-    blocks += [block for face in body.faces for block in _faces(face, cells, number, order)]
+    blocks += _contacts(kind_of, number, order, (r_nodes, z_nodes))
+    blocks += [block for face in body.faces for block in _faces(face, cells, number, order, (r_nodes, z_nodes))]
     return Model(tuple(blocks), count + 1)
 
 
@@ -131,7 +135,8 @@ def _edge_nodes(i: Integers, j: Integers, order: int, rows: int, horizontal: boo
         (i * order)[:, None] * rows + j[:, None] * order + along)
 
 
-def _contacts(cells: Grid, kind_of: NDArray[np.str_], number: Mapping[str, Integers], order: int) -> list[Block]:
+def _contacts(kind_of: NDArray[np.str_], number: Mapping[str, Integers], order: int, at_nodes: tuple[Real, Real]
+              ) -> list[Block]:
     """p (v . n) + q (u . n), n out of the side with displacement."""
     rows = number["ur"].shape[1]
     liquid, moving = kind_of == "liquid", np.isin(kind_of, ("solid", "piezo", "viscous"))
@@ -144,18 +149,21 @@ def _contacts(cells: Grid, kind_of: NDArray[np.str_], number: Mapping[str, Integ
             if i.size == 0:
                 continue
             i, j = (i, j + 1) if horizontal else (i + 1, j)
-            start, lengths = (cells.r[i], np.diff(cells.r)[i]) if horizontal else (cells.z[j], np.diff(cells.z)[j])
-            mass = sign * edge_matrices(order, horizontal, start, lengths, cells.r[i])
             at = _edge_nodes(i, j, order, rows, horizontal)
-            normal = number["uz" if horizontal else "ur"].ravel()[at]
-            empty = np.zeros_like(mass)
-            matrix = np.block([[empty, mass], [mass, empty]])
-            blocks.append(Block(Contact(), np.concatenate([normal, number["p"].ravel()[at]], axis=1),
-                                {"contact": matrix}))
+            by_dr, by_dz, _ = edge_matrices(order, order, *(each.ravel()[at] for each in at_nodes))
+            # n ds is (-dz, dr) where n points upwards along r, and (dz, -dr) outwards along z.
+            turned = sign if horizontal else -sign
+            for name, mass in (("ur", -turned * by_dz), ("uz", turned * by_dr)):
+                if mass.any():
+                    empty = np.zeros_like(mass)
+                    matrix = np.block([[empty, mass], [mass, empty]])
+                    moving_there = np.concatenate([number[name].ravel()[at], number["p"].ravel()[at]], axis=1)
+                    blocks.append(Block(Contact(), moving_there, {"contact": matrix}))
     return blocks
 
 
-def _faces(face: Face, cells: Grid, number: Mapping[str, Integers], order: int) -> list[Block]:
+def _faces(face: Face, cells: Grid, number: Mapping[str, Integers], order: int, at_nodes: tuple[Real, Real]
+           ) -> list[Block]:
     horizontal = abs(face.z1 - face.z0) < SAME
     lines, across = (cells.r, cells.z) if horizontal else (cells.z, cells.r)
     low, high, position = (face.r0, face.r1, face.z0) if horizontal else (face.z0, face.z1, face.r0)
@@ -163,8 +171,10 @@ def _faces(face: Face, cells: Grid, number: Mapping[str, Integers], order: int) 
     along = np.nonzero((middle > low) & (middle < high))[0]
     level = np.full(along.size, int(np.argmin(np.abs(across - position))))
     i, j = (along, level) if horizontal else (level, along)
-    def traces(order: int) -> Real:
-        return edge_matrices(order, horizontal, lines[along], np.diff(lines)[along], np.full(along.size, face.r0))
+    at_edges = _edge_nodes(i, j, order, number["ur"].shape[1], horizontal)
+
+    def traces(p: int) -> Real:
+        return edge_matrices(order, p, *(each.ravel()[at_edges] for each in at_nodes))[2]
 
     if isinstance(face.surface, Necks):
         # What passes the wall is missing in the fluid: the pressure of either kind of fluid has it in its own equation.

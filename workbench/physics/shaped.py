@@ -1,0 +1,279 @@
+"""Sizes of shapes (`geometry.shapes`) as parameters of the model: no remeshing, no new matrices when they change.
+
+A shape moves points x0 of the section to x0 + a d(x0), a its size. What a part of the section contributes is a smooth
+function of the sizes of the shapes that move it, and is interpolated in them: matrices at the nodes of a
+:class:`Grid`, coefficients its Lagrange polynomials.
+
+Thicknesses and radii stay exact. In a part that is stretched by s along r and by l along z, the points have got to
+
+    r = s (r0 + (a / s) d) + const,      z = l (z0 + (b / l) e) + const,
+
+which is the stretched image of the part moved by the sizes a / s and b / l: forms are those of
+`workbench.physics.stretched` at these, the :class:`Amplitude` of each shape. A side that stands is stretched by l in
+both directions (all its shapes by a / l), one that lies by s: then every length along it scales alike, the normals
+stay, and of the radius R = l (r - r0) + R0 there are two matrices, of the measures r ds and ds, with r0 and R0 the
+radius of the straight side on the mesh and now.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from workbench.physics.term import ModelError, Values
+
+Real = NDArray[np.float64]
+
+#: Share of its range by which a variable may leave it. At the end of that, the error of the interpolation is a hundred
+#: to a thousand times as large.
+BEYOND = 0.25
+
+#: What rounding leaves of the sum of shares that make one.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length of the chip: what it is on the mesh (m) and the parameter that moves it, "" if none does."""
+
+    nominal: float
+    parameter: str = ""
+
+    def at(self, values: Values) -> float:
+        return complex(values[self.parameter]).real if self.parameter else self.nominal
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """What is between two lengths of the chip, relative to what it is on the mesh."""
+
+    outer: Length
+    inner: Length = Length(0.0)
+
+    def at(self, values: Values) -> tuple[float, dict[str, float]]:
+        """Its value, and its derivatives by parameters."""
+        nominal = self.outer.nominal - self.inner.nominal
+        slopes = {each.parameter: sign / nominal for each, sign in ((self.outer, 1.0), (self.inner, -1.0))
+                  if each.parameter}
+        return (self.outer.at(values) - self.inner.at(values)) / nominal, slopes
+
+
+@dataclass(frozen=True)
+class Amplitude:
+    """The size of a shape as a part of the section sees it: ``size`` (m; rad where it is an ``angle``, of which it is
+    the tangent) times the ratio ``grown`` and over the ratio ``stretched``."""
+
+    size: Length
+    angle: bool = False
+    grown: Ratio | None = None
+    stretched: Ratio | None = None
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        ends = [each for ratio in (self.grown, self.stretched) if ratio for each in (ratio.outer, ratio.inner)]
+        return tuple(dict.fromkeys(each.parameter for each in (self.size, *ends) if each.parameter))
+
+    def at(self, values: Values) -> tuple[float, dict[str, float]]:
+        """Its value, and its derivatives by parameters."""
+        size = self.size.at(values)
+        value, slopes = (math.tan(size), 1.0 + math.tan(size) ** 2) if self.angle else (size, 1.0)
+        found = {self.size.parameter: slopes} if self.size.parameter else {}
+        for ratio, power in ((self.grown, 1), (self.stretched, -1)):
+            if ratio is not None:
+                factor, by = ratio.at(values)
+                found = {name: slope * factor**power for name, slope in found.items()}
+                for name, slope in by.items():
+                    found[name] = found.get(name, 0.0) + value * power * factor ** (power - 1) * slope
+                value *= factor**power
+        return value, found
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes of a polynomial interpolation in several variables within ``bounds``, the first of which is ``start``.
+
+    The polynomials are the products of powers b of the variables with sum(b / degrees) <= 1; variables of degree 0 stay
+    at the start. Nodes are those of a Leja sequence in each variable, which make the interpolation unique on any such
+    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). Where a variable is at its start, nodes at which it
+    is not have exactly no part. ``limits`` are those that a value may have, further apart where it is no chip any more
+    with lengths at the ends of their ranges as well: there, all stays as it is a little (:data:`BEYOND`) outside the
+    bounds.
+    """
+
+    bounds: tuple[tuple[float, float], ...]
+    start: tuple[float, ...]
+    degrees: tuple[int, ...]
+    limits: tuple[tuple[float, float], ...]
+
+    @cached_property
+    def sequences(self) -> tuple[tuple[float, ...], ...]:
+        """The scaled nodes (degree + 1,), from -1 to 1, of every variable."""
+        return tuple(_leja(self.scaled(k, start), degree + 1)
+                     for k, (start, degree) in enumerate(zip(self.start, self.degrees, strict=True)))
+
+    @cached_property
+    def nodes(self) -> tuple[tuple[float, ...], ...]:
+        """Values of the variables, node by node."""
+        values = [(start, *(0.5 * (low + high) + 0.5 * (high - low) * each for each in sequence[1:]))
+                  for start, sequence, (low, high) in zip(self.start, self.sequences, self.bounds, strict=True)]
+        return tuple(tuple(own[b] for b, own in zip(powers, values, strict=True)) for powers in _powers(self.degrees))
+
+    def scaled(self, variable: int, value: float) -> float:
+        """A value of a variable on the scale from -1 to 1 of its bounds; 0 where it stays at the start."""
+        low, high = self.bounds[variable]
+        return (value - 0.5 * (low + high)) / (0.5 * (high - low)) if self.degrees[variable] else 0.0
+
+    def polynomials(self, point: tuple[float, ...]) -> tuple[Real, Real]:
+        """The Lagrange polynomials (nodes,) of all nodes at values of the variables, and their slopes (variables,
+        nodes).
+
+        Raises:
+            ModelError: a value outside its limits.
+        """
+        for value, (low, high) in zip(point, self.limits, strict=True):
+            further = BEYOND * (high - low) + ROUNDING * max(abs(low), abs(high))
+            if not low - further <= value <= high + further:
+                raise ModelError(f"a shape of {value:.4g} (m, or a slope), as the lengths about it have it, is outside "
+                                 f"the range that the model was made for, {low:.4g} to {high:.4g}")
+        return _polynomials(self, point)
+
+
+@lru_cache(maxsize=4096)
+def _polynomials(grid: Grid, point: tuple[float, ...]) -> tuple[Real, Real]:
+    powers, inverse = np.array(_powers(grid.degrees)), _from_nodes(grid)
+    tables = []
+    for k, value in enumerate(point):
+        free = grid.scaled(k, value)
+        held = min(max(free, -1.0 - 2.0 * BEYOND), 1.0 + 2.0 * BEYOND)
+        low, high = grid.bounds[k]
+        newton, by = _newton(grid.sequences[k], held)
+        tables.append((newton[powers[:, k]], by[powers[:, k]] * (
+            2.0 / (high - low) if grid.degrees[k] and held == free else 0.0)))
+    taken = np.array([values for values, _ in tables])
+    slopes = [(by * np.delete(taken, k, axis=0).prod(axis=0)) @ inverse for k, (_, by) in enumerate(tables)]
+    return taken.prod(axis=0) @ inverse, np.array(slopes)
+
+
+def _newton(sequence: tuple[float, ...], x: float) -> tuple[Real, Real]:
+    """Newton's polynomials (n,) of some nodes, each 0 at all nodes before its own, at x, and their slopes."""
+    values, slopes = [1.0], [0.0]
+    for node in sequence[:-1]:
+        slopes.append(slopes[-1] * (x - node) + values[-1])
+        values.append(values[-1] * (x - node))
+    return np.array(values), np.array(slopes)
+
+
+@cache
+def _powers(degrees: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
+    """The powers of every polynomial; with each also those of all lower ones."""
+    return tuple(powers for powers in product(*(range(degree + 1) for degree in degrees))
+                 if sum(b / degree for b, degree in zip(powers, degrees, strict=True) if degree) <= 1.0 + ROUNDING)
+
+
+@lru_cache(maxsize=1024)
+def _from_nodes(grid: Grid) -> Real:
+    """What brings products of Newton's polynomials (n,) into the Lagrange polynomials of the nodes: (n, n)."""
+    powers = np.array(_powers(grid.degrees))
+    values = np.ones((len(powers), len(powers)))
+    for k, sequence in enumerate(grid.sequences):
+        table = np.array([_newton(sequence, node)[0] for node in sequence])
+        values *= table[np.ix_(powers[:, k], powers[:, k])]
+    # Triangular, since a polynomial is 0 at all nodes before its own.
+    return np.asarray(solve_triangular(values, np.eye(len(powers)), lower=True))
+
+
+@cache
+def _leja(start: float, count: int) -> tuple[float, ...]:
+    """The first points of a Leja sequence on [-1, 1] that begins at `start`."""
+    found = [start]
+    candidates = np.linspace(-1.0, 1.0, 4001)
+    while len(found) < count:
+        distance = np.log(np.abs(candidates[:, None] - np.array(found)) + 1e-300).sum(axis=1)
+        found.append(float(candidates[int(np.argmax(distance))]))
+    return tuple(found)
+
+
+class _OfLengths:
+    """A coefficient without frequency that knows its value and all its derivatives at once."""
+
+    def at(self, values: Values) -> tuple[float, Mapping[str, float]]:
+        """Its value, and its derivatives by parameters."""
+        raise NotImplementedError
+
+    def constant(self, values: Values) -> complex:
+        return complex(self.at(values)[0])
+
+    def constant_derivative(self, values: Values, name: str) -> complex:
+        return complex(self.at(values)[1].get(name, 0.0))
+
+    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
+        return np.full(np.shape(omega), self.constant(values))
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        return np.full(np.shape(omega), self.constant_derivative(values, name))
+
+
+@dataclass(frozen=True)
+class Node(_OfLengths):
+    """The Lagrange polynomial of one node of a grid in some amplitudes."""
+
+    grid: Grid
+    amplitudes: tuple[Amplitude, ...]
+    number: int
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for each in self.amplitudes for name in each.parameters))
+
+    def at(self, values: Values) -> tuple[float, Mapping[str, float]]:
+        found = [each.at(values) for each in self.amplitudes]
+        polynomials, slopes = self.grid.polynomials(tuple(value for value, _ in found))
+        by: dict[str, float] = {}
+        for (_, own), slope in zip(found, slopes[:, self.number], strict=True):
+            for name, each in own.items():
+                by[name] = by.get(name, 0.0) + float(slope) * each
+        return float(polynomials[self.number]), by
+
+
+@dataclass(frozen=True)
+class Receding(_OfLengths):
+    """R0 - l r0 (m): what the radius of a side that stands is beyond its image stretched by the ratio l."""
+
+    radius: Length
+    stretched: Ratio
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        return Amplitude(self.radius, stretched=self.stretched).parameters
+
+    def at(self, values: Values) -> tuple[float, Mapping[str, float]]:
+        ratio, slopes = self.stretched.at(values)
+        by = {name: -slope * self.radius.nominal for name, slope in slopes.items()}
+        if self.radius.parameter:
+            by[self.radius.parameter] = by.get(self.radius.parameter, 0.0) + 1.0
+        return self.radius.at(values) - ratio * self.radius.nominal, by
+
+
+@dataclass(frozen=True)
+class Moves:
+    """How shapes move a part of a place: the names of the mesh's coordinates at the nodes of a grid in amplitudes.
+
+    ``side`` is the radius of facets along z; None for cells and for facets that lie.
+    """
+
+    amplitudes: tuple[Amplitude, ...]
+    grid: Grid
+    variants: tuple[str, ...]
+    side: Length | None = None
+
+    def nodes(self) -> Iterator[tuple[str, Node | None]]:
+        """The coordinates and the coefficient of every node; no coefficient where there is one node."""
+        for number, variant in enumerate(self.variants):
+            yield variant, Node(self.grid, self.amplitudes, number) if len(self.variants) > 1 else None
