@@ -17,23 +17,29 @@ if TYPE_CHECKING:
     from geometry.cad import Drawn
 
 
-def chip_section(chip: Chip) -> Section | FreeSection:
+def chip_section(chip: Chip, like: FreeSection | None = None) -> Section | FreeSection:
     """The half section of `chip`, the cavity included whatever fills it, its ports left out.
+
+    Where layers have profiles their faces are cut as those of another section are that it should be `like`, so that
+    only what differs moves.
 
     Raises:
         InputError: outlines that cannot be made or do not fit each other.
         SolidError: a layer has a profile and CadQuery is not installed.
     """
-    return _free_section(chip.layers, chip.electrodes, chip.file) if chip.is_profiled else cut_section(chip)
+    if not chip.is_profiled:
+        return cut_section(chip)
+    return _free_section(chip.layers, chip.electrodes, chip.file, () if like is None else like.cuts)
 
 
 @lru_cache(maxsize=32)
-def _free_section(layers: tuple[Layer, ...], electrodes: Electrodes, file: str) -> FreeSection:
+def _free_section(layers: tuple[Layer, ...], electrodes: Electrodes, file: str,
+                  cuts: tuple[tuple[str, tuple[float, ...]], ...]) -> FreeSection:
     from geometry.dissection import section_of  # CadQuery takes seconds to import
 
     stated = section_of_layers(layers, electrodes)
     return section_of(drawn_layers(layers, file), stated.electrodes, stated.rectangles,
-                      walls=_walls(layers), source=file)
+                      walls=_walls(layers), source=file, cuts=dict(cuts))
 
 
 def _walls(layers: tuple[Layer, ...]) -> list[str]:

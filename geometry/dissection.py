@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,24 +34,28 @@ CORNER = 30.0
 #: A side of a face with four sides is no more oblique than this (degrees), nor curved more.
 OBLIQUE = 40.0
 
-#: Beside what is steep or curved a face is cut as far off as that is wide, or this share of the height of the face.
-MARGIN = 0.35
+#: Beside what is steep or curved a face is cut as far off as half of its width and this share of the face's height.
+MARGIN = 0.3
 
 
 def section_of(
     drawn: Mapping[str, cad.Drawn], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *,
-    walls: Collection[str], source: str,
+    walls: Collection[str], source: str, cuts: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> FreeSection:
     """The section of layers drawn in the half plane, from bottom to top by region; with a cavity that those called
-    `walls` are around, if there are any.
+    `walls` are around, if there are any. Regions with `cuts` (m) are cut there beside what is steep or curved.
 
     Raises:
         InputError: layers overlap, leave a gap or do not touch, or what should be the cavity is open.
     """
     faces = faces_of(drawn, walls=walls, source=source)
     notes = tuple(f"{region}: {each.left_out}" for region, each in drawn.items() if each.left_out)
-    pieces = [(region, piece) for region, face in faces.items() for piece in _pieces(face)]
-    return _fused(pieces, tuple(electrodes), tuple(rectangles), notes)
+    pieces, beside = [], []
+    for region, face in faces.items():
+        own, radii = _pieces(face, cuts.get(region))
+        pieces += [(region, piece) for piece in own]
+        beside.append((region, radii))
+    return replace(_fused(pieces, tuple(electrodes), tuple(rectangles), notes), cuts=tuple(beside))
 
 
 def faces_of(drawn: Mapping[str, cad.Drawn], *, walls: Collection[str], source: str) -> dict[str, cadquery.Face]:
@@ -131,46 +137,56 @@ def _opening(faces: Mapping[str, cadquery.Face]) -> str:
 # Cuts
 
 
-def _pieces(face: cadquery.Face) -> list[cadquery.Face]:
-    """A face, cut so that most of it has four sides."""
+def _pieces(
+    face: cadquery.Face, beside: Sequence[float] | None = None
+) -> tuple[list[cadquery.Face], tuple[float, ...]]:
+    """A face, cut so that most of it has four sides, and the radii (m) at which it is cut beside what is steep or
+    curved: those given as `beside`, if any."""
     loops = [[cad.curve_of(edge) for edge in edges] for edges in cad.directed_edges(face)]
     if len(loops) == 1 and four_sides(loops[0]) is not None:
-        return [face]
-    radii = sorted(_cuts(loops))
+        return [face], ()
+    zones = _zones(loops)
+    if beside is None:
+        points = np.concatenate([arc.polyline for loop in loops for arc in loop], axis=1)
+        left, right = points[0].min(), points[0].max()
+        # Not where only a sliver would be cut off.
+        beside = [radius for low, high in zones for radius in (low, high)
+                  if left + 0.2 * (high - low) < radius < right - 0.2 * (high - low)]
+    corners = [radius for radius in _corners(loops) if not any(low < radius < high for low, high in zones)]
+    radii = sorted({*beside, *corners})
     if not radii:
-        return [face]
+        return [face], tuple(beside)
     box, module = face.BoundingBox(), cadquery_module()
     lines = [module.Edge.makeLine(module.Vector(MILLIMETRES * r, 0.0, box.zmin - 1.0),
                                   module.Vector(MILLIMETRES * r, 0.0, box.zmax + 1.0)) for r in radii]
-    return list(face.split(*lines).Faces())
+    return list(face.split(*lines).Faces()), tuple(beside)
 
 
-def _cuts(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
-    """Radii (m) at which a face is cut."""
-    zones: list[tuple[float, float]] = []
-    points = np.concatenate([arc.polyline for loop in loops for arc in loop], axis=1)
-    (left, bottom), (right, top) = points.min(axis=1), points.max(axis=1)
-    for arc in (arc for loop in loops for arc in loop):
+def _zones(loops: Sequence[Sequence[Arc]]) -> list[tuple[float, float]]:
+    """Between which radii (m) a face is steep or curved, with margins; those that meet are one."""
+    arcs = [arc for loop in loops for arc in loop]
+    points = np.concatenate([arc.polyline for arc in arcs], axis=1)
+    merged: list[tuple[float, float]] = []
+    found = []
+    for arc in arcs:
         r, _ = arc.polyline
         if np.ptp(r) > 0.0 and _steepest(arc) > OBLIQUE:
-            margin = max(float(np.ptp(r)), MARGIN * (top - bottom))
-            zones.append((float(r.min()) - margin, float(r.max()) + margin))
-    merged: list[tuple[float, float]] = []
-    for low, high in sorted(zones):
+            margin = 0.5 * float(np.ptp(r)) + MARGIN * float(np.ptp(points[1]))
+            found.append((float(r.min()) - margin, float(r.max()) + margin))
+    for low, high in sorted(found):
         if merged and low <= merged[-1][1]:
             merged[-1] = (merged[-1][0], max(high, merged[-1][1]))
         else:
             merged.append((low, high))
-    for low, high in merged:
-        for radius in (low, high):
-            # Not where only a sliver would be cut off.
-            if left + 0.2 * (high - low) < radius < right - 0.2 * (high - low):
-                yield radius
+    return merged
+
+
+def _corners(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
+    """Radii (m) of the corners that point into a face."""
     for loop in loops:
         for before, after in zip([loop[-1], *loop], loop, strict=False):
-            (radius, _), _ = after.ends
-            if turned(before, after) < -CORNER and not any(low < radius < high for low, high in merged):
-                yield radius
+            if turned(before, after) < -CORNER:
+                yield after.ends[0][0]
 
 
 def _steepest(arc: Arc) -> float:

@@ -32,7 +32,7 @@ class FreeSection:
 
     ``points`` (r, z) in metres, ``edges`` between them with the numbers of their ``ends``; ``rectangles`` are the
     layers as discs and rings of their stated sizes, ``electrodes`` lines on the transducer's faces. ``notes`` say what
-    of the solids the section leaves out.
+    of the solids the section leaves out, ``cuts`` at which radii (m) regions are cut beside what is steep or curved.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -42,6 +42,7 @@ class FreeSection:
     electrodes: tuple[Electrode, ...]
     rectangles: tuple[Rectangle, ...] = ()
     notes: tuple[str, ...] = ()
+    cuts: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     @cached_property
     def regions(self) -> tuple[str, ...]:

@@ -66,8 +66,8 @@ class SectionMesh:
     numbered along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
     ``coordinates`` (2, nodes, cells) in metres of the nodes of any order in every cell, numbered as those of
     `workbench.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from. ``variants`` are
-    such coordinates for other shapes of the layers, by name. ``plan`` is what the mesh of a section of any shape can be
-    moved by (`geometry.free_mesh.Plan`).
+    such coordinates for other shapes of the layers, by name; ``shown`` is the one in use, if any. ``plan`` is what the
+    mesh of a section of any shape can be moved by (`geometry.free_mesh.Plan`).
 
     Raises:
         MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or
@@ -80,13 +80,21 @@ class SectionMesh:
     coordinates: NDArray[np.float64] | None = None
     plan: object = None
     variants: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    shown: str = ""
 
     def __post_init__(self) -> None:
+        if self.shown:
+            return  # the same mesh, checked before
         _check_names(self.mesh, self.section)
         if isinstance(self.section, Section):
             _check_rectangles(self.mesh, self.section)
         else:
             _check_cells(self)
+
+    @property
+    def nodes(self) -> NDArray[np.float64] | None:
+        """The coordinates that cells have: of the variant shown, or of the mesh itself."""
+        return self.variants[self.shown] if self.shown else self.coordinates
 
 
 def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float], frequency: float) -> dict[str, float]:

@@ -24,6 +24,7 @@ from workbench.moved_parts import (
     shapes_of,
     shapes_that_move,
 )
+from workbench.moved_sections import flexible_free
 from workbench.parameter_names import ParameterName
 from workbench.physics.shaped import Length, Moves, Ratio
 from workbench.physics.stretched import Column, Part, Rim, Stretched
@@ -119,7 +120,9 @@ def flexible_within(
     interpolation: Interpolation = TO_ROUNDING,
 ) -> Problem:
     """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
-    move as far as these say."""
+    move as far as these say. Of a chip with profiles it is just the dimensions that `ranges` names."""
+    if chip.is_profiled:
+        return flexible_free(problem, chip, ranges)
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
         lambda each: each.is_radius, lambda each: each.is_shape, lambda each: each.is_thickness))

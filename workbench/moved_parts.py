@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement, product
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,9 +151,9 @@ class MovedMeshes:
         outer, followed = ([self._range(shape, amplitude, most) for shape, amplitude in zip(
             shapes, amplitudes, strict=True)] for most in (1.0 / LEAST, self.interpolation.followed))
         bounds = self._unfolded(shapes, cells, inner, followed)
-        metric = _Metric(self, shapes, cells)
+        metric = Metric(self, shapes, cells)
         start = [math.tan(shape.size.nominal) if shape.reach.angle else shape.size.nominal for shape in shapes]
-        grid = _grid(metric, tuple(bounds), start, tuple(outer), self.chip)
+        grid = grid_of(metric, tuple(bounds), start, tuple(outer), self.chip)
         return Moves(amplitudes, grid, tuple(self.named(dict(zip(shapes, node, strict=True))) for node in grid.nodes),
                      side)
 
@@ -308,10 +309,29 @@ def _moving(meshes: MovedMeshes, cells: Cells) -> NDArray[np.bool_]:
     return np.array(found).reshape(len(found), cells.indices.size)
 
 
-class _Metric:
+class Size(Protocol):
+    """A size that moves cells: its name, and its range (m or rad)."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def range(self) -> Range: ...
+
+
+class Meshes(Protocol):
+    """What gives the coordinates of a mesh for other sizes, and how well forms are to follow them."""
+
+    @property
+    def interpolation(self) -> Interpolation: ...
+
+    def at(self, sizes: Mapping[Any, float]) -> Real | None: ...
+
+
+class Metric:
     """What the forms over some cells are made of, by the amplitudes of the shapes that move them."""
 
-    def __init__(self, meshes: MovedMeshes, shapes: Sequence[Shape], cells: Cells) -> None:
+    def __init__(self, meshes: Meshes, shapes: Sequence[Size], cells: Cells) -> None:
         self.meshes, self.shapes, self.cells = meshes, shapes, cells
         self._known: dict[tuple[float, ...], list[Real]] = {}
 
@@ -335,7 +355,7 @@ class _Metric:
         return worst
 
 
-def _grid(metric: _Metric, bounds: tuple[Range, ...], start: Sequence[float], limits: tuple[Range, ...],
+def grid_of(metric: Metric, bounds: tuple[Range, ...], start: Sequence[float], limits: tuple[Range, ...],
           chip: Chip) -> Grid:
     """The smallest grid that interpolates as well as wanted."""
     free = [high > low for low, high in bounds]

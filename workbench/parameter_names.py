@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from geometry.dimension import SHAPES
+from geometry.names import ROLES, role_of
 
 LOSS = ".loss"
 BENCH = "bench."
@@ -64,7 +65,8 @@ class ParameterName:
             owner, _, coefficient = key.partition(".")
             return cls(owner, coefficient, is_loss, Kind.MATERIAL, state)
         owner, _, coefficient = key.rpartition(".")
-        is_dimension = (coefficient in LENGTHS or coefficient in SHAPES) and not is_loss
+        # What a layer has is a dimension, whatever its profile calls it; numbers of terms have names of their own.
+        is_dimension = (coefficient in LENGTHS or coefficient in SHAPES or role_of(owner) in ROLES) and not is_loss
         return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_dimension else Kind.TERM, state)
 
     def __str__(self) -> str:
@@ -99,7 +101,8 @@ class ParameterName:
 
     @property
     def is_shape(self) -> bool:
-        return self.kind is Kind.DIMENSION and self.coefficient in SHAPES
+        """Whether it is the size of a shape, or a parameter of a profile (`geometry.profile`)."""
+        return self.kind is Kind.DIMENSION and self.coefficient not in LENGTHS
 
     @property
     def quantity(self) -> str:

@@ -66,7 +66,7 @@ def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
     Where cells are those of a variant of the mesh, what restricts a region is moved with them.
     """
     if integral.variant:
-        mesh = replace(mesh, coordinates=mesh.variants[integral.variant])
+        mesh = replace(mesh, shown=integral.variant)
     if not integral.on_boundary:
         return _volume_place(mesh, integral)
     if integral.beyond or integral.skin:
@@ -82,7 +82,7 @@ def _degree(mesh: SectionMesh) -> int:
     """The degree of polynomials that quadrature is exact for."""
     # So many Gauss points integrate r times a product of two functions exactly: of order two nine. Where cells are not
     # rectangles no number does; with one more the error is far below that of the fields.
-    return 2 * mesh.order + (1 if mesh.coordinates is None else 3)
+    return 2 * mesh.order + (1 if mesh.nodes is None else 3)
 
 
 def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
@@ -163,8 +163,8 @@ def _tabulated(
 def mapped(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Real, Real]:
     """Radii (ne, nq) of local points (2, nq) of some cells, and the slopes (2, 2, ne, nq) of r and z along the local
     coordinates."""
-    return mapped_nodes(mesh.mesh.p[:, mesh.mesh.t[:, cells]] if mesh.coordinates is None
-                        else mesh.coordinates[:, :, cells], points)
+    own = mesh.nodes
+    return mapped_nodes(mesh.mesh.p[:, mesh.mesh.t[:, cells]] if own is None else own[:, :, cells], points)
 
 
 def mapped_nodes(own: Real, points: Real) -> tuple[Real, Real]:

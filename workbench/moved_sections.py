@@ -1,0 +1,169 @@
+"""Sizes of a section of any shape (`geometry.profile`) as parameters of the model.
+
+All of them move points of the mesh (`geometry.free_mesh.moved_free`), thicknesses and radii too. What a cell adds
+does not change with its height, so that of all sizes only those count for it that deform it or move it along r; forms
+are interpolated in these (`workbench.physics.shaped`), with as many matrices as the error wants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.chip import Chip
+from geometry.chip_section import chip_section
+from geometry.free_mesh import moved_free
+from geometry.free_section import FreeSection
+from geometry.mesh import MeshError, SectionMesh
+from geometry.names import moved_by
+from geometry.stretch import moving_together
+from workbench.files.errors import InputError, choose
+from workbench.moved_parts import Cells, Interpolation, Metric, grid_of
+from workbench.physics.shaped import Amplitude, Length, Moves
+from workbench.physics.stretched import Part, Stretched
+from workbench.problem import Problem
+
+Real = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Range = tuple[float, float]
+
+#: As elements around a fillet change with it as a whole, each digit takes another node or two. Derivatives lose one or
+#: two of them: 1e-6 left 1.1e-5 of that of Z by a fillet.
+FINE = Interpolation(1e-7)
+
+#: Displacements below this share of the largest one are rounding.
+STILL = 1e-9
+
+
+@dataclass(frozen=True)
+class Sized:
+    """A dimension of the chip that moves: its name, its size on the mesh and its range (m or rad)."""
+
+    name: str
+    nominal: float
+    range: Range
+
+
+@dataclass(eq=False)
+class MovedSections:
+    """The mesh of a chip moved by its dimensions, as often as is asked for; ``variants`` holds the coordinates that
+    parts need, by the name they are called."""
+
+    mesh: SectionMesh
+    chip: Chip
+    sizes: tuple[Sized, ...]
+    interpolation: Interpolation = FINE
+    variants: dict[str, Real] = field(default_factory=dict)
+    _known: dict[tuple[tuple[str, float], ...], Real] = field(default_factory=dict)
+
+    def at(self, sizes: Mapping[Sized, float]) -> Real:
+        """Coordinates (2, nodes, cells) for other values of some sizes.
+
+        Raises:
+            InputError: layers do not fit each other any more.
+            MeshError: a cell is folded, or the section falls into other faces.
+        """
+        changed = {size.name: value for size, value in sizes.items() if value != size.nominal}
+        key = tuple(sorted(changed.items()))
+        if not key:
+            assert self.mesh.coordinates is not None
+            return self.mesh.coordinates
+        if key not in self._known:
+            together = {other: value for name, value in changed.items() for other in moving_together(self.chip, name)}
+            assert isinstance(self.mesh.section, FreeSection)
+            section = chip_section(self.chip.with_dimensions(together), like=self.mesh.section)
+            assert isinstance(section, FreeSection)
+            found = moved_free(self.mesh, section).coordinates
+            assert found is not None
+            self._known[key] = found
+        return self._known[key]
+
+    def named(self, sizes: Mapping[Sized, float]) -> str:
+        """The name of the coordinates for these values, which are kept under it."""
+        name = ", ".join(f"{size.name} {value!r}" for size, value in sizes.items())
+        self.variants[name] = self.at(sizes)
+        return name
+
+    def touched(self, cells: Cells) -> NDArray[np.bool_]:
+        """Which sizes move which cells, or sides of cells, other than as a whole along z: (sizes, cells)."""
+        found = np.zeros((len(self.sizes), cells.indices.size), dtype=bool)
+        for number, size in enumerate(self.sizes):
+            for end in size.range:
+                everywhere = self.at({size: end}) - self.at({})
+                shift = cells.nodes(everywhere)
+                shift[1] -= shift[1].mean(axis=0)
+                found[number] |= np.abs(shift).max(axis=(0, 1)) > STILL * np.abs(everywhere).max()
+        return found
+
+
+def flexible_free(
+    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = FINE
+) -> Problem:
+    """`problem` of a chip with profiles, with some of its dimensions among the parameters, by name with the range (m or
+    rad) that they may move in. Spectra are those of the mesh moved to the new sizes; the mesh itself stays.
+
+    Raises:
+        InputError: a dimension that the chip has not, a range that does not hold its size, or in which layers do not
+            fit each other.
+        MeshError: the mesh is not of this chip, or folds within a range.
+    """
+    known = chip.dimensions()
+    sizes = []
+    for name, (low, high) in ranges.items():
+        value = known[choose(name, known, source=chip.file, field="dimension")].value
+        if not low <= value <= high:
+            raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
+        if low < high:
+            sizes.append(Sized(name, value, (low, high)))
+    if problem.mesh.section != chip_section(chip):
+        raise MeshError(f"the mesh is not of chip {chip.name!r} with its present dimensions")
+    meshes = MovedSections(problem.mesh, chip, tuple(sizes), interpolation)
+    for corner in product(*(size.range for size in sizes)) if len(sizes) < 4 else ():
+        meshes.at(dict(zip(sizes, corner, strict=True)))
+    used = dict.fromkeys((i.place, i.facing) for term in problem.terms for i in term.integrals())
+    mesh, parts = _parts(problem.mesh, meshes, list(used))
+    terms = tuple(Stretched(term, tuple((place, parts[place]) for place in dict.fromkeys(
+        place for i in term.integrals() for place in (i.place, i.facing) if place)), ()) for term in problem.terms)
+    values = {**problem.values, **{size.name: complex(size.nominal) for size in sizes}}
+    return replace(problem, mesh=replace(mesh, variants=meshes.variants), terms=terms, values=values)
+
+
+def _parts(
+    mesh: SectionMesh, meshes: MovedSections, used: Sequence[tuple[str, str]]
+) -> tuple[SectionMesh, dict[str, tuple[Part, ...]]]:
+    """The parts of all places that are `used`, and of what faces them, with the sizes that move them; the mesh names
+    them."""
+    regions, boundaries = dict(mesh.mesh.subdomains), dict(mesh.mesh.boundaries)
+    facing = {place: other for place, other in used if other}
+    whole = {*facing, *facing.values()}
+    parts: dict[str, tuple[Part, ...]] = {}
+    for place in dict.fromkeys(place for pair in used for place in pair if place):
+        places = regions if place in regions else boundaries
+        indices = np.asarray(places[place])
+        cells = Cells(mesh, indices) if place in regions else Cells.of_facets(mesh, indices)
+        touched = meshes.touched(cells)
+        if place in whole:
+            touched[:] = touched.any(axis=1, keepdims=True)
+        found = []
+        patterns = np.unique(touched, axis=1)
+        for pattern in patterns.T:
+            sizes = [meshes.sizes[k] for k in np.flatnonzero(pattern)]
+            own = indices[(touched == pattern[:, None]).all(axis=0)]
+            name = place if patterns.shape[1] == 1 else moved_by(place, (size.name for size in sizes))
+            places[name] = own
+            cells = Cells(mesh, own) if place in regions else Cells.of_facets(mesh, own)
+            found.append(Part(name, moves=_moves(meshes, sizes, cells) if sizes else None))
+        parts[place] = tuple(found)
+    named = mesh.mesh.with_subdomains(regions).with_boundaries(boundaries)
+    return replace(mesh, mesh=named), parts
+
+
+def _moves(meshes: MovedSections, sizes: Sequence[Sized], cells: Cells) -> Moves:
+    bounds = tuple(size.range for size in sizes)
+    grid = grid_of(Metric(meshes, sizes, cells), bounds, [size.nominal for size in sizes], bounds, meshes.chip)
+    variants = tuple(meshes.named(dict(zip(sizes, node, strict=True))) for node in grid.nodes)
+    return Moves(tuple(Amplitude(Length(size.nominal, size.name)) for size in sizes), grid, variants)
