@@ -3,8 +3,8 @@
 
 A chip whose lid is drawn by a CadQuery script (``examples/shapes/domed_lid.py``): glass, hollowed to a shallow dome
 over the cavity. The chip file names the script and states its parameters, with units and tolerances; from there
-everything is as of any chip: spectrum, fields, traps. The dome is a dimension like others, so it can be changed by its
-name.
+everything is as of any chip: spectrum, fields, traps. How deep the hollow is, ``superstrate.hollow``, is a dimension
+like others, so it can be changed by its name.
 
 Reference number: below a dome of 0.1 mm the cavity of 4 mm radius and 0.82 mm height holds 43.73 mm^3 (a cylinder and
 a spherical cap).
@@ -23,7 +23,7 @@ run = wb.simulate(chip, "filled", accuracy=5e-3, points=121)
 print(f"cavity {1e9 * run.problem.mesh.section.volume('cavity'):.2f} mm^3; {run.figures}")
 
 # The same drive at the same frequency under a flatter dome.
-flatter = wb.snapshot(chip.with_dimensions({"superstrate.dome": 0.05e-3}), "filled", run.figures.f0, accuracy=5e-3)
+flatter = wb.snapshot(chip.with_dimensions({"superstrate.hollow": 0.05e-3}), "filled", run.figures.f0, accuracy=5e-3)
 for name, shot in (("0.10 mm", run), ("0.05 mm", flatter)):
     trap = shot.traps.traps[0]
     print(f"dome of {name}: deepest trap at r {1e3 * trap.radius:.2f} mm, z {1e3 * trap.height:.2f} mm, "

@@ -25,7 +25,7 @@ from workbench.moved_parts import (
     shapes_that_move,
 )
 from workbench.moved_sections import flexible_free
-from workbench.parameter_names import ParameterName
+from workbench.parameter_names import Kind, ParameterName
 from workbench.physics.shaped import Length, Moves, Ratio
 from workbench.physics.stretched import Column, Part, Rim, Stretched
 from workbench.problem import Problem
@@ -122,7 +122,8 @@ def flexible_within(
     """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
     move as far as these say. Of a chip with profiles it is just the dimensions that `ranges` names."""
     if chip.is_profiled:
-        return flexible_free(problem, chip, ranges)
+        return flexible_free(problem, chip, {name: each for name, each in ranges.items()
+                                             if ParameterName.parse(name).kind is Kind.DIMENSION})
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
         lambda each: each.is_radius, lambda each: each.is_shape, lambda each: each.is_thickness))

@@ -26,7 +26,7 @@ from workbench.design.bases import Bases, bases_of
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
 from workbench.design.evaluation import OF_FIELD, Evaluation, Operation, Question, answer, needs_resonance
 from workbench.design.figures import LOSS_SHARE, check_figures
-from workbench.dimensions import flexible
+from workbench.dimensions import flexible, flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.parameter import about
@@ -222,8 +222,11 @@ def full_evaluation(
     problem = build(device, band=band, accuracy=accuracy)
     if gradient and lengths:
         parsed = [ParameterName.parse(n) for n in lengths]
-        problem = flexible(problem, moved, [str(n) for n in parsed if n.is_radius],
-                           {str(n): about(moved, str(n)) for n in parsed if n.is_shape})
+        if moved.is_profiled:
+            problem = flexible_within(problem, moved, {n: about(moved, n) for n in lengths})
+        else:
+            problem = flexible(problem, moved, [str(n) for n in parsed if n.is_radius],
+                               {str(n): about(moved, str(n)) for n in parsed if n.is_shape})
     unknown = sorted(n for n in others if ParameterName.parse(n).key not in problem.values)
     if unknown:
         raise InputError(chip.file, "values", unknown[0], "a length or a coefficient of the chip's materials",

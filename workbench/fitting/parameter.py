@@ -246,7 +246,7 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
         raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
                          "free")
     parsed = ParameterName.parse(first)
-    unknown = UNSTATED_SHAPE[parsed.coefficient] if parsed.is_shape else MEASURED * found.value
+    unknown = UNSTATED_SHAPE.get(parsed.coefficient, MEASURED * abs(found.value))
     prior = unknown if tolerance is None else tolerance / np.sqrt(3.0)
     reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * abs(found.value))
     wanted = found.value - reach, found.value + reach
@@ -256,9 +256,10 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
 
 
 def about(chip: Chip, name: str) -> tuple[float, float]:
-    """A range (m or rad) about a shape that the chip states: twice what is usual of such shapes, to either side."""
+    """A range (m or rad) about a shape that the chip states, or another size of it: twice what is usual of such shapes,
+    or what it would be measured to, to either side."""
     value = chip.dimensions()[name].value
-    reach = 2.0 * UNSTATED_SHAPE[ParameterName.parse(name).coefficient]
+    reach = 2.0 * UNSTATED_SHAPE.get(ParameterName.parse(name).coefficient, MEASURED * abs(value))
     return movable(chip, name, value - reach, value + reach)
 
 
