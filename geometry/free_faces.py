@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
+from threading import RLock
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.layout import Layout, numbers_along
-from geometry.mesh import MeshError, gmsh_session
+from geometry.mesh import MeshError
 from geometry.mesh_size import MeshSize
 
 Real = NDArray[np.float64]
@@ -22,6 +26,47 @@ FLAT = 40.0
 
 #: In gmsh lengths are in millimetres: its tolerances are made for such numbers.
 MILLIMETRES = 1e3
+
+
+#: gmsh is one session for the whole process: threads take turns.
+_TURN = RLock()
+
+
+def _keep_broken_pipes_errors() -> None:
+    """Let writing to a closed pipe or socket be an error again, as Python has it: gmsh lets it end the program.
+
+    From any thread, which :func:`signal.signal` is not made for.
+    """
+    if hasattr(signal, "SIGPIPE") and signal.getsignal(signal.SIGPIPE) is signal.SIG_IGN:
+        set_handler = ctypes.pythonapi.PyOS_setsig
+        set_handler.argtypes, set_handler.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
+        set_handler(signal.SIGPIPE, int(signal.SIG_IGN))
+
+
+@contextmanager
+def gmsh_session() -> Iterator[ModuleType]:
+    """gmsh, started with its own defaults and shut down on leaving, error or not.
+
+    gmsh is one global session with global options: starting it for every mesh is what keeps one mesh from changing the
+    next.
+
+    Raises:
+        MeshError: gmsh is not installed, or a session is open already.
+    """
+    try:
+        import gmsh
+    except (ImportError, OSError) as error:
+        raise MeshError(f"meshing needs gmsh and its system libraries: {error}") from error
+    with _TURN:
+        if gmsh.isInitialized():
+            raise MeshError("a gmsh session is open already; close it before meshing a section")
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        _keep_broken_pipes_errors()
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            yield gmsh
+        finally:
+            gmsh.finalize()
 
 
 def freely(

@@ -1,9 +1,9 @@
-"""From a section to a mesh: structured quadrilaterals with named regions and boundaries. The only place that runs gmsh.
+"""From a section of rectangles to a mesh: structured quadrilaterals with named regions and boundaries.
 
 The section is cut by every break in r and z into a tensor grid of rectangles, so neighbouring regions share their nodes
-by construction. Each interval between two breaks is divided into panels of elements in geometric progression; each
-rectangle of panels is one transfinite, recombined surface of gmsh. Quadrilaterals with straight sides describe such a
-section exactly, so the mesh has first-order geometry whatever the order of the fields on it.
+by construction. Each interval between two breaks is divided into panels of elements in geometric progression.
+Quadrilaterals with straight sides describe such a section exactly, so the mesh has first-order geometry whatever the
+order of the fields on it. Sections of any shape: `geometry.free_mesh`.
 
 Element size: a share of the slowest wavelength at the highest frequency, in every row and in every column that of the
 slowest region in it; smaller towards the corners in which fields are singular.
@@ -11,21 +11,9 @@ slowest region in it; smaller towards the corners in which fields are singular.
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
-import io
-import json
 import math
-import os
-import signal
-import warnings
-import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from threading import RLock
-from types import ModuleType
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import skfem
@@ -38,10 +26,6 @@ from geometry.panels import Panel, divided
 from geometry.quads import measures, numbering
 from geometry.section import VOID, Section, boundary_name
 from workbench.files.errors import InputError, nearest_names
-from workbench.files.writing import replacing
-
-#: Part of the key of a cached mesh: raise it whenever the same section and size would give another mesh.
-CACHE_VERSION = 2
 
 #: Agreement demanded between a region of the mesh and the section's own arithmetic, relative. Rounding accumulates to
 #: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
@@ -113,79 +97,14 @@ def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float]
     return counts
 
 
-def mesh_section(section: Section, size: MeshSize, *, cache: Path | None = None) -> SectionMesh:
+def mesh_section(section: Section, size: MeshSize) -> SectionMesh:
     """The mesh of `section`, as fine as `size` asks for.
-
-    With a `cache` folder (:func:`user_cache` is the usual one) a mesh made before is read instead of made again. A
-    damaged file there is reported by a warning and replaced.
 
     Raises:
         InputError: no speed is given for a region of the section.
-        MeshError: gmsh is in use already, or its mesh is not the section.
+        MeshError: the mesh is not the section.
     """
-    if cache is None:
-        return _named(_generate(section, size), section, size.order)
-    path = cache / f"{_content_key(section, size)}.npz"
-    if path.is_file():
-        try:
-            return _named(_load(path), section, size.order)
-        except (OSError, EOFError, ValueError, TypeError, LookupError, zipfile.BadZipFile, MeshError) as error:
-            warnings.warn(f"the cached mesh {path} is damaged ({error!r}); making it again", stacklevel=2)
-    cells = _generate(section, size)
-    mesh = _named(cells, section, size.order)
-    _save(path, cells)
-    return mesh
-
-
-def user_cache() -> Path:
-    """The folder for meshes of this user: below ``$XDG_CACHE_HOME``, or ``~/.cache``."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "acoustofluidic-chip-workbench" / "meshes"
-
-
-#: gmsh is one session for the whole process: threads take turns.
-_TURN = RLock()
-
-
-def _keep_broken_pipes_errors() -> None:
-    """Let writing to a closed pipe or socket be an error again, as Python has it: gmsh lets it end the program.
-
-    From any thread, which :func:`signal.signal` is not made for.
-    """
-    if hasattr(signal, "SIGPIPE") and signal.getsignal(signal.SIGPIPE) is signal.SIG_IGN:
-        set_handler = ctypes.pythonapi.PyOS_setsig
-        set_handler.argtypes, set_handler.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
-        set_handler(signal.SIGPIPE, int(signal.SIG_IGN))
-
-
-@contextmanager
-def gmsh_session() -> Iterator[ModuleType]:
-    """gmsh, started with its own defaults and shut down on leaving, error or not.
-
-    gmsh is one global session with global options: starting it for every mesh is what keeps one mesh from changing the
-    next.
-
-    Raises:
-        MeshError: gmsh is not installed, or a session is open already.
-    """
-    try:
-        import gmsh
-    except (ImportError, OSError) as error:
-        raise MeshError(f"meshing needs gmsh and its system libraries: {error}") from error
-    with _TURN:
-        if gmsh.isInitialized():
-            raise MeshError("a gmsh session is open already; close it before meshing a section")
-        gmsh.initialize(readConfigFiles=False, interruptible=False)
-        _keep_broken_pipes_errors()
-        try:
-            gmsh.option.setNumber("General.Terminal", 0)
-            yield gmsh
-        finally:
-            gmsh.finalize()
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# gmsh
+    return _named(_generate(section, size), section, size.order)
 
 
 @dataclass(frozen=True)
@@ -199,98 +118,19 @@ class _Cells:
 
 def _generate(section: Section, size: MeshSize) -> _Cells:
     along_r, along_z = divided(section, size)
-    grid = section.grid()[np.ix_([p.interval for p in along_z], [p.interval for p in along_r])]
-    occupied = [(int(j), int(i)) for j, i in np.argwhere(grid != VOID)]
-    with gmsh_session() as gmsh:
-        surfaces = _transfinite_surfaces(gmsh.model.geo, along_r, along_z, occupied)
-        gmsh.model.geo.synchronize()
-        gmsh.model.mesh.generate(2)
-        tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        blocks = [_quadrilaterals(gmsh.model.mesh, surface) for surface in surfaces]
-    number = np.empty(int(tags.max()) + 1, dtype=np.int64)
-    number[tags.astype(np.int64)] = np.arange(len(tags))
-    cells = number[np.concatenate(blocks)].T
-    region = np.repeat([grid[j, i] for j, i in occupied], [len(block) for block in blocks])
-    r, z = coordinates.reshape(-1, 3)[:, :2].T
-    return _ordered(_on_lines(r, along_r), _on_lines(z, along_z), cells, region)
+    (r, columns), (z, rows) = (_lines(panels) for panels in (along_r, along_z))
+    region = section.grid()[np.ix_(rows, columns)]
+    row, column = np.nonzero(region != VOID)
+    place = row * r.size + column
+    # Along r, then upwards; anticlockwise from bottom left.
+    used, cells = np.unique(np.stack([place, place + 1, place + r.size + 1, place + r.size]), return_inverse=True)
+    return _Cells(np.stack([r[used % r.size], z[used // r.size]]), cells.reshape(4, -1), region[row, column])
 
 
-def _transfinite_surfaces(
-    geo: ModuleType, along_r: list[Panel], along_z: list[Panel], occupied: list[tuple[int, int]]
-) -> list[int]:
-    """One surface of gmsh for every occupied rectangle (row, column) of panels; their tags in that order."""
-    r = [along_r[0].start, *(panel.end for panel in along_r)]
-    z = [along_z[0].start, *(panel.end for panel in along_z)]
-    points: dict[tuple[int, int], int] = {}
-    lines: dict[tuple[tuple[int, int], tuple[int, int]], int] = {}
-
-    def point(j: int, i: int) -> int:
-        if (j, i) not in points:
-            points[j, i] = geo.addPoint(r[i], z[j], 0.0)
-        return points[j, i]
-
-    def line(start: tuple[int, int], end: tuple[int, int], panel: Panel) -> int:
-        if (start, end) not in lines:
-            tag = geo.addLine(point(*start), point(*end))
-            geo.mesh.setTransfiniteCurve(tag, panel.count + 1, "Progression", panel.ratio)
-            lines[start, end] = tag
-        return lines[start, end]
-
-    surfaces = []
-    for j, i in occupied:
-        bottom = line((j, i), (j, i + 1), along_r[i])
-        right = line((j, i + 1), (j + 1, i + 1), along_z[j])
-        top = line((j + 1, i), (j + 1, i + 1), along_r[i])
-        left = line((j, i), (j + 1, i), along_z[j])
-        surface = geo.addPlaneSurface([geo.addCurveLoop([bottom, right, -top, -left])])
-        geo.mesh.setTransfiniteSurface(surface)
-        geo.mesh.setRecombine(2, surface)
-        surfaces.append(surface)
-    return surfaces
-
-
-def _quadrilaterals(mesh: ModuleType, surface: int) -> NDArray[np.int64]:
-    """(m, 4) node tags of the elements on one surface.
-
-    Raises:
-        MeshError: there are none, or some are not quadrilaterals.
-    """
-    four_node_quadrilateral = 3
-    kinds, _, nodes = mesh.getElements(2, surface)
-    if [int(kind) for kind in kinds] != [four_node_quadrilateral]:
-        raise MeshError(f"gmsh filled a rectangle with elements of kinds {list(kinds)}, not with quadrilaterals only")
-    return np.asarray(nodes[0], dtype=np.int64).reshape(-1, 4)
-
-
-def _on_lines(values: NDArray[np.float64], panels: list[Panel]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The coordinates of the grid lines, and the line each of `values` is on.
-
-    gmsh places the nodes of a graded curve by numerical integration; the lines are its nodes without that error.
-
-    Raises:
-        MeshError: a value is further from its line than a hundredth of the distance to the next line.
-    """
+def _lines(panels: Sequence[Panel]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The lines of nodes, and the interval between two breaks that every element lies in."""
     lines = np.concatenate([panels[0].nodes()[:1], *(panel.nodes()[1:] for panel in panels)])
-    index = np.searchsorted(0.5 * (lines[:-1] + lines[1:]), values)
-    if (np.abs(values - lines[index]) > 0.01 * np.diff(lines).min()).any():
-        raise MeshError("gmsh placed nodes off the lines of the section")
-    return lines, index
-
-
-def _ordered(
-    r: tuple[NDArray[np.float64], NDArray[np.int64]],
-    z: tuple[NDArray[np.float64], NDArray[np.int64]],
-    cells: NDArray[np.int64],
-    region: NDArray[np.int64],
-) -> _Cells:
-    """The cells with nodes and cells numbered along r, then upwards, and local nodes anticlockwise from bottom left."""
-    (r_lines, r_index), (z_lines, z_index) = r, z
-    place, node = np.unique(z_index * len(r_lines) + r_index, return_inverse=True)
-    # By its place on the grid a corner is bottom left, bottom right, top left, top right when the four are sorted.
-    corners = np.sort(node[cells], axis=0)[[0, 1, 3, 2]]
-    order = np.argsort(corners[0], kind="stable")
-    points = np.stack([r_lines[place % len(r_lines)], z_lines[place // len(r_lines)]])
-    return _Cells(points, np.ascontiguousarray(corners[:, order]), region[order])
+    return lines, np.repeat([panel.interval for panel in panels], [panel.count for panel in panels])
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -369,29 +209,3 @@ def _check_measures(
         ):
             if not abs(measured - exact) <= tolerance * exact:
                 raise MeshError(f"{quantity} of {region!r} in the mesh is {measured:.12g}, in the section {exact:.12g}")
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# Cache
-
-
-def _content_key(section: Section, size: MeshSize) -> str:
-    content = {
-        "version": CACHE_VERSION,
-        "rectangles": [asdict(rectangle) for rectangle in section.rectangles],
-        "electrodes": [asdict(electrode) for electrode in section.electrodes],
-        # A mapping proxy cannot be deep-copied, as asdict would.
-        "size": asdict(replace(size, slowest_wave=dict(size.slowest_wave), skins=dict(size.skins))),
-    }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _save(path: Path, cells: _Cells) -> None:
-    with replacing(path) as written:
-        np.savez(written, points=cells.points, cells=cells.cells, region=cells.region)
-
-
-def _load(path: Path) -> _Cells:
-    # From bytes: numpy leaves a file it cannot read open.
-    with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-        return _Cells(archive["points"], archive["cells"], archive["region"])

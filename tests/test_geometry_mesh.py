@@ -1,4 +1,4 @@
-"""Section and mesh: names, sizes, volumes, order of nodes, cache, and gmsh's one session."""
+"""Section and mesh: names, sizes, volumes, order of nodes, and gmsh's one session."""
 
 import math
 import os
@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_section import volumes
-from geometry.mesh import MeshError, SectionMesh, elements_per_wavelength, gmsh_session, mesh_section, user_cache
+from geometry.free_faces import gmsh_session
+from geometry.mesh import MeshError, SectionMesh, elements_per_wavelength, mesh_section
 from geometry.mesh_size import MeshSize, refined
 from geometry.section import Section, cut_section
 from workbench.files.errors import InputError
@@ -412,75 +413,20 @@ def test_any_chip_is_meshed_conforming_and_complete(chip: Chip, speed: float, re
 # ---- gmsh's session
 
 
-def test_the_session_refuses_to_nest_and_closes_on_an_error(section: Section) -> None:
-    with pytest.raises(MeshError, match="open already"), gmsh_session():
-        mesh_section(section, SIZE)
+def test_the_session_refuses_to_nest_and_closes_on_an_error() -> None:
+    with pytest.raises(MeshError, match="open already"), gmsh_session(), gmsh_session():
+        pass
     assert not gmsh.isInitialized()
     with pytest.raises(ZeroDivisionError), gmsh_session():
         1 / 0  # noqa: B018
     assert not gmsh.isInitialized()
 
 
-def test_options_of_one_session_do_not_reach_the_next(section: Section, mesh: SectionMesh) -> None:
+def test_options_of_one_session_do_not_reach_the_next() -> None:
     with gmsh_session() as session:
         session.option.setNumber("Mesh.ElementOrder", 2)
-        session.option.setNumber("Mesh.MeshSizeMax", 1e-6)
-    again = mesh_section(section, SIZE)
-    assert np.array_equal(again.mesh.p, mesh.mesh.p)
-    assert np.array_equal(again.mesh.t, mesh.mesh.t)
-
-
-# ---- cache
-
-
-def test_a_mesh_is_read_back_from_the_cache(section: Section, mesh: SectionMesh, tmp_path: Path) -> None:
-    first = mesh_section(section, SIZE, cache=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 1
-    with gmsh_session():  # no session is free, so this mesh can only come from the file
-        second = mesh_section(section, SIZE, cache=tmp_path)
-    for each in (first, second):
-        assert np.array_equal(each.mesh.p, mesh.mesh.p)
-        assert np.array_equal(each.mesh.t, mesh.mesh.t)
-        for name, facets in mesh.mesh.boundaries.items():
-            assert np.array_equal(each.mesh.boundaries[name], facets)
-
-
-def test_another_section_or_size_is_another_file(chip: Chip, section: Section, tmp_path: Path) -> None:
-    mesh_section(section, SIZE, cache=tmp_path)
-    mesh_section(section, replace(SIZE, minimum_through_thickness=3), cache=tmp_path)
-    mesh_section(cut_section(chip.with_dimensions({"bond.thickness": 99e-6})), SIZE, cache=tmp_path)
-    narrow = replace(section.electrodes[0], r_outer=section.r_breaks[1])
-    mesh_section(replace(section, electrodes=(narrow, section.electrodes[1])), SIZE, cache=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 4
-
-
-@pytest.mark.parametrize("damage", ["truncated", "emptied", "changed", "renamed"])
-def test_a_damaged_file_is_reported_and_replaced(
-    section: Section, mesh: SectionMesh, tmp_path: Path, damage: str
-) -> None:
-    mesh_section(section, SIZE, cache=tmp_path)
-    (path,) = tmp_path.iterdir()
-    whole = path.read_bytes()
-    middle = len(whole) // 2
-    if damage == "renamed":
-        with np.load(path) as archive:
-            np.savez(path, nodes=archive["points"])
-    else:
-        cut = {"truncated": whole[:middle], "emptied": b"", "changed": whole[:middle] + b"damage" + whole[middle + 6 :]}
-        path.write_bytes(cut[damage])
-    with pytest.warns(UserWarning, match=f"{path.name} is damaged"):
-        again = mesh_section(section, SIZE, cache=tmp_path)
-    assert np.array_equal(again.mesh.p, mesh.mesh.p)
-    assert path.read_bytes() == whole
-
-
-def test_the_cache_of_the_user_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert user_cache().is_relative_to(tmp_path)
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert user_cache().is_relative_to(tmp_path / "home" / ".cache")
-    assert not user_cache().exists(), "asking for the folder does not make it"
+    with gmsh_session() as session:
+        assert session.option.getNumber("Mesh.ElementOrder") == 1
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a broken pipe is a signal on POSIX systems only")
@@ -488,7 +434,7 @@ def test_a_program_that_has_meshed_outlives_a_broken_pipe() -> None:
     # gmsh sets the handler of the system, here in a thread: a page whose browser is closed would end its server.
     code = """
 import os, threading
-from geometry.mesh import gmsh_session
+from geometry.free_faces import gmsh_session
 
 def mesh():
     with gmsh_session():

@@ -75,7 +75,7 @@ class Bench:
         lines = ["[known]", *(f'"{name}" = "{error}"' for name, error in known.items())]
         path = self.folder / "campaign.toml"
         path.write_text("\n".join([*self.states, *lines]) + "\n")
-        return model(read_campaign(path, materials=[MATERIALS]), accuracy=ACCURACY, cache=self.folder / "cache")
+        return model(read_campaign(path, materials=[MATERIALS]), accuracy=ACCURACY)
 
     def diagnosed(self, known: Mapping[str, str]) -> Diagnosis:
         return diagnose_model(self.model(known))

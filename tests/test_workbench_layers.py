@@ -81,8 +81,8 @@ def test_the_walk_sees_what_there_is_to_see() -> None:
     assert {"workbench.files.errors", "geometry.mesh", "materials.registry", "workbench.physics.term"} <= set(FILES)
     expected = {"geometry.section", "workbench.physics.fluid", "workbench.files.errors"}
     assert expected <= imported("workbench.problem", inside_functions=False)
-    assert "gmsh" in imported("geometry.mesh", inside_functions=True)
-    assert "gmsh" not in imported("geometry.mesh", inside_functions=False)
+    assert "gmsh" in imported("geometry.free_faces", inside_functions=True)
+    assert "gmsh" not in imported("geometry.free_faces", inside_functions=False)
 
 
 @pytest.mark.parametrize("module", FILES)

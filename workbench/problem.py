@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 from geometry.chip import Chip, State
 from geometry.chip_section import chip_section
@@ -200,7 +199,6 @@ def build(
     accuracy: float | Discretisation = ACCURACY,
     skins: Mapping[str, float] | None = None,
     radii: Sequence[float] = (),
-    cache: Path | None = None,
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
 
@@ -217,7 +215,7 @@ def build(
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
-    mesh = shaped(meshed(device.section, size, cache=cache), device.chip)
+    mesh = shaped(meshed(device.section, size), device.chip)
     made = problem(mesh, device.materials, (low, high), name=device.name)
     return replace(made, discretisation=fineness)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +22,14 @@ from workbench.places import areas, mapped
 TORN = 1e-12
 
 
-def meshed(section: Section | FreeSection, size: MeshSize, *, cache: Path | None = None) -> SectionMesh:
-    """The mesh of a section, whichever kind it is: rectangles go to a tensor mesh, the `cache` is for these.
+def meshed(section: Section | FreeSection, size: MeshSize) -> SectionMesh:
+    """The mesh of a section, whichever kind it is: rectangles go to a tensor mesh.
 
     Raises:
         InputError: no speed is given for a region of the section.
         MeshError: the mesh could not be made as the section asks.
     """
-    return mesh_section(section, size, cache=cache) if isinstance(section, Section) else mesh_free(section, size)
+    return mesh_section(section, size) if isinstance(section, Section) else mesh_free(section, size)
 
 
 def coordinates_of(mesh: SectionMesh, chip: Chip) -> NDArray[np.float64] | None:

@@ -10,7 +10,6 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -147,7 +146,6 @@ def simulate(
     tolerance: float = 1e-4,
     drive: Drive | None = None,
     accuracy: float | Discretisation = ACCURACY,
-    mesh_cache: Path | None = None,
     on_point: Callable[[float, complex], None] | None = None,
     known: Mapping[float, complex] | None = None,
     progress: Progress = quiet,
@@ -183,7 +181,7 @@ def simulate(
     frequencies = frequency_grid(chip.band if band is None else band, points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
-    problem = build(device, band=span, accuracy=accuracy, cache=mesh_cache)
+    problem = build(device, band=span, accuracy=accuracy)
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     lap("assembly")
@@ -240,7 +238,6 @@ def snapshot(
     band: tuple[float, float] | None = None,
     drive: Drive | None = None,
     accuracy: float | Discretisation = ACCURACY,
-    mesh_cache: Path | None = None,
     progress: Progress = quiet,
 ) -> Snapshot:
     """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
@@ -252,7 +249,7 @@ def snapshot(
     registry = registry or Registry()
     device = fill(chip, state, registry)
     progress("mesh", 0.0)
-    problem = build(device, band=band, accuracy=accuracy, cache=mesh_cache)
+    problem = build(device, band=band, accuracy=accuracy)
     check_mesh(problem, frequency)
     progress("fields", 0.5)
     operators = assemble(problem.mesh, problem.terms)

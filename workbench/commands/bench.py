@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geometry.chip import read_chip
-from geometry.mesh import user_cache
 from workbench.bench.impedance import impedance
 from workbench.bench.rig import Rig, marker_path
 from workbench.bench.setup import BenchSetup, read_bench
@@ -195,7 +194,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     frequencies = frequency_grid(asked.band, asked.points)
     # What is measured is to be finer than what it is fitted with, and a liquid sticks to its walls.
     problem = with_boundary_layers(
-        build(fill(chip, state, asked.registry), accuracy=asked.accuracy, band=asked.band, cache=user_cache()))
+        build(fill(chip, state, asked.registry), accuracy=asked.accuracy, band=asked.band))
     model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.tolerance)
     solved = model.solve(frequencies, problem.values)
     return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"

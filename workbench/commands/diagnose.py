@@ -6,7 +6,6 @@ import argparse
 import os
 from typing import TYPE_CHECKING
 
-from geometry.mesh import user_cache
 from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
 from workbench.commands.diagnosis_report import print_diagnosis, write_diagnosis_report
 from workbench.commands.terminal import progress_bars
@@ -29,7 +28,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     for state in campaign.states:
         say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
     with progress_bars(console) as show:
-        found = diagnose(campaign, accuracy=accuracy, cache=user_cache(), jobs=jobs, minutes=minutes,
+        found = diagnose(campaign, accuracy=accuracy, jobs=jobs, minutes=minutes,
                          progress=lambda text, share: show(campaign.name, text, share))
         show(campaign.name, "done", 1.0)
     known = contributions(found)

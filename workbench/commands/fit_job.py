@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from geometry.chip import read_chip
-from geometry.mesh import user_cache
 from materials import Registry, save, user_registry
 from materials.kinds import Material
 from materials.versions import check_name
@@ -90,7 +89,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     if settings.gel_thicknesses:
         gel = gel_study(prepared, registry, numbers={e.parameter.name: e.value for e in result.estimates},
                         thicknesses=settings.gel_thicknesses,
-                        accuracy=settings.accuracy, cache=user_cache())
+                        accuracy=settings.accuracy)
     record = {"key": job_key(job, settings), "name": job.name,
               **fit_record(result, prepared, sources, date=date, saved_as=saved_as)}
     if gel:
@@ -143,7 +142,7 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
         parts.append(prepare(
             chip, registry, kind=member.kind, name=member.name, measured=reading.spectrum, state=member.state,
             material=member.material, region=member.region, free=member.free, band=(band[0], band[1]),
-            accuracy=settings.accuracy, cache=user_cache(), check=not settings.force))
+            accuracy=settings.accuracy, check=not settings.force))
         sources.append(source(member.recording, member.chip, findings=[str(f.message) for f in reading.findings]))
     return (parts[0] if len(parts) == 1 and not job.own else together(parts, own=job.own)), tuple(sources)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip, read_chip
-from geometry.mesh import elements_per_wavelength, user_cache
+from geometry.mesh import elements_per_wavelength
 from workbench.commands.asked import Asked, asked_accuracy, asked_model, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench mesh``: the mesh of a chip, and what the accuracies it can be made for are worth."""
     chip = read_chip(options.chip)
     asked, state = asked_model(options, chip), chip.state(options.state).name
-    problem = build(fill(chip, state, asked.registry), band=asked.band, accuracy=asked.accuracy, cache=user_cache())
+    problem = build(fill(chip, state, asked.registry), band=asked.band, accuracy=asked.accuracy)
     made = discretisation(asked.accuracy)
     speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
     counts = elements_per_wavelength(problem.mesh, speeds, asked.band[1])

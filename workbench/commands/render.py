@@ -7,7 +7,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
-from geometry.mesh import user_cache
 from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.states import SIMULATED, simulated, write_fields
 from workbench.commands.terminal import print_line, progress_bars
@@ -30,7 +29,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         raise InputError("command line", "--at", None, "the frequency of the fields")
     with progress_bars(console) as show:
         shot = snapshot(chip, name, asked.at, registry=asked.registry, band=asked.band, drive=asked.drive,
-                        accuracy=asked.accuracy, mesh_cache=user_cache(),
+                        accuracy=asked.accuracy,
                         progress=partial(simulated, show, name))
         show(name, "pictures", SIMULATED)
         paths = [picture.path for picture in draw_state(shot, folder, only=options.field)]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geometry.chip import Chip, read_chip
-from geometry.mesh import user_cache
 from geometry.names import TRANSDUCER
 from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
@@ -44,7 +43,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     if options.points < 2:
         raise InputError("command line", "--points", options.points, "two frequencies or more")
     state = chip.state(options.state).name
-    problem = build(fill(chip, state, asked.registry), band=asked.band, cache=user_cache(),
+    problem = build(fill(chip, state, asked.registry), band=asked.band,
                     accuracy=asked.accuracy)
     baseline = _baseline(problem, options.loss)
     folder = output_folder(options.output)

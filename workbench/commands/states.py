@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 from geometry.chip import Chip
-from geometry.mesh import user_cache
 from workbench.commands.asked import Asked
 from workbench.commands.terminal import Show
 from workbench.discretisation import discretisation
@@ -29,7 +28,7 @@ def run_state(
     return simulate_state(
         chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
         tolerance=asked.tolerance, drive=asked.drive, accuracy=asked.accuracy,
-        mesh_cache=user_cache(), on_point=points.add if points else None, known=points.known if points else None,
+        on_point=points.add if points else None, known=points.known if points else None,
         progress=partial(simulated, show, name),
     )
 

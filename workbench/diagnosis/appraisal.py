@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +34,7 @@ Progress = Callable[[str, float], None]
 
 
 def diagnose(
-    campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY, cache: Path | None = None,
+    campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
     progress: Progress = lambda _text, _share: None, jobs: int = 1, minutes: float | None = None,
 ) -> Diagnosis:
     """Explain the mismatch between the recordings of a campaign and their models, or say what cannot be explained.
@@ -44,7 +43,6 @@ def diagnose(
 
     Args:
         accuracy: of the meshes, see `discretisation`.
-        cache: folder of meshes made before; none are kept if None.
         progress: called with what is done and the share that is.
         jobs: processes that share the work. More than one are begun afresh, so a script that asks for them has to do
             it below ``if __name__ == "__main__":``.
@@ -59,9 +57,9 @@ def diagnose(
     if jobs < 1 or (minutes is not None and not minutes > 0.0):
         raise ValueError(f"{jobs} jobs, minutes {minutes}: expected one job at least, and more than no time")
     with ExitStack() as stack:
-        workers = (stack.enter_context(Workers(jobs - 1, Search.of_campaign, (campaign, accuracy, cache)))
+        workers = (stack.enter_context(Workers(jobs - 1, Search.of_campaign, (campaign, accuracy)))
                    if jobs > 1 else None)
-        made = model(campaign, accuracy=accuracy, cache=cache)
+        made = model(campaign, accuracy=accuracy)
         return diagnose_model(made, progress=progress, workers=workers, minutes=minutes)
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +56,9 @@ class Model:
 
     Known are the numbers that all states share, then what one state adds to them; all of these have a prior.
     ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those over either kind (None without states
-    held out); ``effects`` the hypotheses, whose parameters follow the known ones. Meshes are of that ``accuracy``, kept
-    in the folder ``cache``; they have lines of nodes at the edges of all rims or, if any ``widths`` by name are given,
-    at those of the rims that are so wide.
+    held out); ``effects`` the hypotheses, whose parameters follow the known ones. Meshes are of that ``accuracy``;
+    they have lines of nodes at the edges of all rims or, if any ``widths`` by name are given, at those of the rims that
+    are so wide.
     """
 
     campaign: Campaign
@@ -70,7 +69,6 @@ class Model:
     fitted: Objective
     held_out: Objective | None
     accuracy: float | Discretisation
-    cache: Path | None
     widths: Mapping[str, float]
     _made: list[Model] = field(default_factory=list)
 
@@ -89,7 +87,7 @@ class Model:
                 return known
         # Two are kept: a search looks at one place and goes to the next.
         self._made[:] = [*self._made[-1:],
-                         model(self.campaign, accuracy=self.accuracy, cache=self.cache, widths=wanted)]
+                         model(self.campaign, accuracy=self.accuracy, widths=wanted)]
         return self._made[-1]
 
     @cached_property
@@ -122,7 +120,7 @@ class Model:
 
 
 def model(
-    campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY, cache: Path | None = None,
+    campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
     progress: Callable[[float], None] = lambda _share: None, widths: Mapping[str, float] | None = None,
 ) -> Model:
     """Mesh every state and put known physics and all hypotheses into its problem; see :class:`Model`.
@@ -141,7 +139,7 @@ def model(
         skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
         radii = {integral.beyond * state.chip.layer(integral.place).radius.value for term, integral in integrals
                  if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
-        problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii), cache=cache,
+        problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)
         for effect in hypotheses:
@@ -178,7 +176,7 @@ def model(
     whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
     return Model(campaign, parameters, len(known), hypotheses, whole, whole.of(fitted),
-                 whole.of(held_out) if held_out else None, accuracy, cache, dict(widths or {}))
+                 whole.of(held_out) if held_out else None, accuracy, dict(widths or {}))
 
 
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -91,9 +90,9 @@ class Search:
     _workers: Workers | None = None
 
     @classmethod
-    def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation, cache: Path | None) -> Search:
+    def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation) -> Search:
         """A search for a worker, with its first models."""
-        made = cls(model(campaign, accuracy=accuracy, cache=cache))
+        made = cls(model(campaign, accuracy=accuracy))
         _ = made.models.narrow
         return made
 

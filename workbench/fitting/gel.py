@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -57,7 +56,6 @@ def gel_study(
     numbers: Mapping[str, float],
     thicknesses: Sequence[float],
     accuracy: float | Discretisation = ACCURACY,
-    cache: Path | None = None,
 ) -> tuple[GelCase, ...]:
     """Predict the first recording with the fitted `numbers` (by parameter name, SI) and each gel thickness (m).
 
@@ -72,7 +70,7 @@ def gel_study(
     cases = []
     for thickness in thicknesses:
         problem = build(fill(with_gel(chip, thickness), prepared.state, registry), band=recording.problem.band,
-                        accuracy=accuracy, cache=cache)
+                        accuracy=accuracy)
         model = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-4)
         solution = model.solve(frequency, values)
         seen, _, _ = through_bench(np.conj(solution.impedance), solution.omega, bench)

@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +89,6 @@ def prepare(
     free: Sequence[str] = (DEFAULT,),
     band: tuple[float, float] | None = None,
     accuracy: float | Discretisation = ACCURACY,
-    cache: Path | None = None,
     check: bool = True,
 ) -> Prepared:
     """One recording of a chip, ready to be fitted.
@@ -104,7 +102,6 @@ def prepare(
         free: names of parameters (see `parameter.parameters`); "default" stands for those of the kind.
         band: in Hz; the chip's own by default. What of the recording lies in it is fitted.
         accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
-        cache: folder for meshes.
         check: refuse a recording that cannot be of this device.
 
     Raises:
@@ -135,7 +132,7 @@ def prepare(
         check_device(part, chip, filling, name=name)
     meshed_band = (float(part.frequency[0]), float(part.frequency[-1]))
     fine, coarse = (
-        build(device, band=meshed_band, accuracy=mesh, cache=cache)
+        build(device, band=meshed_band, accuracy=mesh)
         for mesh in (discretisation(accuracy), discretisation(accuracy).refined(COARSE)))
     return Prepared(kind, chip, state, freed, (Recording(name, fine, part, chip),),
                     (Recording(name, coarse, part, chip),), parameters(fine, chip, freed.name, wanted))

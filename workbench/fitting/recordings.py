@@ -140,7 +140,6 @@ def fit(
     registry: Registry | None = None,
     accuracy: float | Discretisation = ACCURACY,
     tries: int = 32,
-    cache: Path | None = None,
     progress: Progress | None = None,
 ) -> MaterialFit:
     """Fit a material to the recording of a device.
@@ -157,7 +156,6 @@ def fit(
         registry: where materials are looked up; the package's and the user's own by default.
         accuracy: relative error of Z that the mesh is made for.
         tries: most further descents where the recording stays unexplained.
-        cache: folder for meshes.
 
     Raises:
         InputError: a name that does not exist, too few points, or a recording that cannot be of this device.
@@ -169,7 +167,7 @@ def fit(
     findings = () if isinstance(recording, Spectrum) else tuple(each.message for each in recording.findings)
     name = Path(measured.origin.source).stem or "recording"
     prepared = prepare(chip, registry, kind=kind, name=name, measured=measured, state=state, material=material,
-                       region=region, free=free, band=band, accuracy=accuracy, cache=cache)
+                       region=region, free=free, band=band, accuracy=accuracy)
     result = joint.fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse,
                        starts=material_starts(prepared, registry, starts), tries=tries, progress=progress)
     return MaterialFit(result, prepared, _source(measured, chip, findings))
