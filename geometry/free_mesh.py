@@ -66,7 +66,7 @@ def moved_free(mesh: SectionMesh, section: FreeSection) -> SectionMesh:
     plan = mesh.plan
     if not isinstance(plan, Plan):
         raise MeshError("only the mesh of a section of any shape is moved to another one")
-    layout = laid_out(section, plan.size)
+    layout = laid_out(section, plan.size, plan.layout)
     if (layout.ends, layout.loops, layout.sides, layout.regions) != (
             plan.layout.ends, plan.layout.loops, plan.layout.sides, plan.layout.regions):
         raise MeshError("the section is divided into other faces at these sizes: its mesh cannot be moved there")

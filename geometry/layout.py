@@ -43,7 +43,7 @@ class Layout:
     """The edges of a section, further divided, and how faces are bounded by them.
 
     ``loops`` holds the loops of every face, ``sides`` of those with four sides these, bottom and top in one direction
-    and left and right in one.
+    and left and right in one. ``levels`` are the edges that were divided at a level that was asked for, and the shares.
     """
 
     edges: list[Arc]
@@ -52,6 +52,7 @@ class Layout:
     regions: list[str]
     loops: list[list[list[Directed]]]
     sides: dict[int, list[list[Directed]]] = field(default_factory=dict)
+    levels: list[tuple[int, float]] = field(default_factory=list)
 
     def arc(self, directed: Directed) -> Arc:
         number, forwards = directed
@@ -106,7 +107,13 @@ class Layout:
 # Sides
 
 
-def laid_out(section: FreeSection, size: MeshSize) -> Layout:
+def laid_out(section: FreeSection, size: MeshSize, like: Layout | None = None) -> Layout:
+    """The edges of a section, divided where electrodes end, at the levels that are asked for, and where opposite sides
+    are. Levels are at the shares of edges that they have in a layout that this one should be `like`.
+
+    Raises:
+        MeshError: sides divide each other without an end.
+    """
     layout = Layout(list(section.edges), list(section.ends), list(section.points),
                      [face.region for face in section.faces],
                      [[list(loop) for loop in face.loops] for face in section.faces])
@@ -118,9 +125,14 @@ def laid_out(section: FreeSection, size: MeshSize) -> Layout:
     for electrode in section.electrodes:
         for radius in (electrode.r_inner, electrode.r_outer):
             _break(layout, TRANSDUCER, 0, radius)
-    for height in size.levels:
-        for region in dict.fromkeys(layout.regions):
-            _break(layout, region, 1, height)
+    if like is None:
+        for height in size.levels:
+            for region in dict.fromkeys(layout.regions):
+                layout.levels += _break(layout, region, 1, height)
+    else:
+        for edge, share in like.levels:
+            layout.split(edge, share)
+        layout.levels = list(like.levels)
     for _ in range(MOST_ROUNDS):
         # Every face is looked at in every round.
         changed = [_matched(layout, one, other) for sides in layout.sides.values()
@@ -134,9 +146,10 @@ def _reversed(side: Sequence[Directed]) -> list[Directed]:
     return [(number, not forwards) for number, forwards in reversed(side)]
 
 
-def _break(layout: Layout, region: str, axis: int, value: float) -> None:
-    """Divide the edges of a region's faces with four sides that run along a coordinate (0 r, 1 z) where it is `value`.
-    """
+def _break(layout: Layout, region: str, axis: int, value: float) -> list[tuple[int, float]]:
+    """Divide the edges of a region's faces with four sides that run along a coordinate (0 r, 1 z) where it is `value`;
+    which ones, and the shares."""
+    divided = []
     for number, sides in list(layout.sides.items()):
         if layout.regions[number] != region:
             continue
@@ -147,6 +160,8 @@ def _break(layout: Layout, region: str, axis: int, value: float) -> None:
                 share = arc.share_of(axis, value) if (abs(r1 - r0) > abs(z1 - z0)) == (axis == 0) else None
                 if share is not None and min(share, 1.0 - share) * arc.length > SAME_POINT:
                     layout.split(edge, share)
+                    divided.append((edge, share))
+    return divided
 
 
 def _matched(layout: Layout, one: list[Directed], other: list[Directed]) -> bool:
@@ -214,8 +229,7 @@ def _least(layout: Layout, size: MeshSize, edge: int, faces: Sequence[int]) -> i
     least, arc = 1, layout.edges[edge]
     for face in faces:
         sides = layout.sides.get(face)
-        if sides is None or _level(arc) or not any(
-                len(side) == 1 and side[0][0] == edge for side in (sides[0], sides[1], sides[2], sides[3])):
+        if sides is None or _level(arc) or not any(len(side) == 1 and side[0][0] == edge for side in sides):
             continue
         least = max(least, size.minimum_through_thickness)
         if arc.length > 0.25 * size.elements_per_wavelength * size.largest_element(layout.regions[face]):

@@ -85,8 +85,12 @@ def reach(layer: Layer, shape: str) -> Reach:
 
 
 def possible(chip: Chip) -> dict[str, tuple[str, str]]:
-    """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions."""
-    return {f"{layer.region}.{shape}": (layer.region, shape) for layer in chip.layers for shape in SHAPES
+    """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions.
+
+    None of a chip with profiles, which say all of its shape.
+    """
+    layers = () if chip.is_profiled else chip.layers
+    return {f"{layer.region}.{shape}": (layer.region, shape) for layer in layers for shape in SHAPES
             if shape != "draft" or layer.cavity_radius is not None}
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,6 +18,8 @@ from geometry.free_mesh import moved_free
 from geometry.free_section import FreeSection
 from materials.kinds import Fluid
 from materials.registry import Material
+from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.device import model
 from workbench.dimensions import flexible_within
 from workbench.discretisation import Discretisation
 from workbench.files.errors import InputError
@@ -113,3 +117,9 @@ def test_ranges_that_will_not_do(
 ) -> None:
     with pytest.raises(InputError, match=message):
         flexible_within(plain, chip, ranges)
+
+
+def test_a_diagnosis_says_that_it_cannot_move_profiles_yet(small_chip: Chip) -> None:
+    state = SimpleNamespace(chip=pot(small_chip, fillet=0.2e-3))
+    with pytest.raises(InputError, match=r"layers: received 'a profile'; expected a stack of discs"):
+        model(cast(Campaign, SimpleNamespace(states=[state])))

@@ -29,6 +29,11 @@ STATE = "@"
 LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
 
 
+#: What stands behind the name of a layer and is no dimension of it: the factor of density, stiffness and piezoelectric
+#: constants together that a free disc does not show.
+GAUGE = "gauge"
+
+
 class Kind(Enum):
     """What a name is of; ``TERM`` is a number that belongs to no material of the registry, dimension or bench."""
 
@@ -66,7 +71,8 @@ class ParameterName:
             return cls(owner, coefficient, is_loss, Kind.MATERIAL, state)
         owner, _, coefficient = key.rpartition(".")
         # What a layer has is a dimension, whatever its profile calls it; numbers of terms have names of their own.
-        is_dimension = (coefficient in LENGTHS or coefficient in SHAPES or role_of(owner) in ROLES) and not is_loss
+        of_layer = role_of(owner) in ROLES and coefficient != GAUGE
+        is_dimension = (coefficient in LENGTHS or coefficient in SHAPES or of_layer) and not is_loss
         return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_dimension else Kind.TERM, state)
 
     def __str__(self) -> str:

@@ -376,18 +376,21 @@ def lengths(device: Device) -> Iterator[Effect]:
     for name, dimension in known.items():
         parsed = ParameterName.parse(name)
         region, what = parsed.owner, parsed.coefficient
-        if parsed.is_shape or region.startswith(("ports", "electrode")) or (
+        if what in SHAPES or region.startswith(("ports", "electrode")) or (
                 what != "thickness" and name not in device.known):
             continue
-        yield other_than_stated(device, f"{what} of the {region}", region, "geometry",
-                                "a wrong thickness" if what == "thickness" else "a wrong radius",
+        about = "a wrong thickness" if what == "thickness" else "a wrong radius" if parsed.is_radius else (
+            "another size than stated")
+        yield other_than_stated(device, f"{what} of the {region}", region, "geometry", about,
                                 {name: mistaken_length(name, dimension.value)})
 
 
 def mistaken_length(name: str, value: float) -> Admissible:
     """What the dimension ``<region>.<what>`` may be, where a chip's file states `value` (m)."""
     parsed = ParameterName.parse(name)
-    low, high = SPREAD.get(role_of(parsed.owner), MISTAKEN_THICKNESS) if parsed.is_thickness else MISTAKEN_RADIUS
+    low, high = MISTAKEN_THICKNESS if parsed.is_shape else MISTAKEN_RADIUS
+    if parsed.is_thickness:
+        low, high = SPREAD.get(role_of(parsed.owner), MISTAKEN_THICKNESS)
     return Admissible(low * value, high * value, "m", f"{low:g} to {high:g} times what is stated: a mistake that goes "
                       "unnoticed")
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
+from geometry.dimension import SHAPES
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
 from workbench.design.uncertainty import limits
@@ -20,6 +21,7 @@ from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.diagnosis.numbers import DeviceNumbers, unit_of, value_of
 from workbench.dimensions import flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
+from workbench.files.errors import InputError
 from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import (
     BENCH_ELEMENTS,
@@ -126,9 +128,14 @@ def model(
     """Mesh every state and put known physics and all hypotheses into its problem; see :class:`Model`.
 
     Raises:
-        InputError: as `workbench.problem.build`.
+        InputError: as `workbench.problem.build`, or a chip with profiles, whose layers are not yet moved as far as
+            hypotheses want.
         MeshError: a mesh could not be made.
     """
+    for state in campaign.states:
+        if state.chip.is_profiled:
+            raise InputError(state.chip.file, "layers", "a profile", "a stack of discs, with a draft, a barrel, a bow "
+                             "or a dome: a diagnosis moves thicknesses further than the mesh of a profile follows")
     device = Device(campaign.states, campaign.known, campaign.fixed, campaign.registry)
     hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in effects(device))
     problems: list[Problem] = []
@@ -187,7 +194,7 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         found = bench_parameter(name)
         return Parameter(found.name, 0.0, found.low, found.high, error, unit)
     if parsed.kind is Kind.DIMENSION:
-        limit = (mistaken_length(name, value) if not parsed.is_shape else
+        limit = (mistaken_length(name, value) if parsed.coefficient not in SHAPES else
                  mistaken_shape(next(s.chip for s in campaign.states if name in s.chip.dimensions()), name))
         low, high = min(limit.lowest, value - REACH * error), max(limit.highest, value + REACH * error)
         others = campaign.tied.get(name, ())
