@@ -24,6 +24,9 @@ from workbench.files.tables import Table
 #: Dimensions of a layer that its profile can use besides its own parameters.
 OF_LAYER = ("thickness", "radius", "cavity_radius")
 
+#: Names behind that of a layer which are no sizes of a profile.
+TAKEN = ("material", "density", "gauge")
+
 #: A length (m), or the name of one.
 Size = float | str
 
@@ -125,7 +128,7 @@ def read_profile(table: Table) -> Profile:
 def _parameters(table: Table) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
     found, angles = [], set()
     for name in table:
-        if not name.isidentifier() or name in {*OF_LAYER, *SHAPES, "material", "density"}:
+        if not name.isidentifier() or name in {*OF_LAYER, *SHAPES, *TAKEN}:
             raise table.error(name, "a name of letters, digits and underscores that the layer has not itself")
         inner = table.table(name) if isinstance(table.content[name], Mapping) else None
         value = inner.required("value", "a length or an angle with its unit") if inner else table.content[name]

@@ -29,9 +29,9 @@ STATE = "@"
 LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
 
 
-#: What stands behind the name of a layer and is no dimension of it: the factor of density, stiffness and piezoelectric
-#: constants together that a free disc does not show.
-GAUGE = "gauge"
+#: What stands behind the name of a layer and is no dimension of it; ``gauge`` is the factor of density, stiffness and
+#: piezoelectric constants together that a free disc does not show.
+NO_DIMENSION = ("density", "material", "gauge")
 
 
 class Kind(Enum):
@@ -71,7 +71,7 @@ class ParameterName:
             return cls(owner, coefficient, is_loss, Kind.MATERIAL, state)
         owner, _, coefficient = key.rpartition(".")
         # What a layer has is a dimension, whatever its profile calls it; numbers of terms have names of their own.
-        of_layer = role_of(owner) in ROLES and coefficient != GAUGE
+        of_layer = role_of(owner) in ROLES and coefficient not in NO_DIMENSION
         is_dimension = (coefficient in LENGTHS or coefficient in SHAPES or of_layer) and not is_loss
         return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_dimension else Kind.TERM, state)
 
