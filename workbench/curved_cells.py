@@ -88,7 +88,7 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
         left = left[(miss[left] > CLOSE * size) & (np.abs(at[left] - 0.5) < 0.5 + FAR).all(axis=1)]
         if not left.size:
             break
-    at[miss > INSIDE * size] = np.nan
+    at[miss > CLOSE * size] = np.nan
     return at
 
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from geometry.chip import Chip
-from geometry.dimension import SAME_LENGTH
+from geometry.dimension import SAME_LENGTH, SHAPES
 from geometry.mesh import MeshError, SectionMesh
 from geometry.shapes import with_shapes
 from geometry.stretch import Piece, movable, split, tied
@@ -126,7 +126,7 @@ def flexible_within(
                                              if ParameterName.parse(name).kind is Kind.DIMENSION})
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
-        lambda each: each.is_radius, lambda each: each.is_shape, lambda each: each.is_thickness))
+        lambda each: each.is_radius, lambda each: each.coefficient in SHAPES, lambda each: each.is_thickness))
     return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation)
 
 

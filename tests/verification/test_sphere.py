@@ -54,7 +54,7 @@ def half_sphere(order: int) -> Any:
     mesh = skfem.MeshQuad(points, cells).with_subdomains({"cavity": np.arange(3)})
     wall = np.flatnonzero(np.isin(mesh.facets, (4, 5, 6)).all(axis=0))
     mesh = mesh.with_boundaries({"wall": wall})
-    return SimpleNamespace(mesh=mesh, order=order, coordinates=coordinates)
+    return SimpleNamespace(mesh=mesh, order=order, coordinates=coordinates, nodes=coordinates)
 
 
 #: Of the gradient along the wall: what a boundary layer there lives on.
