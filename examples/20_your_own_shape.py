@@ -20,7 +20,7 @@ chip = wb.read_chip(EXAMPLES / "shapes" / "domed_lid.toml")
 print("the lid's own dimensions:", *(name for name in chip.dimensions() if name.startswith("superstrate.")))
 
 run = wb.simulate(chip, "filled", accuracy=5e-3, points=121)
-print(f"cavity {1e9 * run.problem.mesh.section.volume('cavity'):.2f} mm^3; {run.figures}")
+print(f"cavity {1e9 * run.problem.mesh.section.volume('cavity'):.2f} mm^3, f0 {run.figures.f0 / 1e6:.4f} MHz")
 
 # The same drive at the same frequency under a flatter dome.
 flatter = wb.snapshot(chip.with_dimensions({"superstrate.hollow": 0.05e-3}), "filled", run.figures.f0, accuracy=5e-3)

@@ -42,7 +42,7 @@ SAID = {
     "14_study": "soda_lime_glass/en572_2012: f0 1.0462 MHz, -1.4",
     "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
     "15_tolerance": "f0 within 8 kHz: 51.4 % (48.3 to 54.5 %), linear estimate 79 %",
-    "20_your_own_shape": "cavity 43.73 mm^3; f0=10",
+    "20_your_own_shape": "cavity 43.73 mm^3, f0 1.0298 MHz",
 }
 
 
