@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geometry.curves import Arc, Curve
-from geometry.kernel import MILLIMETRES, SolidError, cadquery_module
+from geometry.kernel import MILLIMETRES, cadquery_module
 from geometry.profile import Outline, Profile, Script, Size, StepPart, called
 from workbench.files.errors import InputError, nearest_names
 
@@ -33,7 +33,7 @@ SMALLEST, LARGEST = 0.5, 1000.0
 
 @dataclass(frozen=True)
 class Drawn:
-    """The section of a layer, moved up by ``raised`` (mm), and what of its solid it leaves out ("" for nothing)."""
+    """The section of a layer, and what of its solid it leaves out ("" for nothing)."""
 
     face: Face
     left_out: str = ""
@@ -42,6 +42,15 @@ class Drawn:
 def place(point: Any) -> str:
     """A point of the section as messages show it."""
     return f"r = {point.x:.4g} mm, z = {point.z:.4g} mm"
+
+
+def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
+    """The distance (mm) between two shapes, and the points of the first one where it is so small."""
+    from OCP.BRepExtrema import BRepExtrema_DistShapeShape
+
+    near = BRepExtrema_DistShapeShape(one.wrapped, other.wrapped)
+    points = [near.PointOnShape1(k + 1) for k in range(near.NbSolution())]
+    return near.Value(), [cadquery_module().Vector(point.X(), point.Y(), point.Z()) for point in points]
 
 
 def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str) -> Drawn:
@@ -61,9 +70,7 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
         made = called(where, profile.sizes(sizes), profile.angles)
         drawn = _section(made, profile.asymmetry, str(where.path), where.function)
     else:
-        drawn = _step_section(where, profile.asymmetry)
-    if isinstance(where, StepPart):
-        bottom = 0.0
+        drawn, bottom = _step_section(where, profile.asymmetry), 0.0
     box = drawn.face.BoundingBox()
     if box.xmin < -CLOSE:
         raise InputError(source, field, f"r = {box.xmin:.4g} mm", "no point beyond the axis: r of zero or more")
@@ -127,18 +134,14 @@ def _arc(begin: Any, middle: Any, end: Any, *, source: str, field: str) -> Any:
 
 def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
     """Refuse an outline that meets itself elsewhere than in the corners of neighbours."""
-    from OCP.BRepExtrema import BRepExtrema_DistShapeShape
-
     count = len(edges)
     for i in range(count):
         for j in range(i + 1, count):
-            near = BRepExtrema_DistShapeShape(edges[i].wrapped, edges[j].wrapped)
-            if near.Value() > CLOSE:
+            distance, meeting = closest(edges[i], edges[j])
+            if distance > CLOSE:
                 continue
-            meeting = [near.PointOnShape1(k + 1) for k in range(near.NbSolution())]
             shared = [edges[i].endPoint()] * (j == i + 1) + [edges[j].endPoint()] * ((j + 1) % count == i)
-            for point in meeting:
-                at = cadquery_module().Vector(point.X(), point.Y(), point.Z())
+            for at in meeting:
                 if not any((at - corner).Length < 10.0 * CLOSE for corner in shared):
                     raise InputError(source, field, place(at), f"an outline that does not cross itself: the ways to "
                                      f"points {i} and {j} meet there")
@@ -336,28 +339,14 @@ def curve_of(edge: Any) -> Arc:
 
 
 def face_of(arcs: Iterable[Arc]) -> Face:
-    """The face that lines and parabolas bound (`geometry.curves`)."""
+    """The face that whole lines and parabolas bound (`geometry.curves`), whose poles are those of Bezier curves."""
     cadquery = cadquery_module()
     edges = []
     for arc in arcs:
-        r, z = (MILLIMETRES * each for each in arc.at(_thirds(arc)))
-        points = [cadquery.Vector(float(a), 0.0, float(b)) for a, b in zip(r, z, strict=True)]
-        if len(points) == 2:
-            edges.append(cadquery.Edge.makeLine(*points))
-        else:
-            begin, middle, end = points
-            control = middle * 2.0 - (begin + end) * 0.5
-            edges.append(cadquery.Edge.makeBezier([begin, control, end]))
+        points = [cadquery.Vector(MILLIMETRES * r, 0.0, MILLIMETRES * z) for r, z, _ in arc.curve.poles]
+        edges.append(cadquery.Edge.makeLine(*points) if len(points) == 2 else cadquery.Edge.makeBezier(points))
     face: Face = cadquery.Face.makeFromWires(cadquery.Wire.assembleEdges(edges))
     return face
-
-
-def _thirds(arc: Arc) -> Any:
-    import numpy as np
-
-    if arc.curve.degree > 2:
-        raise SolidError("only lines and parabolas are drawn from curves")
-    return np.array([0.0, 1.0] if arc.is_straight else [0.0, 0.5, 1.0])
 
 
 def directed_edges(face: Any) -> Iterator[list[Any]]:

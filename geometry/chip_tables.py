@@ -81,7 +81,7 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
             z_bottom=bottom if bottom is not None else measured["bottom"] if measured else (
                 layers[-1].z_top if layers else 0.0),
             cavity_radius=(_dimension_or(table, "cavity_radius", measured)
-                           if {"cavity_radius"} & {*table, *measured} else None),
+                           if "cavity_radius" in table or "cavity_radius" in measured else None),
             density=table.optional_quantity("density", "density"),
             profile=profile,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -156,10 +157,10 @@ class Arc:
         inside = np.flatnonzero(apart[1:-1] == 0.0)
         return float(shares[1 + inside[0]]) if inside.size else None
 
-    def _integral(self, integrand: object) -> float:
+    def _integral(self, integrand: Callable[[Real, Real], Real]) -> float:
         knots = self.curve.samples(self.start, self.end)
         points, weights = np.polynomial.legendre.leggauss(8)
         width = np.diff(knots)[:, None]
         t = knots[:-1, None] + 0.5 * width * (1.0 + points)
-        values = integrand(self.curve.at(t), self.curve.slope(t))  # type: ignore[operator]
+        values = integrand(self.curve.at(t), self.curve.slope(t))
         return float(np.sum(0.5 * width * weights * values))

@@ -19,6 +19,7 @@ import numpy as np
 
 from geometry import cad
 from geometry.curves import Arc
+from geometry.dimension import SAME_LENGTH
 from geometry.free_section import Directed, Face, FreeSection
 from geometry.kernel import MILLIMETRES, cadquery_module
 from geometry.names import CAVITY
@@ -72,8 +73,6 @@ def faces_of(drawn: Mapping[str, cad.Drawn], *, walls: Collection[str], source: 
 
 def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
     """Refuse faces that overlap, and those that do not touch what is below."""
-    from OCP.BRepExtrema import BRepExtrema_DistShapeShape
-
     for (one, first), (other, second) in combinations(faces.items(), 2):
         common = [each for each in first.intersect(second).Faces() if each.Area() > cad.SOME]
         if common:
@@ -84,12 +83,10 @@ def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
     names = list(faces)
     for k, name in enumerate(names[1:], start=1):
         below = cadquery_module().Compound.makeCompound([faces[each] for each in names[:k]])
-        near = BRepExtrema_DistShapeShape(faces[name].wrapped, below.wrapped)
-        if near.Value() > cad.CLOSE:
-            point = near.PointOnShape1(1)
-            at = cadquery_module().Vector(point.X(), point.Y(), point.Z())
-            raise InputError(source, f"layer {name}", f"a gap of {near.Value():.4g} mm below it, least at "
-                             f"{cad.place(at)}", "a layer that touches one below it")
+        distance, points = cad.closest(faces[name], below)
+        if distance > cad.CLOSE:
+            raise InputError(source, f"layer {name}", f"a gap of {distance:.4g} mm below it, least at "
+                             f"{cad.place(points[0])}", "a layer that touches one below it")
 
 
 def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], source: str) -> cadquery.Face | None:
@@ -121,15 +118,12 @@ def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], sou
 
 def _opening(faces: Mapping[str, cadquery.Face]) -> str:
     """Where the layers around an open cavity come closest to closing it."""
-    from OCP.BRepExtrema import BRepExtrema_DistShapeShape
-
     found = []
     for (one, first), (other, second) in combinations(faces.items(), 2):
-        near = BRepExtrema_DistShapeShape(first.wrapped, second.wrapped)
-        if near.Value() > cad.CLOSE:
-            point = near.PointOnShape1(1)
-            found.append((near.Value(), f"an opening between {one} and {other}, {near.Value():.4g} mm wide at r = "
-                          f"{point.X():.4g} mm, z = {point.Z():.4g} mm"))
+        distance, points = cad.closest(first, second)
+        if distance > cad.CLOSE:
+            found.append((distance, f"an opening between {one} and {other}, {distance:.4g} mm wide at "
+                          f"{cad.place(points[0])}"))
     return min(found)[1] if found else "no room that the layers enclose"
 
 
@@ -191,7 +185,7 @@ def _corners(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
 
 def _steepest(arc: Arc) -> float:
     """The largest angle (degrees) between a curve and the plane z = 0; none for a line along z."""
-    if arc.is_straight and abs(arc.ends[0][0] - arc.ends[1][0]) < 1e-9:
+    if arc.is_straight and abs(arc.ends[0][0] - arc.ends[1][0]) < SAME_LENGTH:
         return 0.0
     steps = np.abs(np.diff(arc.polyline, axis=1))
     return float(np.degrees(np.arctan2(steps[1], steps[0])).max())
@@ -249,9 +243,9 @@ def _fused(
 
     def point(at: tuple[float, float]) -> int:
         for number, (r, z) in enumerate(points):
-            if math.hypot(r - at[0], z - at[1]) < 1e-9:
+            if math.hypot(r - at[0], z - at[1]) < SAME_LENGTH:
                 return number
-        points.append((0.0 if abs(at[0]) < 1e-9 else at[0], at[1]))
+        points.append((0.0 if abs(at[0]) < SAME_LENGTH else at[0], at[1]))
         return len(points) - 1
 
     def directed(edge: Any) -> Directed:

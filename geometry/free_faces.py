@@ -14,6 +14,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.kernel import MILLIMETRES
 from geometry.layout import Layout, numbers_along
 from geometry.mesh import MeshError
 from geometry.mesh_size import MeshSize
@@ -23,9 +24,6 @@ Integers = NDArray[np.int64]
 
 #: Sides of an element on the rim of a face that turn by less than this (degrees) belong to one smooth line.
 FLAT = 40.0
-
-#: In gmsh lengths are in millimetres: its tolerances are made for such numbers.
-MILLIMETRES = 1e3
 
 
 #: gmsh is one session for the whole process: threads take turns.
@@ -82,7 +80,7 @@ def freely(
 
         def point(number: int) -> int:
             if number not in tags:
-                r, z = MILLIMETRES * points[:, number]
+                r, z = MILLIMETRES * points[:, number]  # the tolerances of gmsh are made for such numbers
                 tags[number] = geo.addPoint(r, z, 0.0)
             return tags[number]
 

@@ -223,11 +223,7 @@ def _facets(layout: Layout, section: FreeSection, made: _Made, mesh: skfem.MeshQ
 
 def _edge_names(layout: Layout, section: FreeSection) -> list[list[str]]:
     """The names of boundaries that every edge lies on, electrodes included."""
-    beside: list[list[int]] = [[] for _ in layout.edges]
-    for face, loops in enumerate(layout.loops):
-        for edge in (edge for loop in loops for edge, _ in loop):
-            beside[edge].append(face)
-    electrodes = under_electrodes(layout, section)
+    beside, electrodes = layout.beside(), under_electrodes(layout, section)
     result = []
     for edge, arc in enumerate(layout.edges):
         (r0, _), (r1, _) = arc.ends

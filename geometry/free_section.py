@@ -18,6 +18,15 @@ from workbench.files.errors import choose
 Directed = tuple[int, bool]
 
 
+def faces_beside(faces: Sequence[Sequence[Sequence[Directed]]], count: int) -> tuple[tuple[int, ...], ...]:
+    """The faces, one or two, on the sides of each of `count` edges, by the loops of every face."""
+    found: list[list[int]] = [[] for _ in range(count)]
+    for number, loops in enumerate(faces):
+        for edge in (edge for loop in loops for edge, _ in loop):
+            found[edge].append(number)
+    return tuple(tuple(each) for each in found)
+
+
 @dataclass(frozen=True)
 class Face:
     """A face of a region: its loops of edges, what they bound to their left; the outer one first."""
@@ -76,12 +85,7 @@ class FreeSection:
     @cached_property
     def beside(self) -> tuple[tuple[int, ...], ...]:
         """The faces, one or two, on the sides of every edge."""
-        found: list[list[int]] = [[] for _ in self.edges]
-        for number, face in enumerate(self.faces):
-            for loop in face.loops:
-                for edge, _ in loop:
-                    found[edge].append(number)
-        return tuple(tuple(each) for each in found)
+        return faces_beside([face.loops for face in self.faces], len(self.edges))
 
     @staticmethod
     def name_of(regions: Sequence[str], *, on_axis: bool) -> str | None:

@@ -5,15 +5,16 @@ What divides one side of a face with four sides divides the opposite one too, fr
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.curves import Arc
+from geometry.dimension import SAME_LENGTH
 from geometry.dissection import four_sides, turned
-from geometry.free_section import Directed, FreeSection
+from geometry.free_section import Directed, FreeSection, faces_beside
 from geometry.mesh import MeshError
 from geometry.mesh_size import MeshSize
 from geometry.names import TRANSDUCER, role_of
@@ -24,9 +25,6 @@ Integers = NDArray[np.int64]
 
 #: Places on a side closer than this share of its length are one.
 SAME_PLACE = 1e-6
-
-#: Points closer than this (m) are one: as `geometry.parts.SAME_LENGTH`.
-SAME_POINT = 1e-9
 
 #: The angle (rad) that the side of an element turns by at most; of one that gmsh makes, before it is cut.
 TURN = math.radians(30.0)
@@ -53,6 +51,15 @@ class Layout:
     loops: list[list[list[Directed]]]
     sides: dict[int, list[list[Directed]]] = field(default_factory=dict)
     levels: list[tuple[int, float]] = field(default_factory=list)
+
+    def beside(self) -> tuple[tuple[int, ...], ...]:
+        """The faces, one or two, on the sides of every edge."""
+        return faces_beside(self.loops, len(self.edges))
+
+    def around_transducer(self) -> Iterator[Directed]:
+        """The edges of the loops of the transducer's faces."""
+        return (each for face, loops in enumerate(self.loops) if self.regions[face] == TRANSDUCER
+                for loop in loops for each in loop)
 
     def arc(self, directed: Directed) -> Arc:
         number, forwards = directed
@@ -158,7 +165,7 @@ def _break(layout: Layout, region: str, axis: int, value: float) -> list[tuple[i
                 arc = layout.edges[edge]
                 (r0, z0), (r1, z1) = arc.ends
                 share = arc.share_of(axis, value) if (abs(r1 - r0) > abs(z1 - z0)) == (axis == 0) else None
-                if share is not None and min(share, 1.0 - share) * arc.length > SAME_POINT:
+                if share is not None and min(share, 1.0 - share) * arc.length > SAME_LENGTH:
                     layout.split(edge, share)
                     divided.append((edge, share))
     return divided
@@ -182,11 +189,7 @@ def _matched(layout: Layout, one: list[Directed], other: list[Directed]) -> bool
 def divisions(layout: Layout, section: FreeSection, size: MeshSize) -> list[Real]:
     """Shares of the way at which every edge is divided, ends included."""
     count = len(layout.edges)
-    beside: list[list[int]] = [[] for _ in range(count)]
-    for face, loops in enumerate(layout.loops):
-        for loop in loops:
-            for edge, _ in loop:
-                beside[edge].append(face)
+    beside = layout.beside()
     limits = {region: size.largest_element(region) for region in set(layout.regions)}
     largest = [min(limits[layout.regions[face]] for face in faces) for faces in beside]
     graded = _graded(layout, section, size)
@@ -283,7 +286,7 @@ def _graded(layout: Layout, section: FreeSection, size: MeshSize) -> dict[tuple[
                     inside[point] = inside.get(point, 0.0) + angle
                 else:
                     wet.add(point)
-                if role_of(region) == COUPLANT and layout.points[point][0] > outer - SAME_POINT:
+                if role_of(region) == COUPLANT and layout.points[point][0] > outer - SAME_LENGTH:
                     rims.add(point)
     found: dict[tuple[int, bool], float] = {}
     for point, angle in inside.items():
@@ -296,7 +299,7 @@ def _graded(layout: Layout, section: FreeSection, size: MeshSize) -> dict[tuple[
     for point in _ends_of_electrodes(layout, section):
         found[point, True] = size.corner_refinement**3
         # All along that face the rows beside it are thin.
-        level = [other for other, (_, z) in enumerate(layout.points) if abs(z - layout.points[point][1]) < SAME_POINT]
+        level = [other for other, (_, z) in enumerate(layout.points) if abs(z - layout.points[point][1]) < SAME_LENGTH]
         found |= {(other, False): size.corner_refinement**3 for other in level}
     return found
 
@@ -305,8 +308,7 @@ def _ends_of_electrodes(layout: Layout, section: FreeSection) -> set[int]:
     """The points where an electrode ends on a face of the transducer."""
     covered = under_electrodes(layout, section)
     around: dict[int, set[str | None]] = {}
-    for directed in (each for face, loops in enumerate(layout.loops) if layout.regions[face] == TRANSDUCER
-                     for loop in loops for each in loop):
+    for directed in layout.around_transducer():
         arc, edge = layout.arc(directed), directed[0]
         if _level(arc):
             for point in layout.ends[edge]:
@@ -318,20 +320,19 @@ def under_electrodes(layout: Layout, section: FreeSection) -> dict[int, str]:
     """The edges on the faces of the transducer that electrodes cover, and the names of these."""
     highest = max((electrode.z for electrode in section.electrodes), default=0.0)
     found = {}
-    for directed in (each for face, loops in enumerate(layout.loops) if layout.regions[face] == TRANSDUCER
-                     for loop in loops for each in loop):
+    for directed in layout.around_transducer():
         (r0, z0), (r1, z1) = layout.arc(directed).ends
         if abs(z1 - z0) >= abs(r1 - r0):
             continue
         for electrode in section.electrodes:
             # Along the upper face a loop runs towards the axis.
             if (r1 < r0) == (electrode.z == highest) and (
-                    electrode.r_inner - SAME_POINT < min(r0, r1) and max(r0, r1) < electrode.r_outer + SAME_POINT):
+                    electrode.r_inner - SAME_LENGTH < min(r0, r1) and max(r0, r1) < electrode.r_outer + SAME_LENGTH):
                 found[directed[0]] = electrode.name
     # What lies inside the transducer is a cut of its face.
+    beside = layout.beside()
     return {edge: name for edge, name in found.items()
-            if sum(edge in {number for loop in loops for number, _ in loop} for face, loops in enumerate(layout.loops)
-                   if layout.regions[face] == TRANSDUCER) == 1}
+            if [layout.regions[face] for face in beside[edge]].count(TRANSDUCER) == 1}
 
 
 def numbers_along(side: Sequence[Directed], along: Sequence[Integers]) -> Integers:

@@ -135,6 +135,11 @@ class NodalMesh:
                      for line, a, b in zip((self.grid.r, self.grid.z), *self._extent, strict=True))
 
     @cached_property
+    def neighbours(self) -> IntArray:
+        """Of free cells the numbers (M, 4) of those beside them at every side, see `curved_cells.beside`."""
+        return curved_cells.beside(self.points, self.cells)
+
+    @cached_property
     def grid(self) -> Grid:
         """The lines of the cells.
 
@@ -424,8 +429,7 @@ def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     sides :data:`SIDES`; the axis is left out. Cells labelled -1 count as missing.
     """
     if mesh.free:
-        neighbours = curved_cells.beside(mesh.points, mesh.cells)
-        across = np.where(neighbours >= 0, label[neighbours], -1)
+        across = np.where(mesh.neighbours >= 0, label[mesh.neighbours], -1)
         apart = (label[:, None] >= 0) & (across != label[:, None])
         at_axis = mesh.points[:, 0] <= TOLERANCE * mesh.points[:, 0].max()
         every = np.arange(len(mesh.cells))

@@ -39,14 +39,14 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).resolve().parent)]
 
 from measurements import Measurements, measurements, with_json  # noqa: E402
+from support import pot  # noqa: E402
 
 from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER  # noqa: E402
 from geometry.parts import Dimension  # noqa: E402
-from geometry.profile import Corner, Outline, Profile  # noqa: E402
 from geometry.section import Section  # noqa: E402
 from geometry.shapes import Side, sides  # noqa: E402
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric  # noqa: E402
@@ -124,19 +124,6 @@ sound_speed = {{ value = {water["c"]}, unit = "m/s" }}
     states = tuple(replace(state, cavity=WATER, temperature=None) if state.cavity == "water" else state
                    for state in chip.states)
     return replace(chip, states=states), Registry((folder,))
-
-
-def rounded(chip: Chip, fillet: float) -> Chip:
-    """The chip with substrate and sidewall in one piece, and a fillet (m) between floor and wall of its cavity."""
-    floor, wall = chip.layer("substrate"), chip.layer("sidewall")
-    ends = (("radius", 0.0), ("radius", "thickness"), ("cavity_radius", "thickness"))
-    corners = (Corner((0.0, 0.0)), *map(Corner, ends), Corner(("cavity_radius", "floor"), fillet),
-               Corner((0.0, "floor")))
-    profile = Profile(Outline(corners), (("floor", floor.thickness),))
-    printed = replace(floor, thickness=Dimension(floor.thickness.value + wall.thickness.value),
-                      cavity_radius=wall.cavity_radius, profile=profile)
-    layers = [printed if layer is floor else layer for layer in chip.layers if layer is not wall]
-    return replace(chip, layers=tuple(layers), ports=None)
 
 
 def rms(spectrum: Spectrum, other: Spectrum) -> float:
@@ -475,7 +462,7 @@ def measure(options: argparse.Namespace, kept: Measurements) -> None:
         for state in options.states:
             runs = {"NGSolve": alone(by_ngsolve, chip, registry, state, settings)}
             if not options.no_workbench:
-                own = rounded(chip, settings.fillet) if settings.fillet else chip
+                own = pot(chip, fillet=settings.fillet) if settings.fillet else chip
                 runs["workbench"] = alone(by_workbench, own, registry, state, options.accuracy)
             other = runs["NGSolve"].spectrum if options.draft or options.fillet else reference(state)
             for program, run in runs.items():
