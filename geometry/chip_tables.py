@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, read_dimension
 from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
 from geometry.profile import StepPart, read_profile
@@ -12,18 +12,6 @@ from workbench.files.errors import InputError, choose
 from workbench.files.tables import Table
 
 _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "cavity_radius", "bottom", "profile", *SHAPES)
-
-
-def read_dimension(table: Table, key: str, kind: str = "length") -> Dimension:
-    """``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
-    example = {"length": "2.02 mm", "angle": "3 deg"}[kind]
-    if not isinstance(table.required(key, f'{"an" if kind == "angle" else "a"} {kind} with its unit, for example '
-                                          f'"{example}"'), dict):
-        return Dimension(table.quantity(key, kind))
-    inner = table.table(key).only(("value", "tolerance", "assumed", "note"))
-    assumed = inner.flag("assumed")
-    return Dimension(_quantity(inner, "value", kind), inner.optional_quantity("tolerance", kind), assumed,
-                     inner.text("note", ""))
 
 
 def read_text(table: Table, key: str) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from workbench.files.tables import Table
+
 #: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
 SAME_LENGTH = 1e-9
 
@@ -30,3 +32,16 @@ class Dimension:
 def millimetres(length: float) -> str:
     """A length (metres) as messages show it."""
     return f"{1e3 * length:.6g} mm"
+
+
+def read_dimension(table: Table, key: str, kind: str = "length") -> Dimension:
+    """``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
+    example = {"length": "2.02 mm", "angle": "3 deg"}[kind]
+    if not isinstance(table.required(key, f'{"an" if kind == "angle" else "a"} {kind} with its unit, for example '
+                                          f'"{example}"'), dict):
+        return Dimension(table.quantity(key, kind))
+    inner = table.table(key).only(("value", "tolerance", "assumed", "note"))
+    assumed = inner.flag("assumed")
+    inner.required("value", f"a {kind} with its unit")
+    return Dimension(inner.quantity("value", kind), inner.optional_quantity("tolerance", kind), assumed,
+                     inner.text("note", ""))

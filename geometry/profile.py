@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from geometry.dimension import SHAPES, Dimension
+from geometry.dimension import SHAPES, Dimension, read_dimension
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
@@ -134,12 +134,7 @@ def _parameters(table: Table) -> tuple[tuple[tuple[str, Dimension], ...], frozen
         value = inner.required("value", "a length or an angle with its unit") if inner else table.content[name]
         kind = "angle" if isinstance(value, str) and value.strip().endswith(("deg", "rad")) else "length"
         angles |= {name} if kind == "angle" else set()
-        if inner is None:
-            found.append((name, Dimension(table.quantity(name, kind))))
-        else:
-            inner.only(("value", "tolerance", "assumed", "note"))
-            found.append((name, Dimension(inner.quantity("value", kind), inner.optional_quantity("tolerance", kind),
-                                          inner.flag("assumed"), inner.text("note", ""))))
+        found.append((name, read_dimension(table, name, kind)))
     return tuple(found), frozenset(angles)
 
 

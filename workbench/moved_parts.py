@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement, product
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -260,6 +260,36 @@ class Cells:
         return [np.concatenate(group) for group in zip(*found, strict=True)]
 
 
+class Size(Protocol):
+    """A size that moves cells: its name, and its range (m or rad)."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def range(self) -> Range: ...
+
+
+Sized = TypeVar("Sized", bound=Size)
+
+
+def taken_apart(
+    place: str, indices: Integers, moving: NDArray[np.bool_], sizes: Sequence[Sized]
+) -> list[tuple[str, Integers, tuple[Sized, ...]]]:
+    """The parts of a place that the same of some `sizes` move, `moving` (sizes, n) each of its cells or facets (n,).
+
+    Returns:
+        name, cells or facets, and sizes of every part; the place itself where there is one.
+    """
+    patterns = np.unique(moving, axis=1)
+    found = []
+    for pattern in patterns.T:
+        own = tuple(sizes[int(k)] for k in np.flatnonzero(pattern))
+        name = place if patterns.shape[1] == 1 else moved_by(place, (size.name for size in own))
+        found.append((name, indices[(moving == pattern[:, None]).all(axis=0)], own))
+    return found
+
+
 def moved_pieces(mesh: SectionMesh, pieces: Sequence[Piece], meshes: MovedMeshes) -> tuple[
         SectionMesh, list[tuple[Piece, tuple[Shape, ...]]]]:
     """Pieces of a region taken apart further by the shapes that move their cells; the mesh names all of them."""
@@ -267,15 +297,9 @@ def moved_pieces(mesh: SectionMesh, pieces: Sequence[Piece], meshes: MovedMeshes
     found: list[tuple[Piece, tuple[Shape, ...]]] = []
     for piece in pieces:
         indices = np.asarray(regions[piece.name])
-        moving = _moving(meshes, Cells(mesh, indices))
-        patterns = np.unique(moving, axis=1)
-        for pattern in patterns.T:
-            shapes = tuple(meshes.shapes[k] for k in np.flatnonzero(pattern))
-            own = piece
-            if patterns.shape[1] > 1:
-                own = replace(piece, name=moved_by(piece.name, (shape.name for shape in shapes)))
-                regions[own.name] = indices[(moving == pattern[:, None]).all(axis=0)]
-            found.append((own, shapes))
+        for name, own, shapes in taken_apart(piece.name, indices, _moving(meshes, Cells(mesh, indices)), meshes.shapes):
+            regions[name] = own
+            found.append((replace(piece, name=name), shapes))
     return replace(mesh, mesh=mesh.mesh.with_subdomains(regions)), found
 
 
@@ -307,16 +331,6 @@ def _moving(meshes: MovedMeshes, cells: Cells) -> NDArray[np.bool_]:
         assert after is not None
         found.append(np.abs(cells.nodes(after) - before).max(axis=(0, 1)) > 1e-9 * size)
     return np.array(found).reshape(len(found), cells.indices.size)
-
-
-class Size(Protocol):
-    """A size that moves cells: its name, and its range (m or rad)."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def range(self) -> Range: ...
 
 
 class Meshes(Protocol):

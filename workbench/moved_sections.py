@@ -19,10 +19,9 @@ from geometry.chip_section import chip_section
 from geometry.free_mesh import moved_free
 from geometry.free_section import FreeSection
 from geometry.mesh import MeshError, SectionMesh
-from geometry.names import moved_by
 from geometry.stretch import moving_together
 from workbench.files.errors import InputError, choose
-from workbench.moved_parts import Cells, Interpolation, Metric, grid_of
+from workbench.moved_parts import Cells, Interpolation, Metric, grid_of, taken_apart
 from workbench.physics.shaped import Amplitude, Length, Moves
 from workbench.physics.stretched import Part, Stretched
 from workbench.problem import Problem
@@ -149,11 +148,7 @@ def _parts(
         if place in whole:
             touched[:] = touched.any(axis=1, keepdims=True)
         found = []
-        patterns = np.unique(touched, axis=1)
-        for pattern in patterns.T:
-            sizes = [meshes.sizes[k] for k in np.flatnonzero(pattern)]
-            own = indices[(touched == pattern[:, None]).all(axis=0)]
-            name = place if patterns.shape[1] == 1 else moved_by(place, (size.name for size in sizes))
+        for name, own, sizes in taken_apart(place, indices, touched, meshes.sizes):
             places[name] = own
             cells = Cells(mesh, own) if place in regions else Cells.of_facets(mesh, own)
             found.append(Part(name, moves=_moves(meshes, sizes, cells) if sizes else None))

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from workbench.physics.term import ModelError, Values
+from workbench.physics.term import ModelError, Values, WithoutFrequency
 
 Real = NDArray[np.float64]
 
@@ -200,7 +200,7 @@ def _leja(start: float, count: int) -> tuple[float, ...]:
     return tuple(found)
 
 
-class _OfLengths:
+class _OfLengths(WithoutFrequency):
     """A coefficient without frequency that knows its value and all its derivatives at once."""
 
     def at(self, values: Values) -> tuple[float, Mapping[str, float]]:
@@ -212,12 +212,6 @@ class _OfLengths:
 
     def constant_derivative(self, values: Values, name: str) -> complex:
         return complex(self.at(values)[1].get(name, 0.0))
-
-    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
-        return np.full(np.shape(omega), self.constant(values))
-
-    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
-        return np.full(np.shape(omega), self.constant_derivative(values, name))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workbench.physics.shaped import Length, Moves, Ratio, Receding
 from workbench.physics.term import (
@@ -39,6 +38,7 @@ from workbench.physics.term import (
     Radial,
     Term,
     Values,
+    WithoutFrequency,
     parts_by_stretch,
     times,
 )
@@ -108,7 +108,7 @@ def nodes(low: float, high: float) -> tuple[float, ...]:
     return tuple(float(middle + half * each) for each in np.cos(angles))
 
 
-class _OfColumn:
+class _OfColumn(WithoutFrequency):
     """A coefficient that follows the two radii of a column."""
 
     column: Column
@@ -128,12 +128,6 @@ class _OfColumn:
         _, *slopes = self.at(self.column.inner.at(values), self.column.outer.at(values))
         return complex(sum(slope for slope, each in zip(slopes, (self.column.inner, self.column.outer), strict=True)
                            if each.parameter == name))
-
-    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
-        return np.full(np.shape(omega), self.constant(values))
-
-    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
-        return np.full(np.shape(omega), self.constant_derivative(values, name))
 
 
 @dataclass(frozen=True)

@@ -235,6 +235,24 @@ class Constant(Coefficient, Protocol):
         """Its derivative with respect to the complex parameter `name`."""
 
 
+class WithoutFrequency:
+    """What a :class:`Constant` answers as a coefficient, from its value and its derivatives."""
+
+    def constant(self, values: Values) -> complex:
+        """Its value."""
+        raise NotImplementedError
+
+    def constant_derivative(self, values: Values, name: str) -> complex:
+        """Its derivative with respect to the complex parameter `name`."""
+        raise NotImplementedError
+
+    def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
+        return np.full(np.shape(omega), self.constant(values))
+
+    def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
+        return np.full(np.shape(omega), self.constant_derivative(values, name))
+
+
 @dataclass(frozen=True)
 class Times:
     """The product of a coefficient and one that does not depend on frequency."""
