@@ -18,7 +18,7 @@ from geometry.free_section import Directed, FreeSection, faces_beside
 from geometry.mesh import MeshError
 from geometry.mesh_size import MeshSize
 from geometry.names import TRANSDUCER, role_of
-from geometry.panels import COUPLANT, FLUID_ROLES, division
+from geometry.panels import COUPLANT, FLUID_ROLES, apart, division
 
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -41,7 +41,8 @@ class Layout:
     """The edges of a section, further divided, and how faces are bounded by them.
 
     ``loops`` holds the loops of every face, ``sides`` of those with four sides these, bottom and top in one direction
-    and left and right in one. ``levels`` are the edges that were divided at a level that was asked for, and the shares.
+    and left and right in one. ``lines`` are the edges that were divided at a height or radius that was asked for, and
+    the shares.
     """
 
     edges: list[Arc]
@@ -50,7 +51,7 @@ class Layout:
     regions: list[str]
     loops: list[list[list[Directed]]]
     sides: dict[int, list[list[Directed]]] = field(default_factory=dict)
-    levels: list[tuple[int, float]] = field(default_factory=list)
+    lines: list[tuple[int, float]] = field(default_factory=list)
 
     def beside(self) -> tuple[tuple[int, ...], ...]:
         """The faces, one or two, on the sides of every edge."""
@@ -60,6 +61,12 @@ class Layout:
         """The edges of the loops of the transducer's faces."""
         return (each for face, loops in enumerate(self.loops) if self.regions[face] == TRANSDUCER
                 for loop in loops for each in loop)
+
+    def heights(self, region: str) -> tuple[float, float]:
+        """The lowest and the highest z (m) of a region's corners."""
+        found = [self.points[end][1] for face, loops in enumerate(self.loops) if self.regions[face] == region
+                 for loop in loops for edge, _ in loop for end in self.ends[edge]]
+        return min(found), max(found)
 
     def arc(self, directed: Directed) -> Arc:
         number, forwards = directed
@@ -115,8 +122,9 @@ class Layout:
 
 
 def laid_out(section: FreeSection, size: MeshSize, like: Layout | None = None) -> Layout:
-    """The edges of a section, divided where electrodes end, at the levels that are asked for, and where opposite sides
-    are. Levels are at the shares of edges that they have in a layout that this one should be `like`.
+    """The edges of a section, divided where electrodes end, at the levels, skins and radii that are asked for, and
+    where opposite sides are. What is asked for is at the shares of edges that it has in a layout that this one should
+    be `like`.
 
     Raises:
         MeshError: sides divide each other without an end.
@@ -133,13 +141,11 @@ def laid_out(section: FreeSection, size: MeshSize, like: Layout | None = None) -
         for radius in (electrode.r_inner, electrode.r_outer):
             _break(layout, TRANSDUCER, 0, radius)
     if like is None:
-        for height in size.levels:
-            for region in dict.fromkeys(layout.regions):
-                layout.levels += _break(layout, region, 1, height)
+        layout.lines = _lines(layout, size)
     else:
-        for edge, share in like.levels:
+        for edge, share in like.lines:
             layout.split(edge, share)
-        layout.levels = list(like.levels)
+        layout.lines = list(like.lines)
     for _ in range(MOST_ROUNDS):
         # Every face is looked at in every round.
         changed = [_matched(layout, one, other) for sides in layout.sides.values()
@@ -147,6 +153,23 @@ def laid_out(section: FreeSection, size: MeshSize, like: Layout | None = None) -
         if not any(changed):
             return layout
     raise MeshError("the sides of the section's faces divide each other without an end")
+
+
+def _lines(layout: Layout, size: MeshSize) -> list[tuple[int, float]]:
+    """Divide edges at the heights and radii that are asked for; which ones, and the shares."""
+    found = []
+    regions = dict.fromkeys(layout.regions)
+    for height in size.levels:
+        for region in regions:
+            found += _break(layout, region, 1, height)
+    for region, share in size.skins.items():
+        low, high = layout.heights(region)
+        for height in (low + share * (high - low), high - share * (high - low)):
+            found += _break(layout, region, 1, height)
+    for radius in apart(size.radii, sorted({r for r, _ in layout.points})):
+        for region in regions:
+            found += _break(layout, region, 0, radius)
+    return found
 
 
 def _reversed(side: Sequence[Directed]) -> list[Directed]:

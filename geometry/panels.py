@@ -69,7 +69,7 @@ def _panels(
     return panels
 
 
-def _apart(radii: Sequence[float], breaks: Sequence[float]) -> list[float]:
+def apart(radii: Sequence[float], breaks: Sequence[float]) -> list[float]:
     """Those radii that are no closer to a break, or to one before, than elements should be small."""
     least, kept = CLOSEST * breaks[-1], list[float]()
     for radius in sorted(radii):
@@ -173,6 +173,6 @@ def divided(section: Section, size: MeshSize) -> tuple[list[Panel], list[Panel]]
     least = np.maximum(size.minimum_through_thickness, np.where(thick, size.minimum_through_quarter_wave, 1))
     return (
         _panels(section.r_breaks, columns, radii, size=size, minimum=np.ones(len(columns), dtype=int),
-                cuts=_apart(size.radii, section.r_breaks)),
+                cuts=apart(size.radii, section.r_breaks)),
         _panels(section.z_breaks, rows, heights, size=size, minimum=least, cuts=cuts),
     )

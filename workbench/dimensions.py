@@ -122,8 +122,8 @@ def flexible_within(
     """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
     move as far as these say. Of a chip with profiles it is just the dimensions that `ranges` names."""
     if chip.is_profiled:
-        return flexible_free(problem, chip, {name: each for name, each in ranges.items()
-                                             if ParameterName.parse(name).kind is Kind.DIMENSION})
+        sizes = {name: each for name, each in ranges.items() if ParameterName.parse(name).kind is Kind.DIMENSION}
+        return flexible_free(problem, chip, sizes, interpolation=interpolation)
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
         lambda each: each.is_radius, lambda each: each.coefficient in SHAPES, lambda each: each.is_thickness))

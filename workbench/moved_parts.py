@@ -19,7 +19,7 @@ from geometry.shapes import Reach, possible, reach
 from geometry.stretch import Piece
 from workbench.elements import Lagrange
 from workbench.files.errors import InputError
-from workbench.physics.shaped import Amplitude, Grid, Length, Moves, Ratio
+from workbench.physics.shaped import Amplitude, Grid, Length, Moves, Ratio, Scale
 from workbench.places import SIDES, areas, mapped_nodes
 from workbench.shaped_mesh import coordinates_of, shaped
 
@@ -76,8 +76,12 @@ class Shape:
     @property
     def amplitudes(self) -> Range:
         """The range of what points are moved in proportion to, on the mesh as it is."""
-        low, high = (math.tan(each) if self.reach.angle else each for each in self.range)
+        low, high = map(self.scale.of, self.range)
         return low, high
+
+    @property
+    def scale(self) -> Scale:
+        return Scale.TANGENT if self.reach.angle else Scale.PROPORTIONAL
 
 
 def shapes_of(chip: Chip, ranges: Mapping[str, Range]) -> tuple[Shape, ...]:
@@ -124,7 +128,7 @@ class MovedMeshes:
         key = tuple((shape.name, value) for shape, value in sizes.items())
         if key not in self._known:
             values = {shape.name: 0.0 for shape in self.shapes} | {
-                shape.name: math.atan(value) if shape.reach.angle else value for shape, value in sizes.items()}
+                shape.name: shape.scale.size(value) for shape, value in sizes.items()}
             try:
                 self._known[key] = coordinates_of(self.straight, self.chip.with_dimensions(values))
             except InputError:
@@ -152,7 +156,7 @@ class MovedMeshes:
             shapes, amplitudes, strict=True)] for most in (1.0 / LEAST, self.interpolation.followed))
         bounds = self._unfolded(shapes, cells, inner, followed)
         metric = Metric(self, shapes, cells)
-        start = [math.tan(shape.size.nominal) if shape.reach.angle else shape.size.nominal for shape in shapes]
+        start = [shape.scale.of(shape.size.nominal) for shape in shapes]
         grid = grid_of(metric, tuple(bounds), start, tuple(outer), self.chip)
         return Moves(amplitudes, grid, tuple(self.named(dict(zip(shapes, node, strict=True))) for node in grid.nodes),
                      side)
@@ -169,7 +173,7 @@ class MovedMeshes:
             stretched = column if shape.reach.upright else self._thickness(piece.layer)
         if grown == stretched:
             grown = stretched = None
-        return Amplitude(shape.size, shape.reach.angle, grown, stretched)
+        return Amplitude(shape.size, shape.scale, grown, stretched)
 
     def _range(self, shape: Shape, amplitude: Amplitude, most: float) -> Range:
         """What an amplitude can be while its size and the lengths that it follows move within their ranges, and their

@@ -2,12 +2,14 @@
 
 All of them move points of the mesh (`geometry.free_mesh.moved_free`), thicknesses and radii too. What a cell adds
 does not change with its height, so that of all sizes only those count for it that deform it or move it along r; forms
-are interpolated in these (`workbench.physics.shaped`), with as many matrices as the error wants.
+are interpolated in these (`workbench.physics.shaped`), with as many matrices as the error wants. Lengths that stay
+above nothing count by their logarithms, in which thicknesses of a fifth to five times of what is stated are no more
+than a handful of nodes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -19,20 +21,17 @@ from geometry.chip_section import chip_section
 from geometry.free_mesh import moved_free
 from geometry.free_section import FreeSection
 from geometry.mesh import MeshError, SectionMesh
+from geometry.names import LEVEL, PART, whole
 from geometry.stretch import moving_together
 from workbench.files.errors import InputError, choose
-from workbench.moved_parts import Cells, Interpolation, Metric, grid_of, taken_apart
-from workbench.physics.shaped import Amplitude, Length, Moves
+from workbench.moved_parts import TO_ROUNDING, Cells, Interpolation, Metric, grid_of, taken_apart
+from workbench.physics.shaped import Amplitude, Length, Moves, Scale
 from workbench.physics.stretched import Part, Stretched
 from workbench.problem import Problem
 
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Range = tuple[float, float]
-
-#: As elements around a fillet change with it as a whole, each digit takes another node or two. Derivatives lose one or
-#: two of them: 1e-6 left 1.1e-5 of that of Z by a fillet.
-FINE = Interpolation(1e-7)
 
 #: Displacements below this share of the largest one are rounding.
 STILL = 1e-9
@@ -46,6 +45,21 @@ class Sized:
     nominal: float
     range: Range
 
+    @property
+    def scale(self) -> Scale:
+        return Scale.LOGARITHM if self.range[0] > 0.0 else Scale.PROPORTIONAL
+
+    @property
+    def start(self) -> float:
+        """Its size on the mesh, on its scale."""
+        return self.scale.of(self.nominal)
+
+    @property
+    def bounds(self) -> Range:
+        """Its range on its scale."""
+        low, high = map(self.scale.of, self.range)
+        return low, high
+
 
 @dataclass(eq=False)
 class MovedSections:
@@ -55,18 +69,18 @@ class MovedSections:
     mesh: SectionMesh
     chip: Chip
     sizes: tuple[Sized, ...]
-    interpolation: Interpolation = FINE
+    interpolation: Interpolation = TO_ROUNDING
     variants: dict[str, Real] = field(default_factory=dict)
     _known: dict[tuple[tuple[str, float], ...], Real] = field(default_factory=dict)
 
     def at(self, sizes: Mapping[Sized, float]) -> Real:
-        """Coordinates (2, nodes, cells) for other values of some sizes.
+        """Coordinates (2, nodes, cells) for other values of some sizes, on their scales.
 
         Raises:
             InputError: layers do not fit each other any more.
             MeshError: a cell is folded, or the section falls into other faces.
         """
-        changed = {size.name: value for size, value in sizes.items() if value != size.nominal}
+        changed = {size.name: size.scale.size(value) for size, value in sizes.items() if value != size.start}
         key = tuple(sorted(changed.items()))
         if not key:
             assert self.mesh.coordinates is not None
@@ -91,7 +105,7 @@ class MovedSections:
         """Which sizes move which cells, or sides of cells, other than as a whole along z: (sizes, cells)."""
         found = np.zeros((len(self.sizes), cells.indices.size), dtype=bool)
         for number, size in enumerate(self.sizes):
-            for end in size.range:
+            for end in size.bounds:
                 everywhere = self.at({size: end}) - self.at({})
                 shift = cells.nodes(everywhere)
                 shift[1] -= shift[1].mean(axis=0)
@@ -100,7 +114,7 @@ class MovedSections:
 
 
 def flexible_free(
-    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = FINE
+    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = TO_ROUNDING
 ) -> Problem:
     """`problem` of a chip with profiles, with some of its dimensions among the parameters, by name with the range (m or
     rad) that they may move in. Spectra are those of the mesh moved to the new sizes; the mesh itself stays.
@@ -121,14 +135,25 @@ def flexible_free(
     if problem.mesh.section != chip_section(chip):
         raise MeshError(f"the mesh is not of chip {chip.name!r} with its present dimensions")
     meshes = MovedSections(problem.mesh, chip, tuple(sizes), interpolation)
-    for corner in product(*(size.range for size in sizes)) if len(sizes) < 4 else ():
+    for corner in product(*(size.bounds for size in sizes)) if len(sizes) < 4 else ():
         meshes.at(dict(zip(sizes, corner, strict=True)))
     used = dict.fromkeys((i.place, i.facing) for term in problem.terms for i in term.integrals())
-    mesh, parts = _parts(problem.mesh, meshes, list(used))
+    mesh, parts = _parts(_with_sides(problem.mesh, used), meshes, list(used))
     terms = tuple(Stretched(term, tuple((place, parts[place]) for place in dict.fromkeys(
         place for i in term.integrals() for place in (i.place, i.facing) if place)), ()) for term in problem.terms)
     values = {**problem.values, **{size.name: complex(size.nominal) for size in sizes}}
     return replace(problem, mesh=replace(mesh, variants=meshes.variants), terms=terms, values=values)
+
+
+def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMesh:
+    """The mesh that also names those parts of boundaries at :data:`geometry.names.LEVEL` that are `used`: facets that
+    are nearer to lying than to standing."""
+    boundaries = dict(mesh.mesh.boundaries)
+    for place in {place for pair in used for place in pair if place.endswith(f"{PART}{LEVEL}")}:
+        facets = np.asarray(boundaries[whole(place)])
+        across, along = np.abs(np.ptp(mesh.mesh.p[:, mesh.mesh.facets[:, facets]], axis=1))
+        boundaries[place] = facets[along < across]
+    return replace(mesh, mesh=mesh.mesh.with_boundaries(boundaries))
 
 
 def _parts(
@@ -138,14 +163,14 @@ def _parts(
     them."""
     regions, boundaries = dict(mesh.mesh.subdomains), dict(mesh.mesh.boundaries)
     facing = {place: other for place, other in used if other}
-    whole = {*facing, *facing.values()}
+    at_once = {*facing, *facing.values()}
     parts: dict[str, tuple[Part, ...]] = {}
     for place in dict.fromkeys(place for pair in used for place in pair if place):
         places = regions if place in regions else boundaries
         indices = np.asarray(places[place])
         cells = Cells(mesh, indices) if place in regions else Cells.of_facets(mesh, indices)
         touched = meshes.touched(cells)
-        if place in whole:
+        if place in at_once:
             touched[:] = touched.any(axis=1, keepdims=True)
         found = []
         for name, own, sizes in taken_apart(place, indices, touched, meshes.sizes):
@@ -158,7 +183,7 @@ def _parts(
 
 
 def _moves(meshes: MovedSections, sizes: Sequence[Sized], cells: Cells) -> Moves:
-    bounds = tuple(size.range for size in sizes)
-    grid = grid_of(Metric(meshes, sizes, cells), bounds, [size.nominal for size in sizes], bounds, meshes.chip)
+    bounds = tuple(size.bounds for size in sizes)
+    grid = grid_of(Metric(meshes, sizes, cells), bounds, [size.start for size in sizes], bounds, meshes.chip)
     variants = tuple(meshes.named(dict(zip(sizes, node, strict=True))) for node in grid.nodes)
-    return Moves(tuple(Amplitude(Length(size.nominal, size.name)) for size in sizes), grid, variants)
+    return Moves(tuple(Amplitude(Length(size.nominal, size.name), size.scale) for size in sizes), grid, variants)

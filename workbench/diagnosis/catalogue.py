@@ -101,8 +101,33 @@ STEP = 5.0
 
 def effects(device: Device) -> tuple[Effect, ...]:
     """All hypotheses that make sense for a device; none that moves what is fixed."""
-    found = [effect for source in SOURCES for effect in source(device)]
-    return tuple(effect for effect in found if not set(effect.names) & set(device.fixed))
+    return effects_and_others(device)[0]
+
+
+def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """The same, and in words those that would make sense if a layer's outline were no profile."""
+    found, others = [], []
+    for effect in (effect for source in SOURCES for effect in source(device)):
+        profiled = _profiled(device, effect)
+        if set(effect.names) & set(device.fixed):
+            continue
+        if profiled:
+            others.append(f"{effect.name}, which acts on a part of the {profiled}, whose outline is a profile")
+        else:
+            found.append(effect)
+    return tuple(found), tuple(others)
+
+
+def _profiled(device: Device, effect: Effect) -> str:
+    """The layer with a profile that an effect would have to act on a part of, or across; "" for none."""
+    for state in device.states:
+        profiled = {layer.region for layer in state.chip.layers if layer.profile is not None}
+        for integral in (each for term in effect.terms.get(state.name, ()) for each in term.integrals()):
+            across = set(integral.place.split("|")) & set(integral.facing.split("|"))
+            own = {integral.place} if integral.beyond or integral.skin else across
+            for region in own & profiled:
+                return region
+    return ""
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
 from workbench.design.uncertainty import limits
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.catalogue import effects, mistaken_length, mistaken_shape
+from workbench.diagnosis.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.diagnosis.numbers import DeviceNumbers, unit_of, value_of
 from workbench.dimensions import flexible_within
@@ -60,7 +60,7 @@ class Model:
     ``whole`` is the objective over all states, ``fitted`` and ``held_out`` those over either kind (None without states
     held out); ``effects`` the hypotheses, whose parameters follow the known ones. Meshes are of that ``accuracy``;
     they have lines of nodes at the edges of all rims or, if any ``widths`` by name are given, at those of the rims that
-    are so wide.
+    are so wide. ``others`` are hypotheses, in words, that do not fit the shape of a layer.
     """
 
     campaign: Campaign
@@ -72,6 +72,7 @@ class Model:
     held_out: Objective | None
     accuracy: float | Discretisation
     widths: Mapping[str, float]
+    others: tuple[str, ...] = ()
     _made: list[Model] = field(default_factory=list)
 
     def about(self, chosen: Sequence[Effect], x: Real) -> Model:
@@ -128,16 +129,12 @@ def model(
     """Mesh every state and put known physics and all hypotheses into its problem; see :class:`Model`.
 
     Raises:
-        InputError: as `workbench.problem.build`, or a chip with profiles, whose layers are not yet moved as far as
-            hypotheses want.
-        MeshError: a mesh could not be made.
+        InputError: as `workbench.problem.build`, or a layer that cannot have all sizes that are looked at.
+        MeshError: a mesh could not be made, or folds where a size is at an end of its range.
     """
-    for state in campaign.states:
-        if state.chip.is_profiled:
-            raise InputError(state.chip.file, "layers", "a profile", "a stack of discs, with a draft, a barrel, a bow "
-                             "or a dome: a diagnosis moves thicknesses further than the mesh of a profile follows")
     device = Device(campaign.states, campaign.known, campaign.fixed, campaign.registry)
-    hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in effects(device))
+    found, others = effects_and_others(device)
+    hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in found)
     problems: list[Problem] = []
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
@@ -183,7 +180,7 @@ def model(
     whole = Objective(list(recordings.values()), parameters, tolerance=math.inf)
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
     return Model(campaign, parameters, len(known), hypotheses, whole, whole.of(fitted),
-                 whole.of(held_out) if held_out else None, accuracy, dict(widths or {}))
+                 whole.of(held_out) if held_out else None, accuracy, dict(widths or {}), others)
 
 
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:

@@ -222,7 +222,7 @@ class Diagnosis(Shown):
                    for before, after in zip(self.base[count:], self.best[count:], strict=True)]
         result += [f"{name} stands for {' and '.join(others)} too, which are as long."
                    for name, others in self.campaign.tied.items() if name in self.campaign.known]
-        result += [f"Not looked at: {text}." for text in self.found.undone]
+        result += [f"Not looked at: {text}." for text in (*self.model.others, *self.found.undone)]
         return (*result, *refused_steps(self.model.fitted.refusals))
 
     @property

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from functools import cache, cached_property, lru_cache
 from itertools import product
 
@@ -65,13 +66,37 @@ class Ratio:
         return (self.outer.at(values) - self.inner.at(values)) / nominal, slopes
 
 
+class Scale(Enum):
+    """What of a size forms are polynomials in, or nearly so."""
+
+    #: Points move in proportion to the size itself.
+    PROPORTIONAL = "size"
+    #: An angle does by its tangent.
+    TANGENT = "tan size"
+    #: What cells between two faces add goes with the distance of these and with one over it: both are smooth in its
+    #: logarithm, over whatever range.
+    LOGARITHM = "ln size"
+
+    def of(self, size: float) -> float:
+        """What a size (m or rad) is on this scale."""
+        return math.log(size) if self is Scale.LOGARITHM else math.tan(size) if self is Scale.TANGENT else size
+
+    def size(self, value: float) -> float:
+        """The size (m or rad) that is `value` on this scale."""
+        return math.exp(value) if self is Scale.LOGARITHM else math.atan(value) if self is Scale.TANGENT else value
+
+    def slope(self, size: float) -> float:
+        """The derivative of :meth:`of` by the size."""
+        return 1.0 / size if self is Scale.LOGARITHM else 1.0 + math.tan(size) ** 2 if self is Scale.TANGENT else 1.0
+
+
 @dataclass(frozen=True)
 class Amplitude:
-    """The size of a shape as a part of the section sees it: ``size`` (m; rad where it is an ``angle``, of which it is
-    the tangent) times the ratio ``grown`` and over the ratio ``stretched``."""
+    """The size of a shape as a part of the section sees it: ``size`` (m or rad) on its ``scale``, times the ratio
+    ``grown`` and over the ratio ``stretched``."""
 
     size: Length
-    angle: bool = False
+    scale: Scale = Scale.PROPORTIONAL
     grown: Ratio | None = None
     stretched: Ratio | None = None
 
@@ -83,8 +108,8 @@ class Amplitude:
     def at(self, values: Values) -> tuple[float, dict[str, float]]:
         """Its value, and its derivatives by parameters."""
         size = self.size.at(values)
-        value, slopes = (math.tan(size), 1.0 + math.tan(size) ** 2) if self.angle else (size, 1.0)
-        found = {self.size.parameter: slopes} if self.size.parameter else {}
+        value = self.scale.of(size)
+        found = {self.size.parameter: self.scale.slope(size)} if self.size.parameter else {}
         for ratio, power in ((self.grown, 1), (self.stretched, -1)):
             if ratio is not None:
                 factor, by = ratio.at(values)
@@ -130,18 +155,17 @@ class Grid:
         low, high = self.bounds[variable]
         return (value - 0.5 * (low + high)) / (0.5 * (high - low)) if self.degrees[variable] else 0.0
 
-    def polynomials(self, point: tuple[float, ...]) -> tuple[Real, Real]:
-        """The Lagrange polynomials (nodes,) of all nodes at values of the variables, and their slopes (variables,
-        nodes).
-
-        Raises:
-            ModelError: a value outside its limits.
-        """
-        for value, (low, high) in zip(point, self.limits, strict=True):
+    def outside(self, point: tuple[float, ...]) -> int | None:
+        """The first variable that is further outside its limits than it may be."""
+        for variable, (value, (low, high)) in enumerate(zip(point, self.limits, strict=True)):
             further = BEYOND * (high - low) + ROUNDING * max(abs(low), abs(high))
             if not low - further <= value <= high + further:
-                raise ModelError(f"a shape of {value:.4g} (m, or a slope), as the lengths about it have it, is outside "
-                                 f"the range that the model was made for, {low:.4g} to {high:.4g}")
+                return variable
+        return None
+
+    def polynomials(self, point: tuple[float, ...]) -> tuple[Real, Real]:
+        """The Lagrange polynomials (nodes,) of all nodes at values of the variables, and their slopes (variables,
+        nodes)."""
         return _polynomials(self, point)
 
 
@@ -227,8 +251,20 @@ class Node(_OfLengths):
         return tuple(dict.fromkeys(name for each in self.amplitudes for name in each.parameters))
 
     def at(self, values: Values) -> tuple[float, Mapping[str, float]]:
+        """Its value, and its derivatives by parameters.
+
+        Raises:
+            ModelError: a size outside the range that the model was made for.
+        """
         found = [each.at(values) for each in self.amplitudes]
-        polynomials, slopes = self.grid.polynomials(tuple(value for value, _ in found))
+        point = tuple(value for value, _ in found)
+        outside = self.grid.outside(point)
+        if outside is not None:
+            one, scale = self.amplitudes[outside], self.amplitudes[outside].scale
+            size, low, high = map(scale.size, (point[outside], *self.grid.limits[outside]))
+            raise ModelError(f"{one.size.parameter or 'a shape'} of {size:.4g} (m or rad), as the lengths about it have "
+                             f"it, is outside the range that the model was made for, {low:.4g} to {high:.4g}")
+        polynomials, slopes = self.grid.polynomials(point)
         by: dict[str, float] = {}
         for (_, own), slope in zip(found, slopes[:, self.number], strict=True):
             for name, each in own.items():
