@@ -17,6 +17,9 @@ Real = NDArray[np.float64]
 #: Points that a curve is looked at between two of its knots.
 SAMPLES = 9
 
+#: Points and weights of a quadrature between two knots.
+GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(8)
+
 #: A curve whose points lie this close to the chord (m) is a line.
 STRAIGHT = 1e-10
 
@@ -44,8 +47,18 @@ class Curve:
     def _spline(self) -> BSpline:
         return BSpline(np.array(self.knots), np.array(self.poles), self.degree)
 
+    @cached_property
+    def is_line(self) -> bool:
+        """Whether it is a line that is passed at one speed."""
+        return self.degree == 1 and len(self.poles) == 2 and self.poles[0][2] == self.poles[1][2] == 1.0
+
     def at(self, t: Real) -> Real:
         """Points (2, ...) in metres at `t` (...)."""
+        if self.is_line:
+            low, high = self.knots[1], self.knots[2]
+            share = (np.asarray(t, dtype=float) - low) / (high - low)
+            (r0, z0, _), (r1, z1, _) = self.poles
+            return np.stack([r0 * (1.0 - share) + r1 * share, z0 * (1.0 - share) + z1 * share])
         found = self._spline(t)
         return np.moveaxis(found[..., :2] / found[..., 2:], -1, 0)
 
@@ -77,6 +90,11 @@ class Arc:
         return self.curve.at(self.start + np.asarray(share) * (self.end - self.start))
 
     @property
+    def is_line(self) -> bool:
+        """Whether it is a line that is passed at one speed."""
+        return self.curve.is_line
+
+    @cached_property
     def back(self) -> Arc:
         """The same in the other direction."""
         return Arc(self.curve, self.end, self.start)
@@ -159,8 +177,7 @@ class Arc:
 
     def _integral(self, integrand: Callable[[Real, Real], Real]) -> float:
         knots = self.curve.samples(self.start, self.end)
-        points, weights = np.polynomial.legendre.leggauss(8)
         width = np.diff(knots)[:, None]
-        t = knots[:-1, None] + 0.5 * width * (1.0 + points)
+        t = knots[:-1, None] + 0.5 * width * (1.0 + GAUSS)
         values = integrand(self.curve.at(t), self.curve.slope(t))
-        return float(np.sum(0.5 * width * weights * values))
+        return float(np.sum(0.5 * width * WEIGHTS * values))

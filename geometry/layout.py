@@ -89,32 +89,38 @@ class Layout:
                     break
 
     def places(self, side: Sequence[Directed]) -> list[float]:
-        """Where along a side, as shares of its chord, its edges begin and end."""
-        corners = [self.arc(side[0]).ends[0], *(self.arc(each).ends[1] for each in side)]
-        start, along = self._chord(side)
-        return [float(np.dot(np.subtract(corner, start), along)) for corner in corners]
+        """Where along a side its edges begin and end: shares of the way in r if it is more level than steep, else in z.
 
-    def _chord(self, side: Sequence[Directed]) -> tuple[Real, Real]:
-        start, end = np.array(self.arc(side[0]).ends[0]), np.array(self.arc(side[-1]).ends[1])
-        return start, (end - start) / float(np.dot(end - start, end - start))
+        By these, what divides a side divides the opposite one straight above or beside it, whatever shape either has.
+        """
+        corners = [self.points[self.ends[number][0 if forwards else 1]] for number, forwards in side]
+        last, forwards = side[-1]
+        corners.append(self.points[self.ends[last][1 if forwards else 0]])
+        axis, start, length = self._along(side)
+        return [(corner[axis] - start) / length for corner in corners]
+
+    def _along(self, side: Sequence[Directed]) -> tuple[int, float, float]:
+        """The coordinate (0 r, 1 z) that a side runs along, where it begins and how far it goes (m)."""
+        (first, forwards), (last, along) = side[0], side[-1]
+        start = self.points[self.ends[first][0 if forwards else 1]]
+        end = self.points[self.ends[last][1 if along else 0]]
+        axis = 0 if abs(end[0] - start[0]) > abs(end[1] - start[1]) else 1
+        return axis, start[axis], end[axis] - start[axis]
 
     def divide(self, side: Sequence[Directed], place: float) -> None:
         """Divide the edge of a side that reaches across a place."""
         places = self.places(side)
         number = next(k for k in range(len(side)) if places[k] < place < places[k + 1])
-        start, along = self._chord(side)
-        arc, (edge, forwards) = self.arc(side[number]), side[number]
-        low, high = 0.0, 1.0
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            if float(np.dot(arc.at(np.array(middle)) - start, along)) < place:
-                low = middle
-            else:
-                high = middle
-        share = 0.5 * (low + high)
-        if arc.is_straight and arc.curve.degree == 1:
-            share = (place - places[number]) / (places[number + 1] - places[number])
-        self.split(edge, share if forwards else 1.0 - share)
+        axis, start, length = self._along(side)
+        edge, _ = side[number]
+        arc = self.edges[edge]
+        if arc.is_line:
+            share = (start + place * length - arc.ends[0][axis]) / (arc.ends[1][axis] - arc.ends[0][axis])
+        else:
+            found = arc.share_of(axis, start + place * length)
+            assert found is not None
+            share = found
+        self.split(edge, share)
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -14,11 +14,12 @@ from geometry.chip_section import chip_section
 from geometry.curves import Arc, Curve
 from geometry.dimension import Dimension
 from geometry.dissection import four_sides
-from geometry.free_mesh import mesh_free
+from geometry.free_mesh import mesh_free, moved_free
 from geometry.free_section import FreeSection
 from geometry.mesh import MeshError, SectionMesh
 from geometry.mesh_size import MeshSize
 from geometry.parts import ElectrodeDisc, Electrodes
+from geometry.profile import Corner, Outline, Profile
 from geometry.quads import measures, numbering
 
 pytest.importorskip("cadquery")
@@ -151,3 +152,37 @@ def test_curves() -> None:
     first, second = parabola.part(0.0, 0.3), parabola.part(0.3, 1.0)
     assert first.area + second.area == pytest.approx(parabola.area, rel=1e-13)
     assert Arc(Curve.line((0.0, 0.0), (1.0, 2.0))).is_straight
+
+
+def test_lines_of_nodes_are_where_they_are_asked_for_and_go_with_the_layer(small_chip: Chip) -> None:
+    """A skin of the bond and a radius where something may end; both keep their share when sizes change."""
+    chip = pot(small_chip, fillet=0.2e-3)
+    section, skin, radius = section_of(chip), 0.1, 0.9 * chip.layer("bond").radius.value
+    mesh = mesh_free(section, replace(fine(section), skins={"bond": skin}, radii=(radius,)))
+    thicker = chip.with_dimensions({"bond.thickness": 1.3 * chip.layer("bond").thickness.value})
+    like = chip_section(thicker, like=section)
+    assert isinstance(like, FreeSection)
+    for made, own in ((mesh, chip), (moved_free(mesh, like), thicker)):
+        r, z = made.mesh.p[:, made.mesh.t[:, made.mesh.subdomains["bond"]]]
+        layer = own.layer("bond")
+        for height in (skin, 1.0 - skin):
+            level = layer.z_bottom + height * layer.thickness.value
+            on_level, on_face = ((np.abs(z - each) < 1e-12).any(axis=0).sum() for each in (level, layer.z_bottom))
+            assert on_level == 2 * on_face  # cells below it and above
+        assert not ((r.min(axis=0) < radius - 1e-9) & (r.max(axis=0) > radius + 1e-9)).any()
+
+
+def test_columns_stand_upright_below_what_is_oblique(small_chip: Chip) -> None:
+    """A lid with a shallow cone below: what divides its lower face is straight above what divides the layers below."""
+    lid, rim = small_chip.layer("superstrate"), small_chip.layer("sidewall").inner_radius
+    corners = (Corner((0.0, "hollow")), Corner(("rim", 0.0)), Corner(("radius", 0.0)), Corner(("radius", "thickness")),
+               Corner((0.0, "thickness")))
+    profile = Profile(Outline(corners), (("hollow", Dimension(0.05e-3)), ("rim", Dimension(rim))))
+    chip = replace(small_chip, layers=tuple(
+        replace(layer, profile=profile) if layer is lid else layer for layer in small_chip.layers), ports=None)
+    section = section_of(chip)
+    mesh = mesh_free(section, replace(fine(section), radii=(0.6 * rim,)))
+    r, z = mesh.mesh.p[:, np.unique(mesh.mesh.t[:, mesh.mesh.subdomains["superstrate"]])]
+    top = r[np.abs(z - z.max()) < 1e-12]
+    assert top.size > 3
+    assert np.abs(r[:, None] - top).min(axis=1).max() < 1e-12

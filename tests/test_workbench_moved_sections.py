@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -18,8 +16,6 @@ from geometry.free_mesh import moved_free
 from geometry.free_section import FreeSection
 from materials.kinds import Fluid
 from materials.registry import Material
-from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.device import model
 from workbench.dimensions import flexible_within
 from workbench.discretisation import Discretisation
 from workbench.files.errors import InputError
@@ -81,6 +77,18 @@ def test_spectra_are_those_of_the_moved_mesh(
     assert np.abs(ln_z(flexed, sizes) - wanted).max() < 1e-7
 
 
+@pytest.mark.parametrize("thickness", [4e-6, 100e-6])
+def test_a_thickness_may_be_a_fifth_of_what_is_stated_and_five_times(
+    thickness: float, chip: Chip, plain: Problem
+) -> None:
+    """Of a gel of 20 um, which stretches by itself and moves all that is above."""
+    flexed = flexible_within(plain, chip, {"couplant.thickness": (4e-6, 100e-6)})
+    sizes = {"couplant.thickness": thickness}
+    assert np.abs(ln_z(flexed, sizes) - ln_z(moved(plain, chip, sizes))).max() < 1e-7
+    assert {part.name for term in flexed.terms for _, parts in term.parts for part in parts if part.moves} <= {  # type: ignore[attr-defined]
+        "couplant", "couplant|outside"}
+
+
 @pytest.mark.parametrize(("name", "step"), [
     ("substrate.fillet", 1e-6), ("bond.thickness", 1e-7)])
 def test_derivatives_are_those_of_moved_meshes(
@@ -117,9 +125,3 @@ def test_ranges_that_will_not_do(
 ) -> None:
     with pytest.raises(InputError, match=message):
         flexible_within(plain, chip, ranges)
-
-
-def test_a_diagnosis_says_that_it_cannot_move_profiles_yet(small_chip: Chip) -> None:
-    state = SimpleNamespace(chip=pot(small_chip, fillet=0.2e-3))
-    with pytest.raises(InputError, match=r"layers: received 'a profile'; expected a stack of discs"):
-        model(cast(Campaign, SimpleNamespace(states=[state])))

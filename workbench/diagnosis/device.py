@@ -21,7 +21,6 @@ from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.diagnosis.numbers import DeviceNumbers, unit_of, value_of
 from workbench.dimensions import flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
-from workbench.files.errors import InputError
 from workbench.fitting.objective import Objective, Recording
 from workbench.fitting.parameter import (
     BENCH_ELEMENTS,

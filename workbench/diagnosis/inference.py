@@ -426,14 +426,11 @@ class Search:
                  float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
-            held = Likelihood.bare(self.model, self.models.near(
-                hypothesis, found.x, found.errors, held_out=True)).with_patterns(found.x)
-            seen = held.impedances(found.x)
-            # What they add to the evidence, with the optimum of all.
             rounds = 0 if hurried or found.accuracy > INACCURATE else 1
-            every = likelihood.joined(held).settled(hypothesis, found.x, rounds=rounds, limit=HURRIED["limit"])
-            density = every.log_evidence - found.log_evidence
-            self.say("   with all", density, *every.scales, "doubt", every.doubt)
+            density, seen = self.models.predicted(
+                likelihood, found, lambda each: not self.doubts(each.doubt, each.accuracy), rounds=rounds,
+                limit=HURRIED["limit"], places=PLACES if rounds else 1)
+            self.say("   with all", density)
         scores = tuple(ranked(likelihood, found.x, 0.0, found)) if len(hypothesis.effects) < 2 else ()
         self.say("   beside", hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
         beside = () if hypothesis.is_outside else tuple(likelihood.beside(hypothesis, found.x, 0.0, found.accuracy))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from workbench.diagnosis.belief import Belief, multimodal, smallest
 from workbench.diagnosis.descent import LEVELS, Candidate
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.likelihood import Hypothesis, Likelihood
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
 from workbench.fitting.objective import Objective
 from workbench.neighbourhood import TERMS
@@ -121,6 +121,29 @@ class Neighbourhoods:
         reach = {p.name: NEAR * float(error)
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
         return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), widens=False)
+
+    def predicted(
+        self, likelihood: Likelihood, found: Explanation, is_trusted: Callable[[Explanation], bool], *, rounds: int,
+        limit: int, places: int,
+    ) -> tuple[float, list[NDArray[np.complex128]]]:
+        """What the states held out add to the log evidence, with the optimum of all, and their impedances as predicted.
+
+        `likelihood` of those that were fitted, to what was `found`; `rounds` and `limit` as of `Likelihood.settled`.
+        A number that only they have (how thick a gel is that was laid anew) may be far from where it was expected: the
+        models are made again where the optimum of all is, at so many `places` at most, until it `is_trusted`.
+        """
+        hypothesis, every, seen = found.hypothesis, found, list[NDArray[np.complex128]]()
+        for _ in range(places):
+            held = Likelihood.bare(self.model, self.near(
+                hypothesis, every.x, found.errors, held_out=True)).with_patterns(every.x)
+            if seen:
+                likelihood = likelihood.on(self.near(hypothesis, every.x, found.errors)).with_patterns(every.x)
+            else:
+                seen = held.impedances(found.x)
+            every = likelihood.joined(held).settled(hypothesis, every.x, rounds=rounds, limit=limit)
+            if is_trusted(every):
+                break
+        return every.log_evidence - found.log_evidence, seen
 
     def wider(self, hypothesis: Hypothesis, places: Sequence[Real]) -> Objective:
         """The recordings predicted all over what is known, and on the way to a hypothesis as it is at `places` (p,)."""

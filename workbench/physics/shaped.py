@@ -262,8 +262,8 @@ class Node(_OfLengths):
         if outside is not None:
             one, scale = self.amplitudes[outside], self.amplitudes[outside].scale
             size, low, high = map(scale.size, (point[outside], *self.grid.limits[outside]))
-            raise ModelError(f"{one.size.parameter or 'a shape'} of {size:.4g} (m or rad), as the lengths about it have "
-                             f"it, is outside the range that the model was made for, {low:.4g} to {high:.4g}")
+            raise ModelError(f"{one.size.parameter or 'a shape'} of {size:.4g} (m or rad), as the lengths about it "
+                             f"have it, is outside the range that the model was made for, {low:.4g} to {high:.4g}")
         polynomials, slopes = self.grid.polynomials(point)
         by: dict[str, float] = {}
         for (_, own), slope in zip(found, slopes[:, self.number], strict=True):
