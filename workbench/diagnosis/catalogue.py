@@ -45,7 +45,7 @@ from workbench.physics import (
     couplant_shear,
     fluid_temperature,
     loss_laws,
-    missing_couplant,
+    missing_fluid,
     open_bond,
     port_necks,
     surface_load,
@@ -92,6 +92,10 @@ PRINTED = {"substrate", "sidewall"}
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
 
+#: Widths of the ring that a cavity's liquid does not reach, in shares of the cavity's radius; more than the last one
+#: leaves no cavity to work with.
+NOT_FULL = (0.04, 0.1, 0.18, 0.28)
+
 #: Of a joint that has come off, so much is open at most.
 HELD = 0.9
 
@@ -122,6 +126,7 @@ def _profiled(device: Device, effect: Effect) -> str:
     """The layer with a profile that an effect would have to act on a part of, or across; "" for none."""
     for state in device.states:
         profiled = {layer.region for layer in state.chip.layers if layer.profile is not None}
+        profiled |= {CAVITY} if profiled else set()  # what they enclose
         for integral in (each for term in effect.terms.get(state.name, ()) for each in term.integrals()):
             across = set(integral.place.split("|")) & set(integral.facing.split("|"))
             own = {integral.place} if integral.beyond or integral.skin else across
@@ -178,6 +183,18 @@ def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float
         found[f"{fluid.name}.{kind}_slope"] = (above - below) / (2.0 * STEP * here)
         found[f"{fluid.name}.{kind}_bend"] = (above + below - 2.0 * here) / (2.0 * STEP**2 * here)
     return found
+
+
+def meniscus(device: Device) -> Iterator[Effect]:
+    """A cavity that is not full: gas beside its wall, where the ports are."""
+    states = device.filled
+    if not states or states[0].fluid is None:
+        return
+    liquid, air = states[0].fluid, device.load_fluid(AIR)
+    rim = Rim("cavity rim", limit=NOT_FULL[-1], widths=NOT_FULL[:-1])
+    yield with_terms("cavity not full", CAVITY, "geometry", "the liquid does not reach the wall that the ports are in",
+                     states, lambda _: [missing_fluid.MissingFluid(CAVITY, liquid.name, GAPS, rim)],
+                     lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
 
 
 def ports(device: Device) -> Iterator[Effect]:
@@ -271,7 +288,7 @@ def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     if viscous.terms:
         yield viscous
     yield with_terms(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
-                     states, lambda _: [missing_couplant.MissingCouplant(region, fluid.name, GAPS,
+                     states, lambda _: [missing_fluid.MissingFluid(region, fluid.name, GAPS,
                                                                         Rim(f"{region} rim"))],
                      lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
     mixed = bubbles.WoodBubbles(region, fluid.name, f"{region} bubbles")
@@ -433,4 +450,4 @@ def bench(device: Device) -> Iterator[Effect]:
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
-    cavity_fluid, ports, soaked, top, couplant, bonds, joints, solids, lengths, shapes, transducer, bench)
+    cavity_fluid, meniscus, ports, soaked, top, couplant, bonds, joints, solids, lengths, shapes, transducer, bench)

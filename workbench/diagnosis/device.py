@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SHAPES
+from geometry.names import CAVITY
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
 from workbench.design.uncertainty import limits
@@ -140,7 +141,7 @@ def model(
         terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
         integrals = [(term, integral) for term in terms for integral in term.integrals()]
         skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
-        radii = {integral.beyond * state.chip.layer(integral.place).radius.value for term, integral in integrals
+        radii = {integral.beyond * _radius(state.chip, integral.place) for term, integral in integrals
                  if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
         problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
@@ -180,6 +181,13 @@ def model(
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
     return Model(campaign, parameters, len(known), hypotheses, whole, whole.of(fitted),
                  whole.of(held_out) if held_out else None, accuracy, dict(widths or {}), others)
+
+
+def _radius(chip: Chip, region: str) -> float:
+    """The largest radius (m) of a region."""
+    if region == CAVITY:
+        return max(layer.inner_radius for layer in chip.layers if layer.cavity_radius is not None)
+    return chip.layer(region).radius.value
 
 
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:

@@ -221,7 +221,7 @@ def body(values: Values, defects: Values, state: State) -> Body:
         _number(values, f"{GLASS}.shear_modulus")), "superstrate"))
     if state.filling == "filled":
         fluid = content(values, defects, state)
-        boxes.append(Box(0.0, cavity, floor, ceiling, fluid))
+        boxes.append(Box(0.0, defects.get("meniscus.radius", cavity), floor, ceiling, fluid))
         layer = math.sqrt(2.0 * fluid.shear_viscosity / (abs(fluid.density) * omega))
         lines_z += [floor + 2.5 * layer, ceiling - 2.5 * layer, ceiling - CORNER]
         lines_r.append(cavity - 2.5 * layer)

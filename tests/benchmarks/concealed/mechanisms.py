@@ -320,6 +320,12 @@ def disc_dome(rng: np.random.Generator, design: Design, truth: Values) -> Effect
         "transducer.dome": _sign(rng) * min(_log(rng, 1e-7, 9e-6), truth["couplant.thickness"] / 3.0)})
 
 
+def meniscus(rng: np.random.Generator, design: Design, truth: Values) -> Effect:
+    """The liquid ends at a free surface before the wall."""
+    radius = truth["cavity.radius"] * (1.0 - _log(rng, 1e-3, 0.25))
+    return _hidden("cavity not full", "cavity", "geometry", {"meniscus.radius": radius})
+
+
 CATALOGUED: Mapping[str, Draw] = {
     "fluid_absorption": fluid_absorption, "cavity_bubbles": cavity_bubbles, "resonant_bubbles": resonant_bubbles,
     "fluid_temperature": fluid_temperature, "port_necks": port_necks, "gel_bubbles": gel_bubbles,
@@ -344,6 +350,7 @@ OUTSIDE: Mapping[str, Draw] = {
 #: Shapes that the catalogue knows, too; in trials of their own, so that those of a seed stay what they are.
 SHAPES: Mapping[str, Draw] = {
     "wall_draft": wall_draft, "wall_barrel": wall_barrel, "lid_bow": lid_bow, "disc_dome": disc_dome,
+    "meniscus": meniscus,
 }
 #: Effects that say two things of one place, so that one device cannot have both.
 CLASHING = (

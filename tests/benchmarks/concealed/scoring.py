@@ -81,6 +81,8 @@ def true_values(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> dict[str
                     "bubbles.radius": told["cavity.bubble_radius"]}
         case "fluid temperature":
             return {f"{WATER}.temperature_offset": told["temperature.offset"]}
+        case "cavity not full":
+            return {"cavity rim.width": 1.0 - told["meniscus.radius"] / values["cavity.radius"]}
         case "bubbles in the couplant":
             return {"couplant bubbles.void_fraction": told["gel.void_fraction"]}
         case "gel viscosity":

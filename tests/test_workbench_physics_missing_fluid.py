@@ -13,7 +13,7 @@ from geometry.chip import Chip
 from materials.kinds import Fluid, Material
 from materials.registry import Registry
 from workbench.operators import assemble
-from workbench.physics.missing_couplant import HALFWAY, MissingCouplant
+from workbench.physics.missing_fluid import HALFWAY, MissingFluid
 from workbench.physics.rim import Rim
 from workbench.problem import Problem, problem
 from workbench.solve import solve_full
@@ -36,9 +36,9 @@ def outer(base: Problem) -> float:
     return float(mesh.p[0, mesh.t[:, mesh.subdomains["couplant"]]].max())
 
 
-def rimmed(base: Problem, width: complex, rim: Rim | None = None) -> Problem:
-    """`base` with gas over a `width`, as a share of the couplant's radius."""
-    term = MissingCouplant("couplant", "gel", "air", rim or Rim("rim"))
+def rimmed(base: Problem, width: complex, rim: Rim | None = None, region: str = "couplant") -> Problem:
+    """`base` with gas over a `width`, as a share of the region's radius."""
+    term = MissingFluid(region, base.materials[region].name, "air", rim or Rim("rim"))
     return base.with_terms((term,), {WIDTH: width, "air.density": gas().density, "air.sound_speed": gas().sound_speed})
 
 
@@ -46,12 +46,13 @@ def impedance(model: Problem, frequency: NDArray[np.float64]) -> NDArray[np.comp
     return solve_full(assemble(model.mesh, model.terms), frequency, model.values).impedance
 
 
-def test_all_of_it_missing_is_a_couplant_of_gas(filled: Problem) -> None:
+@pytest.mark.parametrize(("region", "effect"), [("couplant", 0.05), ("cavity", 0.01)])
+def test_all_of_it_missing_is_a_region_of_gas(region: str, effect: float, filled: Problem) -> None:
     frequency = np.linspace(310e3, 390e3, 5)
-    lossless = replace(gas(), shear_viscosity=None, name="gel")
-    expected = impedance(problem(filled.mesh, {**filled.materials, "couplant": lossless}, filled.band), frequency)
-    found = impedance(rimmed(filled, 1.0, EVERYWHERE), frequency)
-    assert np.abs(expected / impedance(filled, frequency) - 1.0).max() > 0.05
+    lossless = replace(gas(), shear_viscosity=None, name=filled.materials[region].name)
+    expected = impedance(problem(filled.mesh, {**filled.materials, region: lossless}, filled.band), frequency)
+    found = impedance(rimmed(filled, 1.0, EVERYWHERE, region), frequency)
+    assert np.abs(expected / impedance(filled, frequency) - 1.0).max() > effect
     assert np.abs(found / expected - 1.0).max() < 1e-9
 
 

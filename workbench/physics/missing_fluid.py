@@ -1,7 +1,8 @@
-"""Couplant that does not reach the rim: a ring with gas in its place.
+"""Fluid that does not reach the rim of its region: a ring with gas in its place.
 
-It moves f0 and Z_min by what the loaded area loses, either way; in all states with the couplant, different after each
-mounting, and in no free disc. Half a millimetre of a chip of 25 mm is +0.3 kHz and -0.1 ohm empty.
+A couplant: it moves f0 and Z_min by what the loaded area loses, either way; in all states with the couplant, different
+after each mounting, and in no free disc. Half a millimetre of a chip of 25 mm is +0.3 kHz and -0.1 ohm empty. A cavity
+that is not full, with the gas at the side of its ports all around: the liquid ends at a free surface.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ HALFWAY = 0.3
 
 
 @dataclass(frozen=True)
-class MissingCouplant(Term):
+class MissingFluid(Term):
     """Gas in the place of the fluid beyond the edge of a rim. Of a ring in which the share f of the area is gas,
 
         (1 / rho_f - 1 / rho) / w^2 grad(p) . grad(q) - (1 / K_f - 1 / K) p q,
@@ -29,7 +30,7 @@ class MissingCouplant(Term):
     next to `fluid.Fluid` on the same region. f = 1 is the gas itself, and exact where the mesh has a line of nodes at
     the edge; between two edges the law is one between. With s = 1 it is that of patches that are wide beside the
     layer's thickness: the walls move each patch alike, so that stiffnesses and masses of unit area add, and p is the
-    mean stress. A couplant missing elsewhere than at the rim is another geometry. Parameters ``<rim>.width`` (see
+    mean stress. A fluid missing elsewhere than at the rim is another geometry. Parameters ``<rim>.width`` (see
     `rim.Rim`), ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
     """
 
