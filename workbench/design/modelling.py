@@ -13,7 +13,7 @@ import numpy as np
 from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.design.boxes import Box, Reach, middle, within
-from workbench.design.evaluation import Evaluation
+from workbench.design.evaluation import OF_FIELD, Evaluation
 from workbench.design.goal import TOLERANCE, Goal, Robust
 from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
 from workbench.design.programme import Programme
@@ -71,10 +71,19 @@ class ChipSolver:
     accuracy: float | Discretisation
 
     def model(self, chip: Chip, ranges: Box, progress: Progress | None) -> DesignModel:
+        """As of :class:`Solver`.
+
+        Raises:
+            InputError: the goal has figures of fields, and no chip with these lengths has any.
+        """
         goal = self.goal
-        return design_model(chip, goal.state, ranges, figures=goal.figures, operation=goal.operation,
+        made = design_model(chip, goal.state, ranges, figures=goal.figures, operation=goal.operation,
                             registry=self.registry, band=goal.band, tolerance=goal.search.tolerance, limit=SOLVES,
                             seed=goal.search.seed, progress=progress, accuracy=self.accuracy)
+        of_field = [name for name in goal.figures if name in OF_FIELD]
+        if of_field and made.reason:
+            raise InputError(goal.source, "goal", ", ".join(of_field), f"figures of the impedance: {made.reason}")
+        return made
 
     def full(self, chip: Chip) -> Evaluation:
         goal = self.goal

@@ -16,7 +16,7 @@ from geometry.names import CAVITY
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
 from workbench.design.uncertainty import limits
-from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.campaign import Campaign, DeviceState
 from workbench.diagnosis.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.diagnosis.numbers import DeviceNumbers, unit_of, value_of
@@ -136,13 +136,13 @@ def model(
     found, others = effects_and_others(device)
     hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in found)
     problems: list[Problem] = []
+    asked = {state.name: _lines(state, hypotheses, widths) for state in campaign.states}
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
-        terms = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
-        integrals = [(term, integral) for term in terms for integral in term.integrals()]
-        skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
-        radii = {integral.beyond * _radius(state.chip, integral.place) for term, integral in integrals
-                 if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
+        # States of one chip have one mesh.
+        alike = [asked[each.name] for each in campaign.states if each.device.section == state.device.section]
+        skins = {region: skin for own, _ in alike for region, skin in own.items()}
+        radii = {radius for _, own in alike for radius in own}
         problem = build(state.device, accuracy=accuracy, skins=skins, radii=sorted(radii),
                         band=(float(state.measured.frequency[0]), float(state.measured.frequency[-1])))
         problem = with_boundary_layers(problem)
@@ -181,6 +181,17 @@ def model(
     fitted, held_out = ([s.name for s in states] for states in (campaign.fitted, campaign.held_out))
     return Model(campaign, parameters, len(known), hypotheses, whole, whole.of(fitted),
                  whole.of(held_out) if held_out else None, accuracy, dict(widths or {}), others)
+
+
+def _lines(
+    state: DeviceState, hypotheses: Iterable[Effect], widths: Mapping[str, float] | None
+) -> tuple[dict[str, float], set[float]]:
+    """The skins by region, and the radii (m), at which hypotheses ask for lines of nodes in a state."""
+    integrals = [(term, integral) for effect in hypotheses for term in effect.terms.get(state.name, ())
+                 for integral in term.integrals()]
+    skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
+    return skins, {integral.beyond * _radius(state.chip, integral.place) for term, integral in integrals
+                   if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
 
 
 def _radius(chip: Chip, region: str) -> float:
