@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -28,6 +28,7 @@ from workbench.moved_sections import flexible_free
 from workbench.parameter_names import Kind, ParameterName
 from workbench.physics.shaped import Length, Moves, Ratio
 from workbench.physics.stretched import Column, Part, Rim, Stretched
+from workbench.physics.term import Term
 from workbench.problem import Problem
 from workbench.shaped_mesh import coordinates_of
 
@@ -48,7 +49,7 @@ def thickness(layer: str) -> str:
 def flexible(
     problem: Problem, chip: Chip, radii: Mapping[str, Range] | Sequence[str] = (),
     shapes: Mapping[str, Range] = MappingProxyType({}), *, thicknesses: Mapping[str, Range] = MappingProxyType({}),
-    interpolation: Interpolation = TO_ROUNDING,
+    interpolation: Interpolation = TO_ROUNDING, asides: Collection[Term] = (),
 ) -> Problem:
     """`problem` with ``<layer>.thickness`` (m) of every layer of `chip` among its parameters, and some `radii` (m) and
     `shapes` (m, or rad).
@@ -64,7 +65,8 @@ def flexible(
     Where a layer has a shape, thicknesses may go as far as `thicknesses` (m) say by name, or else a fifth to either
     side: beyond, coefficients raise `ModelError`. A parabola over a radius that moves is another one on the cells: this
     is refused, unless the `interpolation` carries it along. What leaves less than half of a cell, since a layer is thin
-    and what is beside it bent, is extrapolated (`workbench.moved_parts.LEFT`).
+    and what is beside it bent, is extrapolated (`workbench.moved_parts.LEFT`). `asides` are terms that are nothing on
+    the mesh.
 
     Raises:
         InputError: a radius or shape that the chip has not or cannot have, one that is given twice under two of its
@@ -96,38 +98,49 @@ def flexible(
             columns[piece.column] = Column.between(radius(inner), radius(outer), ranges)
         return Part(piece.name, piece.layer, columns[piece.column])
 
-    integrals = {term: term.integrals() for term in problem.terms}
-    used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
-    parts: dict[str, tuple[Part, ...]] = {}
-    if meshes.shapes:
-        mesh, parts = _moved_parts(mesh, pieces, meshes, used, part)
-    else:
-        parts = {place: tuple(part(piece) for piece in pieces[place]) for pair in used for place in pair if place}
-    terms = []
-    for term, found in integrals.items():
-        places = tuple(dict.fromkeys(p for i in found for p in (i.place, i.facing) if p))
-        layers = sorted({each.layer for place in places for each in parts[place]} - {""})
-        terms.append(Stretched(term, tuple((place, parts[place]) for place in places),
-                               tuple((layer, nominal[layer]) for layer in layers)))
+    terms: dict[Term, Term] = {}
+    for group, own in _grouped(problem.terms, asides, meshes):
+        integrals = {term: term.integrals() for term in group}
+        used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
+        parts: dict[str, tuple[Part, ...]] = {}
+        if own.shapes:
+            mesh, parts = _moved_parts(mesh, pieces, own, used, part)
+        else:
+            parts = {place: tuple(part(piece) for piece in pieces[place]) for pair in used for place in pair if place}
+        for term, found in integrals.items():
+            places = tuple(dict.fromkeys(p for i in found for p in (i.place, i.facing) if p))
+            layers = sorted({each.layer for place in places for each in parts[place]} - {""})
+            terms[term] = Stretched(term, tuple((place, parts[place]) for place in places),
+                                    tuple((layer, nominal[layer]) for layer in layers))
     values = {**problem.values, **{thickness(layer): complex(value) for layer, value in nominal.items()},
               **{name: complex(known[name].value) for name in ranges},
               **{each.name: complex(each.size.nominal) for each in meshes.shapes if each.size.parameter}}
-    return replace(problem, mesh=mesh, terms=tuple(terms), values=values)
+    return replace(problem, mesh=mesh, terms=tuple(terms[term] for term in problem.terms), values=values)
 
 
 def flexible_within(
     problem: Problem, chip: Chip, ranges: Mapping[str, Range], *,
-    interpolation: Interpolation = TO_ROUNDING,
+    interpolation: Interpolation = TO_ROUNDING, asides: Collection[Term] = (),
 ) -> Problem:
     """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
     move as far as these say. Of a chip with profiles it is just the dimensions that `ranges` names."""
     if chip.is_profiled:
         sizes = {name: each for name, each in ranges.items() if ParameterName.parse(name).kind is Kind.DIMENSION}
-        return flexible_free(problem, chip, sizes, interpolation=interpolation)
+        return flexible_free(problem, chip, sizes, interpolation=interpolation, asides=asides)
     found = {name: ParameterName.parse(name) for name in ranges}
     radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
         lambda each: each.is_radius, lambda each: each.coefficient in SHAPES, lambda each: each.is_thickness))
-    return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation)
+    return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation, asides=asides)
+
+
+def _grouped(
+    terms: Sequence[Term], asides: Collection[Term], meshes: MovedMeshes
+) -> Iterator[tuple[list[Term], MovedMeshes]]:
+    """Terms with the meshes that their forms are interpolated between: those that are nothing apart."""
+    loose = set(asides) if meshes.shapes else set()
+    yield [term for term in terms if term not in loose], meshes
+    if loose:
+        yield [term for term in terms if term in loose], replace(meshes, interpolation=meshes.interpolation.of_asides)
 
 
 def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],

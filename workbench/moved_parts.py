@@ -49,13 +49,20 @@ class Interpolation:
 
     ``error`` is the largest relative one of what forms are made of, anywhere in a part. What a size is relative to the
     lengths about it is covered while each of these changes by a factor of ``followed`` at most, even where it may move
-    further, and extrapolated beyond. Where ``carried``, a parabola over a radius that moves is carried along with the
-    cells, which is off by the product of both moves; it is refused else.
+    further, and extrapolated beyond. ``aside`` is the error for terms that are nothing on the mesh: what a shape does to
+    them is of second order. Where ``carried``, a parabola over a radius that moves is carried along with the cells,
+    which is off by the product of both moves; it is refused else.
     """
 
     error: float = 1e-8
     followed: float = 1.0 / LEAST
     carried: bool = False
+    aside: float = 0.0
+
+    @property
+    def of_asides(self) -> Interpolation:
+        """The one for terms that are nothing on the mesh."""
+        return replace(self, error=max(self.error, self.aside))
 
 
 #: As far below the errors of meshes and solves as what stretches exactly.

@@ -9,7 +9,7 @@ than a handful of nodes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -27,6 +27,7 @@ from workbench.files.errors import InputError, choose
 from workbench.moved_parts import TO_ROUNDING, Cells, Interpolation, Metric, grid_of, taken_apart
 from workbench.physics.shaped import Amplitude, Length, Moves, Scale
 from workbench.physics.stretched import Part, Stretched
+from workbench.physics.term import Term
 from workbench.problem import Problem
 
 Real = NDArray[np.float64]
@@ -114,10 +115,12 @@ class MovedSections:
 
 
 def flexible_free(
-    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = TO_ROUNDING
+    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = TO_ROUNDING,
+    asides: Collection[Term] = (),
 ) -> Problem:
     """`problem` of a chip with profiles, with some of its dimensions among the parameters, by name with the range (m or
-    rad) that they may move in. Spectra are those of the mesh moved to the new sizes; the mesh itself stays.
+    rad) that they may move in. Spectra are those of the mesh moved to the new sizes; the mesh itself stays. `asides`
+    are terms that are nothing on the mesh.
 
     Raises:
         InputError: a dimension that the chip has not, a range that does not hold its size, or in which layers do not
@@ -137,12 +140,17 @@ def flexible_free(
     meshes = MovedSections(problem.mesh, chip, tuple(sizes), interpolation)
     for corner in product(*(size.bounds for size in sizes)) if len(sizes) < 4 else ():
         meshes.at(dict(zip(sizes, corner, strict=True)))
-    used = dict.fromkeys((i.place, i.facing) for term in problem.terms for i in term.integrals())
-    mesh, parts = _parts(_with_sides(problem.mesh, used), meshes, list(used))
-    terms = tuple(Stretched(term, tuple((place, parts[place]) for place in dict.fromkeys(
-        place for i in term.integrals() for place in (i.place, i.facing) if place)), ()) for term in problem.terms)
+    every, mesh, terms = {term: term.integrals() for term in problem.terms}, problem.mesh, dict[Term, Term]()
+    for own, group in ((meshes, set(every) - set(asides)),
+                       (replace(meshes, interpolation=interpolation.of_asides), set(asides))):
+        integrals = {term: found for term, found in every.items() if term in group}
+        used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
+        mesh, parts = _parts(_with_sides(mesh, used), own, list(used))
+        terms |= {term: Stretched(term, tuple((place, parts[place]) for place in dict.fromkeys(
+            place for i in found for place in (i.place, i.facing) if place)), ()) for term, found in integrals.items()}
     values = {**problem.values, **{size.name: complex(size.nominal) for size in sizes}}
-    return replace(problem, mesh=replace(mesh, variants=meshes.variants), terms=terms, values=values)
+    return replace(problem, mesh=replace(mesh, variants=meshes.variants), values=values,
+                   terms=tuple(terms[term] for term in problem.terms))
 
 
 def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMesh:
