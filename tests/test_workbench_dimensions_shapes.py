@@ -237,3 +237,17 @@ def test_names_of_shapes_are_dimensions(chip: Chip) -> None:
     assert set(RANGES) <= set(known)
     assert known["transducer.dome"] == Dimension(0.0)
     assert chip.with_dimensions({"transducer.dome": 3e-6}).layer("transducer").dome == Dimension(3e-6)
+
+
+def test_terms_that_are_nothing_on_the_mesh_may_follow_shapes_roughly(chip: Chip, problem: Problem) -> None:
+    """What they add is right to the error asked for; without them all is as it was."""
+    shear = next(term for term in problem.terms if isinstance(term, CouplantShear))
+    ranges, sizes = ({name: each[name] for name in ("transducer.dome",)} for each in (RANGES, SIZES))
+    nothing = {**sizes, **{each.name: 0.0 for each in shear.free()}}
+    exact = flexible(problem, chip, (), ranges)
+    rough = flexible(problem, chip, (), ranges, interpolation=Interpolation(aside=0.03), asides=(shear,))
+    assert off(within(rough, nothing), within(exact, nothing)) < 1e-12
+    added, roughly = (within(flexed, sizes) - within(flexed, nothing) for flexed in (exact, rough))
+    assert 1e-7 < np.abs(roughly - added).max() / np.abs(added).max() < 0.03
+    few, many = (sum(len(term.integrals()) for term in flexed.terms) for flexed in (rough, exact))
+    assert few < many

@@ -49,8 +49,8 @@ class Interpolation:
 
     ``error`` is the largest relative one of what forms are made of, anywhere in a part. What a size is relative to the
     lengths about it is covered while each of these changes by a factor of ``followed`` at most, even where it may move
-    further, and extrapolated beyond. ``aside`` is the error for terms that are nothing on the mesh: what a shape does to
-    them is of second order. Where ``carried``, a parabola over a radius that moves is carried along with the cells,
+    further, and extrapolated beyond. ``aside`` is the error for terms that are nothing on the mesh: what a shape does
+    to them is of second order. Where ``carried``, a parabola over a radius that moves is carried along with the cells,
     which is off by the product of both moves; it is refused else.
     """
 
