@@ -19,6 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: What takes more than some ten seconds.
 SLOW = ("wb.fit(", "wb.diagnose(", "wb.range_model(", "wb.design_model(", "wb.study(", "add_effect")
+#: A diagnosis in a block.
+DIAGNOSIS = re.compile(r'wb\.diagnose\(wb\.read_campaign\("[^"]+"\)\)')
 #: The first line of a block that needs the one before it.
 GOES_ON = "# goes on"
 #: Words of a command that stand for something of the reader's.
@@ -34,13 +36,21 @@ def blocks(language: str) -> Iterator[tuple[str, str]]:
 
 
 def programs() -> Iterator[tuple[str, str]]:
-    """(page and number, text) of what runs by itself in Python: a block that says so goes on from the one before."""
+    """(page and number, text) of what runs by itself in Python: a block that says so goes on from the one before.
+
+    Those that print the same diagnosis are one, in which it is made once.
+    """
     whole: list[tuple[str, str]] = []
     for name, text in blocks("python"):
         if text.startswith(GOES_ON):
             whole.append((name, whole.pop()[1] + text))
         else:
             whole.append((name, text))
+    for call in sorted({each for _, text in whole for each in DIAGNOSIS.findall(text)}):
+        alike = [each for each in whole if call in each[1]]
+        together = "\n".join(text.replace(call, "made_once") for _, text in alike)
+        whole = [each for each in whole if each not in alike]
+        whole.append(("+".join(name for name, _ in alike), f"import workbench as wb\nmade_once = {call}\n{together}"))
     yield from whole
 
 

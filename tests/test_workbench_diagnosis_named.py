@@ -17,6 +17,7 @@ from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.catalogue import effects
 from workbench.diagnosis.hypothesis import Device
+from workbench.discretisation import ACCURACY
 
 pytestmark = pytest.mark.slow
 
@@ -93,10 +94,10 @@ drive = "2 Vpp"
 """
 
 
-def concealed(folder: Path, values: Mapping[str, float]) -> Campaign:
+def concealed(folder: Path, values: Mapping[str, float], accuracy: float = FINER) -> Campaign:
     """The campaign of a chip that is not as stated."""
     files = {"disc.toml": DISC, "chip.toml": CHIP, "campaign.toml": CAMPAIGN}
-    return conceal(folder, files, FREQUENCIES, values, accuracy=FINER)[0]
+    return conceal(folder, files, FREQUENCIES, values, accuracy=accuracy)[0]
 
 
 def test_a_cavity_that_is_higher_than_stated_is_named(tmp_path: Path) -> None:
@@ -124,7 +125,7 @@ def test_a_joint_narrower_than_any_ring_may_come_off_but_for_a_tenth(tmp_path: P
 
 def test_a_diagnosis_whose_time_is_over_says_what_it_knows_and_what_it_did_not_look_at(tmp_path: Path) -> None:
     """A bond so weak that the known parameters leave half of Z: no time for any hypothesis but nothing."""
-    found = diagnose(concealed(tmp_path, BOND), minutes=1e-3)
+    found = diagnose(concealed(tmp_path, BOND, ACCURACY), minutes=1e-3)
     print(f"{found.seconds:.0f} s: {found.headline}")
     assert found.verdict == "unexplained"
     assert not found.established
