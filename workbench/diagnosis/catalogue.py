@@ -288,8 +288,7 @@ def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
     if viscous.terms:
         yield viscous
     yield with_terms(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
-                     states, lambda _: [missing_fluid.MissingFluid(region, fluid.name, GAPS,
-                                                                        Rim(f"{region} rim"))],
+                     states, lambda _: [missing_fluid.MissingFluid(region, fluid.name, GAPS, Rim(f"{region} rim"))],
                      lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
     mixed = bubbles.WoodBubbles(region, fluid.name, f"{region} bubbles")
     stirred = Admissible(0.0, 0.05, "1", "from none to gel that was stirred")
