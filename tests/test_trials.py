@@ -71,6 +71,10 @@ def test_shapes_have_rounds_of_their_own() -> None:
     assert not {*SHAPES} & {name for names in islice(trials.schedule(1), 300) for name in names}
 
 
+def test_one_thing_may_be_concealed_in_all() -> None:
+    assert set(islice(trials.schedule(1, conceal="meniscus"), 5)) == {("meniscus",)}
+
+
 def test_a_run_survives_what_fails_and_what_hangs_and_goes_on_where_it_was(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -72,8 +72,8 @@ def campaign() -> Any:
 
 
 def model() -> Any:
-    return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, whole=SimpleNamespace(solves=7),
-                           index=[p.name for p in PARAMETERS].index,
+    return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, others=(),
+                           whole=SimpleNamespace(solves=7), index=[p.name for p in PARAMETERS].index,
                            free=lambda effects: ([0, 1, 2], [2] if GLASS in effects else []),
                            fitted=SimpleNamespace(refusals=[], recordings=()))
 

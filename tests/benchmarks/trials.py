@@ -13,7 +13,7 @@ is an outcome "failed" with its reason; remove its file to try it again. Outcome
 tried: `run` wants a checkout without changes (`--uncommitted` lets it do without) and stops when the checkout moves on;
 `score` takes one commit, and `--into` adds to a file of that commit only, a line a trial. `table` prints the tables of
 such a file; tests/data/trials holds those of docs/validation.md, by their seeds. With `--shapes`, trials conceal shapes
-of layers alone, or nothing.
+of layers alone, or nothing; with `--conceal NAME` that alone.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from threadpoolctl import threadpool_limits
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
-from concealed.mechanisms import CATALOGUED, CLASHING, NONE, OUTSIDE, SHAPES  # noqa: E402
+from concealed.mechanisms import CATALOGUED, CLASHING, MECHANISMS, NONE, OUTSIDE, SHAPES  # noqa: E402
 from concealed.running import Piece, claimed, release, work  # noqa: E402
 from concealed.scoring import FAILED, read_outcomes, score, table  # noqa: E402
 from concealed.trial import make_trial  # noqa: E402
@@ -58,9 +58,11 @@ MAKING = 60.0
 MINUTES = 8.0
 
 
-def schedule(seed: int, *, shapes: bool = False) -> Iterator[tuple[str, ...]]:
+def schedule(seed: int, *, shapes: bool = False, conceal: str = "") -> Iterator[tuple[str, ...]]:
     """Mechanisms of trial after trial, in random order within each round; `shapes` each once in a round, and nothing
-    once."""
+    once; or one that is to be concealed in all of them."""
+    while conceal:
+        yield (conceal,)
     rng = np.random.default_rng(seed)
     while shapes:
         yield from ((str(name),) for name in rng.permutation([NONE, *SHAPES]))
@@ -81,10 +83,11 @@ def _pair(rng: np.random.Generator) -> tuple[str, ...]:
             return found
 
 
-def make(folder: Path, first: int, trials: int, seed: int, jobs: int, *, shapes: bool = False) -> None:
+def make(folder: Path, first: int, trials: int, seed: int, jobs: int, *, shapes: bool = False, conceal: str = ""
+         ) -> None:
     """Write those of the trials from number `first` on that are not there yet."""
     own = [sys.executable, str(Path(__file__).resolve()), "make", str(folder), "--seed", str(seed), "--trials", "1",
-           *(["--shapes"] if shapes else [])]
+           *(["--shapes"] if shapes else []), *(["--conceal", conceal] if conceal else [])]
     pieces = (Piece(f"{number:04d}", [*own, "--first", str(number)], folder / "making" / f"{number:04d}.log")
               for number in range(first, first + trials) if not (folder / "trials" / f"{number:04d}").exists())
     for ended in work(pieces, jobs, 60.0 * MAKING):
@@ -92,12 +95,12 @@ def make(folder: Path, first: int, trials: int, seed: int, jobs: int, *, shapes:
               flush=True)
 
 
-def make_one(folder: Path, number: int, seed: int, *, shapes: bool = False) -> None:
+def make_one(folder: Path, number: int, seed: int, *, shapes: bool = False, conceal: str = "") -> None:
     """Write a trial, unless it is there or somebody else is at it."""
     trial, truth = folder / "trials" / f"{number:04d}", folder / "truth" / f"{number:04d}.json"
     if trial.exists() or not claimed(folder / "making", number):
         return
-    mechanism = next(islice(schedule(seed, shapes=shapes), number, None))
+    mechanism = next(islice(schedule(seed, shapes=shapes, conceal=conceal), number, None))
     started = time.perf_counter()
     unfinished = folder / "making" / f"{number:04d}.{os.getpid()}"
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -182,6 +185,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--shapes", action="store_true", help="conceal shapes of layers alone, or nothing")
+    parser.add_argument("--conceal", default="", choices=["", *MECHANISMS], metavar="NAME",
+                        help="conceal this alone, in every trial")
     parser.add_argument("--minutes", type=float, default=10.0, help="that a diagnosis may take")
     parser.add_argument("--uncommitted", action="store_true", help="run with changes that are not committed")
     parser.add_argument("--into", type=Path, help="file of outcomes that `score` adds to")
@@ -191,9 +196,11 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     match options.job:
         case "make" if options.trials == 1:
-            make_one(options.folder, options.first, options.seed, shapes=options.shapes)
+            make_one(options.folder, options.first, options.seed, shapes=options.shapes,
+                     conceal=options.conceal)
         case "make":
-            make(options.folder, options.first, options.trials, options.seed, options.jobs, shapes=options.shapes)
+            make(options.folder, options.first, options.trials, options.seed, options.jobs, shapes=options.shapes,
+                 conceal=options.conceal)
         case "run":
             run(options.folder, options.jobs, options.minutes, uncommitted=options.uncommitted)
         case "diagnose":
