@@ -1,6 +1,6 @@
 """A strong cause in a chip is named with an interval that holds it, and what there is no time for is said.
 
-The recordings are the model's own, of a finer mesh, with noise: that the inference stands up to other physics is what
+The recordings are the model's own, with noise: that the inference stands up to other physics is what
 `tests/benchmarks/trials.py` is for. Further strong causes: `tests/benchmarks/strong.py`.
 """
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 BOND = {"bond at the superstrate.normal_compliance": 4e-13, "bond at the superstrate.tangential_compliance": 1e-12}
 
 FREQUENCIES = np.linspace(0.9e6, 1.1e6, 101)
-#: Of Z: an error of the recordings far below their noise.
+#: Of Z, for benchmarks: an error of the recordings far below their noise.
 FINER = 1e-4
 
 CHIP = DISC + """
@@ -102,7 +102,7 @@ def concealed(folder: Path, values: Mapping[str, float], accuracy: float = FINER
 
 def test_a_cavity_that_is_higher_than_stated_is_named(tmp_path: Path) -> None:
     """By 4 %, with a tolerance of 0.75 %."""
-    found = diagnose(concealed(tmp_path, {"sidewall.thickness": 1.04 * 0.7e-3}))
+    found = diagnose(concealed(tmp_path, {"sidewall.thickness": 1.04 * 0.7e-3}, ACCURACY))
     print(f"{found.seconds:.0f} s: {found.headline}")
     (named,) = found.established
     assert named.effect.name == "thickness of the sidewall"
