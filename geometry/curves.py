@@ -89,11 +89,6 @@ class Arc:
         """Points (2, ...) in metres at shares (...) of the way, in t, from its start to its end."""
         return self.curve.at(self.start + np.asarray(share) * (self.end - self.start))
 
-    @property
-    def is_line(self) -> bool:
-        """Whether it is a line that is passed at one speed."""
-        return self.curve.is_line
-
     @cached_property
     def back(self) -> Arc:
         """The same in the other direction."""
@@ -161,6 +156,9 @@ class Arc:
     def share_of(self, axis: int, value: float) -> float | None:
         """The share of the way at which a coordinate (0 r, 1 z) is `value` (m); None where it never is between its
         ends. The first one of several."""
+        if self.curve.is_line:
+            begin, end = (point[axis] for point in self.ends)
+            return (value - begin) / (end - begin) if min(begin, end) < value < max(begin, end) else None
         shares = (self.curve.samples(self.start, self.end) - self.start) / (self.end - self.start)
         apart = self.at(shares)[axis] - value
         for k in np.flatnonzero(np.sign(apart[:-1]) * np.sign(apart[1:]) < 0.0):

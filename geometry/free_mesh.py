@@ -109,7 +109,7 @@ def _placed(plan: Plan, layout: Layout) -> _Made:
     on_edges, along = _on_edges(layout, divided)
     sides: dict[tuple[int, int], Real] = {}
     for edge, shares in enumerate(divided):
-        if not layout.edges[edge].is_straight or layout.edges[edge].curve.degree > 1:
+        if not layout.edges[edge].curve.is_line:
             for k, (low, high) in enumerate(pairwise(shares)):
                 sides[int(along[edge][k]), int(along[edge][k + 1])] = layout.edges[edge].at(low + local * (high - low))
     points, count = [on_edges], on_edges.shape[1]

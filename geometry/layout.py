@@ -113,13 +113,8 @@ class Layout:
         number = next(k for k in range(len(side)) if places[k] < place < places[k + 1])
         axis, start, length = self._along(side)
         edge, _ = side[number]
-        arc = self.edges[edge]
-        if arc.is_line:
-            share = (start + place * length - arc.ends[0][axis]) / (arc.ends[1][axis] - arc.ends[0][axis])
-        else:
-            found = arc.share_of(axis, start + place * length)
-            assert found is not None
-            share = found
+        share = self.edges[edge].share_of(axis, start + place * length)
+        assert share is not None
         self.split(edge, share)
 
 

@@ -44,6 +44,28 @@ recording = "disc.csv"
 drive = "2 Vpp"
 """
 
+#: Gel and a printed part with a cavity on it.
+PRINTED = """
+[[layers]]
+role = "couplant"
+material = "gel/trial"
+thickness = "60 um"
+radius = "3 mm"
+
+[[layers]]
+role = "substrate"
+material = "pla/trial"
+thickness = "0.8 mm"
+radius = "3 mm"
+
+[[layers]]
+role = "sidewall"
+material = "pla/trial"
+thickness = "0.7 mm"
+radius = "3 mm"
+cavity_radius = "1.6 mm"
+"""
+
 
 def any_recordings(folder: Path, files: Mapping[str, str], recorded: Real) -> Campaign:
     """A campaign whose recordings, at the frequencies `recorded` (n,) Hz, are any resonance: it can be read.

@@ -12,7 +12,7 @@ import pytest
 from concealed import detection, folder, response, section, solver, trial
 from concealed.design import BETWEEN, draw, draw_own, random_design
 from concealed.device import DRIVES, FILLINGS, STATES, body, seen, swept
-from concealed.mechanisms import CATALOGUED, LATER, MECHANISMS, OUTSIDE, SHAPES
+from concealed.mechanisms import CATALOGUED, DRAWS, MECHANISMS, OUTSIDE
 from concealed.media import VACUUM_PERMITTIVITY, Bubbles, Liquid, Medium, Necks, Piezo, Solid, Viscous
 from concealed.section import Body, Box, Face, grid
 from concealed.solver import Model, assemble, spectrum, system
@@ -249,11 +249,11 @@ SPARED = {"cavity": ("disc", "empty"), "couplant": ("disc",), "substrate": ("dis
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*CATALOGUED, *SHAPES, *LATER, *OUTSIDE])
+@pytest.mark.parametrize("name", DRAWS)
 def test_a_mechanism_acts_where_it_sits_and_gives_no_energy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(section, "CELLS", 1.0)
     design = random_design(np.random.default_rng(3))
-    effect = {**CATALOGUED, **SHAPES, **LATER, **OUTSIDE}[name](np.random.default_rng(5), design, design.nominal)
+    effect = DRAWS[name](np.random.default_rng(5), design, design.nominal)
     middle = design.frequency[120:121]
     for state in STATES[:3]:
         seen_by = []

@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 from scipy.special import j0, j1
 
+from geometry.chip import Chip
+from geometry.shapes import with_shapes
 from materials.kinds import Fluid
-from workbench.design.cavity import Cavity, CavityField, Places, Surroundings, cavity_field
+from workbench.design.cavity import Cavity, CavityField, NoCavity, Places, Surroundings, cavity_field, cavity_of
 from workbench.design.dual import Dual, slope
 from workbench.design.trapping import NoTrap, find_trap, focus_time, largest_square
+from workbench.dimensions import flexible
 from workbench.elements import gauss_lobatto
+from workbench.operators import assemble
 from workbench.particles import Particle, viscous_scattering
+from workbench.problem import Problem
 
 RADIUS, HEIGHT = 2e-3, 0.72e-3
 WATER = Fluid(name="water", density=998.0, sound_speed=1482.0, shear_viscosity=1e-3)
@@ -174,3 +179,14 @@ def test_numbers_with_derivatives_follow_the_rules() -> None:
     assert (x.sqrt() * x.sqrt()).gradient == pytest.approx(x.gradient)
     # Differences of sixth order leave rounding only.
     assert float(slope(lambda t: np.array(t**3.5), 2.0)) == pytest.approx(3.5 * 2.0**2.5, rel=1e-11)
+
+
+def test_a_cavity_that_a_length_deforms_has_no_such_field(small_chip: Chip, filled: Problem) -> None:
+    """It would be that of the cylinder it no longer is; the side that a barrel moves is not the cavity's."""
+    chip = with_shapes(small_chip, ["sidewall.draft", "sidewall.barrel"])
+    flexed = flexible(filled, chip, (), {"sidewall.draft": (-0.1, 0.1), "sidewall.barrel": (-5e-5, 5e-5)})
+    operators = assemble(flexed.mesh, flexed.terms)
+    assert cavity_of(operators, chip, WATER, BEAD, [], FREQUENCY).lengths == ()
+    assert cavity_of(operators, chip, WATER, BEAD, ["sidewall.barrel"], FREQUENCY).lengths == ("sidewall.barrel",)
+    with pytest.raises(NoCavity, match=r"stays a cylinder, and this one changes its shape with sidewall\.draft$"):
+        cavity_of(operators, chip, WATER, BEAD, ["sidewall.draft", "sidewall.barrel"], FREQUENCY)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_recordings import DISC, any_recordings, conceal
+from own_recordings import DISC, PRINTED, any_recordings, conceal
 
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import Campaign
@@ -28,26 +28,7 @@ FREQUENCIES = np.linspace(0.9e6, 1.1e6, 101)
 #: Of Z, for benchmarks: an error of the recordings far below their noise.
 FINER = 1e-4
 
-CHIP = DISC + """
-[[layers]]
-role = "couplant"
-material = "gel/trial"
-thickness = "60 um"
-radius = "3 mm"
-
-[[layers]]
-role = "substrate"
-material = "pla/trial"
-thickness = "0.8 mm"
-radius = "3 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla/trial"
-thickness = "0.7 mm"
-radius = "3 mm"
-cavity_radius = "1.6 mm"
-
+CHIP = DISC + PRINTED + """
 [[layers]]
 role = "bond"
 material = "epoxy/trial"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_recordings import DISC, any_recordings, conceal
+from own_recordings import DISC, PRINTED, any_recordings, conceal
 
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.catalogue import effects_and_others
@@ -19,26 +19,7 @@ pytestmark = pytest.mark.slow
 FREQUENCIES = np.linspace(0.9e6, 1.1e6, 61)
 
 #: A lid of glass with a shallow cone below, on a printed wall.
-CHIP = DISC + """
-[[layers]]
-role = "couplant"
-material = "gel/trial"
-thickness = "60 um"
-radius = "3 mm"
-
-[[layers]]
-role = "substrate"
-material = "pla/trial"
-thickness = "0.8 mm"
-radius = "3 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla/trial"
-thickness = "0.7 mm"
-radius = "3 mm"
-cavity_radius = "1.6 mm"
-
+CHIP = DISC + PRINTED + """
 [[layers]]
 role = "superstrate"
 material = "glass/trial"

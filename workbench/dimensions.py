@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -99,7 +99,8 @@ def flexible(
         return Part(piece.name, piece.layer, columns[piece.column])
 
     terms: dict[Term, Term] = {}
-    for group, own in _grouped(problem.terms, asides, meshes):
+    for group, each in interpolation.of(problem.terms, asides):
+        own = replace(meshes, interpolation=each)
         integrals = {term: term.integrals() for term in group}
         used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
         parts: dict[str, tuple[Part, ...]] = {}
@@ -133,16 +134,6 @@ def flexible_within(
     return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation, asides=asides)
 
 
-def _grouped(
-    terms: Sequence[Term], asides: Collection[Term], meshes: MovedMeshes
-) -> Iterator[tuple[list[Term], MovedMeshes]]:
-    """Terms with the meshes that their forms are interpolated between: those that are nothing apart."""
-    loose = set(asides) if meshes.shapes else set()
-    yield [term for term in terms if term not in loose], meshes
-    if loose:
-        yield [term for term in terms if term in loose], replace(meshes, interpolation=meshes.interpolation.of_asides)
-
-
 def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],
                   interpolation: Interpolation) -> MovedMeshes:
     """The meshes of the chip by its shapes; those of `shapes` are parameters."""
@@ -154,6 +145,7 @@ def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], le
     straight = replace(mesh, coordinates=None)
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
     found = MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal, interpolation)
+    found.check()
     if stating.is_shaped:
         own, wanted = mesh.coordinates, coordinates_of(straight, stating)
         own = found.at({}) if own is None else own

@@ -4,7 +4,7 @@ between (see `workbench.physics.shaped`)."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement, product
 from typing import Any, Protocol, TypeVar
@@ -20,6 +20,7 @@ from geometry.stretch import Piece
 from workbench.elements import Lagrange
 from workbench.files.errors import InputError
 from workbench.physics.shaped import Amplitude, Grid, Length, Moves, Ratio, Scale
+from workbench.physics.term import Term
 from workbench.places import SIDES, areas, mapped_nodes
 from workbench.shaped_mesh import coordinates_of, shaped
 
@@ -59,10 +60,11 @@ class Interpolation:
     carried: bool = False
     aside: float = 0.0
 
-    @property
-    def of_asides(self) -> Interpolation:
-        """The one for terms that are nothing on the mesh."""
-        return replace(self, error=max(self.error, self.aside))
+    def of(self, terms: Sequence[Term], asides: Collection[Term]) -> Iterator[tuple[list[Term], Interpolation]]:
+        """Terms with how well they follow, those that are nothing on the mesh apart."""
+        loose = set(asides)
+        yield [term for term in terms if term not in loose], self
+        yield [term for term in terms if term in loose], replace(self, error=max(self.error, self.aside))
 
 
 #: As far below the errors of meshes and solves as what stretches exactly.
@@ -109,9 +111,6 @@ class MovedMeshes:
 
     ``lengths`` are the ranges (m) of the thicknesses and radii that are parameters, by name; ``nominal`` the thickness
     (m) of every layer. ``variants`` holds the coordinates that parts need, by the name they are called.
-
-    Raises:
-        MeshError: a size within its range folds a cell.
     """
 
     straight: SectionMesh
@@ -123,7 +122,12 @@ class MovedMeshes:
     variants: dict[str, Real] = field(default_factory=dict)
     _known: dict[tuple[tuple[str, float], ...], Real | None] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Refuse ranges that fold a cell.
+
+        Raises:
+            MeshError: a size within its range does.
+        """
         moving = [shape for shape in self.shapes if shape.size.parameter]
         for ends in product(*(sorted(set(shape.range)) for shape in moving)):
             shaped(self.straight, self.chip.with_dimensions(

@@ -140,12 +140,11 @@ def flexible_free(
     meshes = MovedSections(problem.mesh, chip, tuple(sizes), interpolation)
     for corner in product(*(size.bounds for size in sizes)) if len(sizes) < 4 else ():
         meshes.at(dict(zip(sizes, corner, strict=True)))
-    every, mesh, terms = {term: term.integrals() for term in problem.terms}, problem.mesh, dict[Term, Term]()
-    for own, group in ((meshes, set(every) - set(asides)),
-                       (replace(meshes, interpolation=interpolation.of_asides), set(asides))):
-        integrals = {term: found for term, found in every.items() if term in group}
+    mesh, terms = problem.mesh, dict[Term, Term]()
+    for group, each in interpolation.of(problem.terms, asides):
+        integrals = {term: term.integrals() for term in group}
         used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
-        mesh, parts = _parts(_with_sides(mesh, used), own, list(used))
+        mesh, parts = _parts(_with_sides(mesh, used), replace(meshes, interpolation=each), list(used))
         terms |= {term: Stretched(term, tuple((place, parts[place]) for place in dict.fromkeys(
             place for i in found for place in (i.place, i.facing) if place)), ()) for term, found in integrals.items()}
     values = {**problem.values, **{size.name: complex(size.nominal) for size in sizes}}

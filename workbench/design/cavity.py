@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH
-from geometry.mesh import SectionMesh
-from geometry.names import CAVITY
+from geometry.names import CAVITY, whole
 from geometry.section import cut_section
 from materials.kinds import Fluid
 from workbench.design.dual import Dual, slope
@@ -114,7 +113,7 @@ def cavity_of(
     Raises:
         NoCavity: holes of different radii, or a cavity whose shape follows some of the lengths.
     """
-    shapes = _shaping(operators.mesh, lengths)
+    shapes = _shaping(operators, lengths)
     if shapes:
         raise NoCavity("figures of fields need a cavity that stays a cylinder, and this one changes its shape with "
                        + ", ".join(shapes))
@@ -145,17 +144,11 @@ def cavity_of(
         particle, names, np.array([known[n].value for n in names]), 2.0 * math.pi * frequency / fluid.sound_speed)
 
 
-def _shaping(mesh: SectionMesh, lengths: Sequence[str]) -> list[str]:
-    """Those of some parameters that move nodes of the cavity apart, by the variants of the mesh."""
-    if not mesh.variants:
-        return []
-    cells, found = np.asarray(mesh.mesh.subdomains[CAVITY]), dict[str, Real]()
-    for name, coordinates in mesh.variants.items():
-        own = coordinates[:, :, cells]
-        found[name] = own - np.stack([np.zeros_like(own[0]), np.broadcast_to(own[1].mean(axis=0), own[1].shape)])
-    first = next(iter(found.values()))
-    moved = [name for name, own in found.items() if np.abs(own - first).max() > SAME_LENGTH]
-    return [length for length in lengths if any(f"{length} " in name for name in moved)]
+def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
+    """Those of some parameters that deform cells of the cavity: its integrals are over variants of the mesh."""
+    found = {name for i in operators.integrals if i.variant and whole(i.place) == CAVITY
+             for name in i.coefficient.parameters}
+    return [length for length in lengths if length in found]
 
 
 def _interpolated(places: Real, breaks: Real, slopes: Real) -> Places:

@@ -80,7 +80,7 @@ def as_stated(search: Search) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
     model, x = search.model, search.models.centre
     fitted = search.models.bare()
-    if search.doubts(fitted.data(Hypothesis(), x).error, LEVELS[1]):
+    if search.models.doubts(fitted.data(Hypothesis(), x).error, LEVELS[1]):
         # The smallest body says that the known numbers are elsewhere.
         fitted = Likelihood.bare(model, model.fitted.near(x, {}, ROUGH, only=()))
     impedances = fitted.impedances(x)

@@ -188,13 +188,19 @@ def fluid_slopes(fluid: Fluid, law: Callable[[float], Fluid]) -> dict[str, float
 def meniscus(device: Device) -> Iterator[Effect]:
     """A cavity that is not full: gas beside its wall, where the ports are."""
     states = device.filled
-    if not states or states[0].fluid is None:
-        return
-    liquid, air = states[0].fluid, device.load_fluid(AIR)
-    rim = Rim("cavity rim", limit=NOT_FULL[-1], widths=NOT_FULL[:-1])
-    yield with_terms("cavity not full", CAVITY, "geometry", "the liquid does not reach the wall that the ports are in",
-                     states, lambda _: [missing_fluid.MissingFluid(CAVITY, liquid.name, GAPS, rim)],
-                     lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
+    if states and states[0].fluid is not None:
+        yield _missing(device, "cavity not full", "the liquid does not reach the wall that the ports are in", states,
+                       CAVITY, states[0].fluid, Rim("cavity rim", limit=NOT_FULL[-1], widths=NOT_FULL[:-1]))
+
+
+def _missing(
+    device: Device, name: str, about: str, states: Sequence[DeviceState], region: str, fluid: Fluid, rim: Rim
+) -> Effect:
+    """A fluid with gas in its place at the rim of its region."""
+    air = device.load_fluid(AIR)
+    return with_terms(name, region, "geometry", about, states,
+                      lambda _: [missing_fluid.MissingFluid(region, fluid.name, GAPS, rim)],
+                      lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
 
 
 def ports(device: Device) -> Iterator[Effect]:
@@ -282,14 +288,13 @@ def _gel(device: Device, region: str, fluid: Fluid) -> Iterator[Effect]:
         return [couplant_shear.CouplantShear(region, fluid.name, interface(below, region), interface(region, above),
                                              below, above)] if below and above else []
 
-    states, air = device.holding(region), device.load_fluid(AIR)
+    states = device.holding(region)
     viscous = with_terms(f"shear through the {region}", region, "coupling", "the layer is viscous and carries shear",
                          states, shearing)
     if viscous.terms:
         yield viscous
-    yield with_terms(f"{region} missing at its rim", region, "geometry", "the layer does not reach its rim everywhere",
-                     states, lambda _: [missing_fluid.MissingFluid(region, fluid.name, GAPS, Rim(f"{region} rim"))],
-                     lambda _: {f"{GAPS}.density": air.density, f"{GAPS}.sound_speed": air.sound_speed})
+    yield _missing(device, f"{region} missing at its rim", "the layer does not reach its rim everywhere", states,
+                   region, fluid, Rim(f"{region} rim"))
     mixed = bubbles.WoodBubbles(region, fluid.name, f"{region} bubbles")
     stirred = Admissible(0.0, 0.05, "1", "from none to gel that was stirred")
     yield with_terms(f"bubbles in the {region}", region, "stiffness", "gas in the layer softens it", states,

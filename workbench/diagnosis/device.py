@@ -34,6 +34,7 @@ from workbench.fitting.parameter import (
 from workbench.moved_parts import Interpolation, joined
 from workbench.parameter_names import Kind, ParameterName
 from workbench.physics.rim import FOUND, OfRim
+from workbench.physics.term import Term
 from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
@@ -138,7 +139,9 @@ def model(
     found, others = effects_and_others(device)
     hypotheses = tuple(effect.with_rings(widths) if widths else effect for effect in found)
     problems: list[Problem] = []
-    asked = {state.name: _lines(state, hypotheses, widths) for state in campaign.states}
+    asides = {state.name: [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
+              for state in campaign.states}
+    asked = {state.name: _lines(state, asides[state.name], widths) for state in campaign.states}
     for number, state in enumerate(campaign.states):
         progress(number / len(campaign.states))
         # States of one chip have one mesh.
@@ -170,8 +173,8 @@ def model(
         shapes = [name for p in parameters for name in p.names if name in possible(state.chip)]
         chips.append(with_shapes(state.chip, shapes))
         ranges = ranges_of_dimensions(parameters, chips[-1].dimensions())
-        asides = [term for effect in hypotheses for term in effect.terms.get(state.name, ())]
-        flexed.append(flexible_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL, asides=asides))
+        flexed.append(flexible_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
+                                      asides=asides[state.name]))
     # One mesh for states of one chip, so that they share what is solved on it.
     meshes = {section: joined([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
@@ -187,11 +190,10 @@ def model(
 
 
 def _lines(
-    state: DeviceState, hypotheses: Iterable[Effect], widths: Mapping[str, float] | None
+    state: DeviceState, terms: Iterable[Term], widths: Mapping[str, float] | None
 ) -> tuple[dict[str, float], set[float]]:
-    """The skins by region, and the radii (m), at which hypotheses ask for lines of nodes in a state."""
-    integrals = [(term, integral) for effect in hypotheses for term in effect.terms.get(state.name, ())
-                 for integral in term.integrals()]
+    """The skins by region, and the radii (m), at which terms of hypotheses ask for lines of nodes in a state."""
+    integrals = [(term, integral) for term in terms for integral in term.integrals()]
     skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
     return skins, {integral.beyond * _radius(state.chip, integral.place) for term, integral in integrals
                    if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
@@ -200,7 +202,7 @@ def _lines(
 def _radius(chip: Chip, region: str) -> float:
     """The largest radius (m) of a region."""
     if region == CAVITY:
-        return max(layer.inner_radius for layer in chip.layers if layer.cavity_radius is not None)
+        return max(hole.inner_radius for hole in chip.holes)
     return chip.layer(region).radius.value
 
 

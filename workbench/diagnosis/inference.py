@@ -30,7 +30,7 @@ from workbench.diagnosis.device import Model, model
 from workbench.diagnosis.findings import Begun, Found, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
-from workbench.diagnosis.neighbourhoods import ROUGH, Neighbourhoods
+from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
 from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.starts import start, starts_of
@@ -66,10 +66,6 @@ GO_ON = (8, 4)
 
 #: Rounds and steps of a fit that is far behind.
 HURRIED = {"rounds": 2, "limit": 8}
-
-#: An optimum is looked for on models made again about it, at most so many times, until their estimated error there is
-#: no more than so many deviations of the points (it is some hundred times the true one).
-PLACES, TRUSTED = 3, 20.0
 
 
 @dataclass(eq=False)
@@ -109,10 +105,6 @@ class Search:
     def least(self) -> float:
         """Log evidence below which a hypothesis is not worth a look: its odds of being true would be too small."""
         return math.log(self.criteria.looked_at * self.model.hypotheses)
-
-    def doubts(self, doubt: float, level: float = 0.0) -> bool:
-        """Whether models of that estimated error are not trusted where points have a further deviation `level`."""
-        return doubt > TRUSTED * math.hypot(self.models.noise, level)
 
     @property
     def is_over(self) -> bool:
@@ -181,7 +173,7 @@ class Search:
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
         narrow = Likelihood.bare(self.model, self.models.narrow)
         self.models.places = tuple(
-            each.x for each in ends if self.doubts(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
+            each.x for each in ends if self.models.doubts(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
         further = [each for each in self.work([
             ("a basin where nothing is wrong", "furthered", (each,)) for each in ends], must=1) if each is not None]
         self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
@@ -212,7 +204,7 @@ class Search:
         end = likelihood.weighed(nothing, begun.x, LEVELS[0])
         try:
             for _ in range(PLACES):
-                if not self.doubts(end.doubt, LEVELS[1]):
+                if not self.models.doubts(end.doubt, LEVELS[1]):
                     break
                 likelihood = likelihood.on(self.models.near(nothing, end.x, end.errors, ROUGH))
                 x = likelihood.tempered(likelihood.search(nothing), end.x, LEVELS[0]).x
@@ -377,7 +369,7 @@ class Search:
         The model's inaccuracy is that `at` a place (p,).
         """
         hypothesis, likelihood = candidate.hypothesis, self.models.likelihood(at)
-        if not self.doubts(candidate.weighed.doubt, LEVELS[0]):
+        if not self.models.doubts(candidate.weighed.doubt, LEVELS[0]):
             likelihood = likelihood.on(self.models.wider(hypothesis, [candidate.x]))
         likelihood, little = self.renewed(likelihood, candidate, LEVELS[0])
         if little is None:
@@ -390,7 +382,7 @@ class Search:
     ) -> tuple[Likelihood, Candidate | None]:
         """A candidate followed on models made again about it, as long as these are in doubt, and the last of them."""
         for _ in range(PLACES):
-            if candidate is None or not self.doubts(candidate.weighed.doubt, level):
+            if candidate is None or not self.models.doubts(candidate.weighed.doubt, level):
                 break
             self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
             likelihood = self.models.about(likelihood, candidate)
@@ -417,7 +409,7 @@ class Search:
         placed = [self.placed(likelihood, hypothesis, end, hurry) for end in candidate.ends]
         likelihood, found = max(placed, key=lambda each: each[1].log_evidence)
         for _ in range(0 if hurried else PLACES - 1):
-            if not (hurry or self.doubts(found.doubt, found.accuracy)
+            if not (hurry or self.models.doubts(found.doubt, found.accuracy)
                     or self.is_elsewhere(likelihood, hypothesis, found.x)):
                 break
             hurry = {}
@@ -427,9 +419,7 @@ class Search:
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
             rounds = 0 if hurried or found.accuracy > INACCURATE else 1
-            density, seen = self.models.predicted(
-                likelihood, found, lambda each: not self.doubts(each.doubt, each.accuracy), rounds=rounds,
-                limit=HURRIED["limit"], places=PLACES if rounds else 1)
+            density, seen = self.models.predicted(likelihood, found, rounds=rounds, limit=HURRIED["limit"])
             self.say("   with all", density)
         scores = tuple(ranked(likelihood, found.x, 0.0, found)) if len(hypothesis.effects) < 2 else ()
         self.say("   beside", hypothesis.name, [(round(s.evidence, 1), s.effect.name) for s in scores[:4]])
@@ -442,7 +432,7 @@ class Search:
     ) -> tuple[Likelihood, Explanation]:
         """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
         # What is inaccurate may be so for its models.
-        if self.is_elsewhere(likelihood, hypothesis, end.x) or self.doubts(
+        if self.is_elsewhere(likelihood, hypothesis, end.x) or self.models.doubts(
                 likelihood.data(hypothesis, end.x).error, end.accuracy if hurry else 0.0):
             likelihood = likelihood.on(self.models.near(hypothesis, end.x, end.errors))
         likelihood = likelihood.with_patterns(end.x)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,6 +32,10 @@ FEW = 3
 
 #: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
 FAR, NEAR = 1.5, 2.0
+
+#: An optimum is looked for on models made again about it, at most so many times, until their estimated error there is
+#: no more than so many deviations of the points (it is some hundred times the true one).
+PLACES, TRUSTED = 3, 20.0
 
 
 @dataclass(eq=False)
@@ -122,18 +127,21 @@ class Neighbourhoods:
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
         return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), widens=False)
 
+    def doubts(self, doubt: float, level: float = 0.0) -> bool:
+        """Whether models of that estimated error are not trusted where points have a further deviation `level`."""
+        return doubt > TRUSTED * math.hypot(self.noise, level)
+
     def predicted(
-        self, likelihood: Likelihood, found: Explanation, is_trusted: Callable[[Explanation], bool], *, rounds: int,
-        limit: int, places: int,
+        self, likelihood: Likelihood, found: Explanation, *, rounds: int, limit: int
     ) -> tuple[float, list[NDArray[np.complex128]]]:
         """What the states held out add to the log evidence, with the optimum of all, and their impedances as predicted.
 
         `likelihood` of those that were fitted, to what was `found`; `rounds` and `limit` as of `Likelihood.settled`.
         A number that only they have (how thick a gel is that was laid anew) may be far from where it was expected: the
-        models are made again where the optimum of all is, at so many `places` at most, until it `is_trusted`.
+        models are made again where the optimum of all is, unless that does not move.
         """
         hypothesis, every, seen = found.hypothesis, found, list[NDArray[np.complex128]]()
-        for _ in range(places):
+        for _ in range(PLACES if rounds else 1):
             held = Likelihood.bare(self.model, self.near(
                 hypothesis, every.x, found.errors, held_out=True)).with_patterns(every.x)
             if seen:
@@ -141,7 +149,7 @@ class Neighbourhoods:
             else:
                 seen = held.impedances(found.x)
             every = likelihood.joined(held).settled(hypothesis, every.x, rounds=rounds, limit=limit)
-            if is_trusted(every):
+            if not self.doubts(every.doubt, every.accuracy):
                 break
         return every.log_evidence - found.log_evidence, seen
 

@@ -358,4 +358,6 @@ CLASHING = (
     {"cavity_bubbles", "resonant_bubbles"}, {"imperfect_bond", "delamination"}, {"wrong_density", "density_gauge"},
 )
 NONE = "none"
-MECHANISMS: tuple[str, ...] = (NONE, *CATALOGUED, *SHAPES, *LATER, *OUTSIDE)
+#: All that can be concealed, and the names, with that of nothing.
+DRAWS: Mapping[str, Draw] = {**CATALOGUED, **SHAPES, **LATER, **OUTSIDE}
+MECHANISMS: tuple[str, ...] = (NONE, *DRAWS)

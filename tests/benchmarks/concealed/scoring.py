@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from concealed.device import GEL, PLA, PZT, REFERENCE_TEMPERATURE, WATER, water
-from concealed.mechanisms import CATALOGUED, LATER, NONE, OUTSIDE, SHAPES
+from concealed.mechanisms import DRAWS, NONE, OUTSIDE
 
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import BENCH_ELEMENTS
@@ -295,7 +295,7 @@ def confusion(outcomes: Sequence[Outcome]) -> None:
 
 def _by_mechanism(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, list[Outcome]]]:
     """Outcomes by what was concealed, in the order of the mechanisms; two at once together."""
-    for name in (*CATALOGUED, *SHAPES, *LATER, *OUTSIDE, NONE, "two at once"):
+    for name in (*DRAWS, NONE, "two at once"):
         rows = [o for o in outcomes if (o.mechanism if " and " not in o.mechanism else "two at once") == name]
         if rows:
             yield name.replace("_", " ") + (" (not in the catalogue)" if name in OUTSIDE else ""), rows

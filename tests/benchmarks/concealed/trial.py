@@ -14,7 +14,7 @@ from concealed.detection import COARSE, LOOSE, hidden, measured
 from concealed.device import DRIVES, FILLINGS, STATES, State, body
 from concealed.fields import random_inhomogeneity
 from concealed.folder import write
-from concealed.mechanisms import CATALOGUED, LATER, MECHANISMS, NONE, OUTSIDE, SHAPES, Effect
+from concealed.mechanisms import DRAWS, MECHANISMS, NONE, Effect
 from concealed.response import Device
 from threadpoolctl import threadpool_limits
 
@@ -69,8 +69,7 @@ def make_trial(seed: int, mechanism: str | tuple[str, ...], folder: Path, *, poi
     design = random_design(of_device, points=points)
     plain, own = draw(of_device, design), draw_own(of_states, design, {s.name: s.filling for s in STATES})
     states = states_of(of_states, chosen)
-    draws = {**CATALOGUED, **SHAPES, **LATER, **OUTSIDE}
-    effects = tuple(draws[name](of_effects, design, plain) for name in chosen if name != NONE)
+    effects = tuple(DRAWS[name](of_effects, design, plain) for name in chosen if name != NONE)
     chip = next(s for s in STATES if s.filling == "empty")
     uneven = random_inhomogeneity(of_parts, body(design.nominal, {}, chip), float(np.mean(design.frequency)))
     with threadpool_limits(limits=1):
