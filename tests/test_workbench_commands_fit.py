@@ -95,15 +95,15 @@ def test_a_fit_that_explains_nothing_is_a_verdict_and_is_saved_only_by_force(
     assert fit(folder, *bad[:-1], out=tmp_path / "out", recording="softer.csv") == 1
     record = standard_json(tmp_path / "out" / "fit.json")
     assert not record["accepted"]
-    assert "does not explain" in record["refusals"][0]
+    assert "another optimum or missing physics: try `workbench diagnose`" in record["refusals"][0]
     assert record["saved_as"] is None
     assert "pzt4/pea@1" not in Registry().names()
     said = capsys.readouterr().err
-    assert "not accepted: softer: an rms of" in said
+    assert "not accepted: softer: 3.7e+02 % of Z is left" in said
     assert 'softer: read by its headings, "Frequency (Hz)" is the frequency in Hz; "|Z| (Ohm)" is' in said
     assert "theta (deg)&quot; is the phase of Z in deg" in (tmp_path / "out" / "report.html").read_text()
     assert "not saved as pzt4/pea" in said
-    assert "does not explain" in (tmp_path / "out" / "report.html").read_text()
+    assert "another optimum or missing physics" in (tmp_path / "out" / "report.html").read_text()
     assert fit(folder, *bad, out=tmp_path / "forced", recording="softer.csv") == 1
     saved = Registry((tmp_path / "data" / "acoustofluidic-chip-workbench" / "materials",)).load("pzt4/pea@1")
     assert saved.fit is not None

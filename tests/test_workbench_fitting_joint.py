@@ -75,8 +75,9 @@ def recorded(
     if lengths:
         problem = flexible(problem, chip, [key for key in lengths if key.endswith("radius")])
     predictor = Predictor(problem, frequency, tolerance=1e-7)
-    impedance = predictor({**values, **{key: complex(length) for key, length in lengths.items()}}).impedance
     bench = {key: number for key, number in truth.items() if key.startswith("bench.")}
+    impedance = predictor({**values, **{key: complex(length) for key, length in lengths.items()}},
+                          bench.get("bench.clock", 0.0)).impedance
     seen = through_bench(impedance, 2.0 * np.pi * frequency, bench)[0]
     real, imaginary = np.random.default_rng(seed).standard_normal((2, frequency.size))
     return Recording(name, problem, Spectrum(frequency, seen * np.exp(noise * (real + 1j * imaginary))), chip)

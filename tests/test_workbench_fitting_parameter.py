@@ -16,7 +16,6 @@ from workbench.fitting.parameter import (
     BENCH_ELEMENTS,
     CERAMIC_LOSS,
     CERAMIC_LOSS_REACH,
-    MEASURED,
     POLYMER_FOUR,
     POLYMER_LOSS_REACH,
     TRANSDUCER_TEN,
@@ -158,11 +157,13 @@ def test_a_dimension_moves_within_three_tolerances(chip: Chip) -> None:
     assert dimension_parameter(chip, "transducer.thickness").low == pytest.approx(2e-3 - 40e-6, rel=1e-12)
 
 
-def test_a_dimension_without_tolerance_was_measured_somehow(chip: Chip) -> None:
+def test_a_film_without_tolerance_is_known_to_a_factor(chip: Chip) -> None:
     found = dimension_parameter(chip, "couplant.thickness")
-    assert found.prior == pytest.approx(MEASURED * 50e-6, rel=1e-12)
-    assert (found.low, found.high) == pytest.approx((50e-6 * (1.0 - 0.015 * math.sqrt(3.0)),
-                                                     50e-6 * (1.0 + 0.015 * math.sqrt(3.0))), rel=1e-12)
+    assert found.is_film
+    # The logarithm is uniform within a factor of three to either side.
+    assert found.prior == pytest.approx(50e-6 * math.log(3.0) / math.sqrt(3.0), rel=1e-12)
+    assert (found.low, found.high) == pytest.approx((5e-6, 250e-6), rel=1e-12)
+    assert found.assumed == "a film of gel or glue is known to a factor of 3"
     loose = replace(chip.layers[1], thickness=Dimension(50e-6, 45e-6))
     wide = dimension_parameter(replace(chip, layers=(chip.layers[0], loose, chip.layers[2])), "couplant.thickness")
     assert wide.low == pytest.approx(5e-6, rel=1e-9)  # a length stays one
@@ -204,7 +205,9 @@ def test_radii_that_coincide_are_one_parameter_of_what_one_states(chip: Chip, na
     apart = with_radii(chip, Dimension(3e-3), Dimension(3e-3), Dimension(3.2e-3))
     alone = dimension_parameter(apart, name)
     assert alone.names == (RADII[:2] if name != RADII[2] else RADII[2:])
-    assert alone.prior == pytest.approx(MEASURED * alone.start, rel=1e-12)
+    assert alone.prior == pytest.approx((50e-6 if name == RADII[2] else 0.01 * alone.start) / math.sqrt(3.0), rel=1e-12)
+    assert alone.assumed == ("a printed length is known to 50 um" if name == RADII[2] else
+                             "a turned or bought part is known to 1 %")
 
 
 def test_a_thickness_is_nobodys_but_its_own(chip: Chip) -> None:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from support import CAVITY_LAYERS, STACK, shape
 
+from geometry.assumed import SHAPE_UNCERTAINTY
 from geometry.chip import Chip, read_chip
 from geometry.dimension import Dimension
 from geometry.stretch import movable
@@ -21,7 +22,7 @@ from workbench.design.stated import stated_uncertainty
 from workbench.discretisation import Discretisation
 from workbench.files.errors import InputError
 from workbench.fitting.objective import Objective, Recording
-from workbench.fitting.parameter import UNSTATED_SHAPE, dimension_parameter, shown_factor, shown_unit
+from workbench.fitting.parameter import dimension_parameter, shown_factor, shown_unit
 from workbench.operators import assemble
 from workbench.parameter_names import Kind, ParameterName
 from workbench.problem import build, fill
@@ -68,7 +69,7 @@ def test_a_fit_moves_it_within_its_tolerance_or_what_is_usual(chip: Chip) -> Non
     assert found.prior == pytest.approx(math.radians(2.0) / math.sqrt(3.0), rel=1e-12)
     assert (found.low, found.high) == pytest.approx((-math.radians(6.0), math.radians(6.0)), rel=1e-12)
     bowed = dimension_parameter(shape(chip, "superstrate", bow=1e-6), "superstrate.bow")
-    assert bowed.prior == UNSTATED_SHAPE["bow"]
+    assert bowed.prior == SHAPE_UNCERTAINTY["bow"]
     assert movable(chip, "sidewall.draft", -2.0, 2.0) == pytest.approx((-0.9 * math.pi / 4.0, 0.9 * math.pi / 4.0))
 
 
@@ -130,4 +131,4 @@ def test_the_live_view_moves_it_in_degrees(chip: Chip) -> None:
     wide = replace(chip, layers=tuple(replace(layer, draft=Dimension(0.0)) if layer.draft else layer
                                       for layer in chip.layers))
     (unstated,) = controls(wide, plain, ["sidewall.draft"])
-    assert unstated.high == pytest.approx(2.0 * UNSTATED_SHAPE["draft"], rel=1e-12)
+    assert unstated.high == pytest.approx(2.0 * SHAPE_UNCERTAINTY["draft"], rel=1e-12)

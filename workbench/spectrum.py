@@ -27,6 +27,9 @@ ORIGIN_KINDS = ("measured", "simulated", "unknown")
 COLUMNS = ("frequency_hz", "z_real_ohm", "z_imag_ohm")
 UNCERTAINTY_COLUMN = "uncertainty_ohm"
 
+#: The key of the line above the columns that holds the part of the uncertainty that all points share.
+SHARED_UNCERTAINTY = "shared uncertainty"
+
 
 @dataclass(frozen=True)
 class Origin:
@@ -66,7 +69,9 @@ class Spectrum(Shown):
 
     ``frequency`` (n,) Hz, strictly increasing and positive; ``impedance`` (n,) complex ohm, nowhere zero;
     ``uncertainty`` (n,) ohm or None, the standard uncertainty of the real part and of the imaginary part, each.
-    The arrays are copied and read-only. At least two points.
+    ``shared_uncertainty`` is the part of it that all points share, relative to Z: they are all too large, or all too
+    small, by the same factor, that of a standard's tolerance or of a gain. The arrays are copied and read-only. At
+    least two points.
 
     Raises:
         ValueError: any of the above is not so; the message gives the index and the value.
@@ -76,6 +81,7 @@ class Spectrum(Shown):
     impedance: NDArray[np.complex128]
     uncertainty: NDArray[np.float64] | None = None
     origin: Origin = field(default_factory=Origin)
+    shared_uncertainty: float = 0.0
 
     def __post_init__(self) -> None:
         if np.iscomplexobj(self.frequency):
@@ -102,6 +108,10 @@ class Spectrum(Shown):
             _refuse(~(np.isfinite(uncertainty) & (uncertainty > 0.0)), uncertainty, "uncertainty", "finite, positive")
             uncertainty.flags.writeable = False
             object.__setattr__(self, "uncertainty", uncertainty)
+        shared = self.shared_uncertainty
+        if not 0.0 <= shared < 1.0 or (shared > 0.0 and self.uncertainty is None):
+            raise ValueError(f"shared_uncertainty {shared!r} must be a share of Z from 0 to less than 1, and a part of "
+                             "an uncertainty that is given")
         frequency.flags.writeable = False
         impedance.flags.writeable = False
         object.__setattr__(self, "frequency", frequency)
@@ -122,6 +132,17 @@ class Spectrum(Shown):
     def admittance(self) -> NDArray[np.complex128]:
         """1 / Z, (n,) complex siemens."""
         return 1.0 / self.impedance
+
+    @property
+    def noise(self) -> NDArray[np.float64] | None:
+        """What each point adds to the uncertainty by itself, (n,) ohm: the rest beside what all points share.
+
+        At least a thousandth of the whole, since it is a difference of rounded numbers.
+        """
+        if self.uncertainty is None or self.shared_uncertainty == 0.0:
+            return self.uncertainty
+        shared = self.shared_uncertainty * self.magnitude
+        return np.sqrt(np.maximum(self.uncertainty**2 - shared**2, (1e-3 * self.uncertainty) ** 2))
 
     @property
     def magnitude(self) -> NDArray[np.float64]:
@@ -167,7 +188,8 @@ class Spectrum(Shown):
                 f"{self.frequency[0]:.9g} to {self.frequency[-1]:.9g} Hz; at least 2 are needed"
             )
         uncertainty = None if self.uncertainty is None else self.uncertainty[inside]
-        return Spectrum(self.frequency[inside], self.impedance[inside], uncertainty, self.origin)
+        return replace(self, frequency=self.frequency[inside], impedance=self.impedance[inside],
+                       uncertainty=uncertainty)
 
     def interpolant(self) -> Callable[[ArrayLike], NDArray[np.complex128]]:
         """A smooth Z(f) through every point; its argument must lie within the band.
@@ -209,7 +231,7 @@ class Spectrum(Shown):
         """
         at = np.array(frequencies, dtype=np.float64)
         uncertainty = None if self.uncertainty is None else np.interp(at, self.frequency, self.uncertainty)
-        return Spectrum(at, self.interpolant()(at), uncertainty, self.origin)
+        return replace(self, frequency=at, impedance=self.interpolant()(at), uncertainty=uncertainty)
 
 
 def _refuse(
@@ -254,6 +276,8 @@ def write_csv(spectrum: Spectrum, path: Path) -> None:
         if text:
             lines.append(f"# {key}: {text}")
     lines += [f"# setting {name}: {text}" for name, text in origin.settings.items()]
+    if spectrum.shared_uncertainty:
+        lines.append(f"# {SHARED_UNCERTAINTY}: {spectrum.shared_uncertainty!r}")
     columns = [spectrum.frequency, spectrum.impedance.real, spectrum.impedance.imag]
     names = list(COLUMNS)
     if spectrum.uncertainty is not None:

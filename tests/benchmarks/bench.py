@@ -60,7 +60,7 @@ def filled_chip() -> Spectrum:
 
 def write_setup(
     bench: SimulatedBench, path: Path, *, sweep: str, captures: int = 4, timeout: float = 0.25,
-    compensated: bool = False,
+    compensated: bool = False, reference: str = "0.5 ohm",
 ) -> BenchSetup:
     """A BENCH.toml for the simulated bench, read back; `compensated` names open.h5, short.h5 and load.h5 beside it."""
     compensation = ('[compensation]\nopen = "open.h5"\nshort = "short.h5"\nload = "load.h5"\n'
@@ -74,7 +74,7 @@ port = "{bench.oscilloscope_port}"
 timeout = "{timeout} s"
 acquisition_timeout = "{2 * timeout} s"
 [reference]
-resistance = "0.5 ohm"
+resistance = "{reference}"
 tolerance = "1 %"
 [sweep]
 {sweep}

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from geometry.assumed import SHAPE_UNCERTAINTY
 from geometry.chip import Chip
 from geometry.names import CAVITY
 from geometry.stretch import movable, tied
@@ -14,7 +15,7 @@ from materials.kinds import Fluid, IsotropicSolid
 from workbench.dimensions import flexible_within
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
-from workbench.fitting.parameter import UNITS, UNSTATED_SHAPE, shown_factor, shown_unit
+from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
 from workbench.parameter_names import LOSS, Kind, ParameterName, part
 from workbench.problem import Problem
 
@@ -145,7 +146,7 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
     else:
         reach = max(REACH * abs(value), TOLERANCES * (tolerance or 0.0))
         if parsed.is_shape and tolerance is None:
-            reach = max(reach, TOLERANCES * UNSTATED_SHAPE[parsed.coefficient])
+            reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[parsed.coefficient])
         low, high = value - reach, value + reach
         if parsed.kind is Kind.DIMENSION:
             low, high = movable(chip, name, low, high)

@@ -123,7 +123,8 @@ def _level_spectrum(
         common = common_uncertainty(setup.reference.tolerance, setup.acquisition.gain_accuracy)
     else:
         common = compensation.load.tolerance / math.sqrt(3.0)
-    whole = replace(device, uncertainty=np.hypot(device.uncertainty, common * device.magnitude))
+    whole = replace(device, uncertainty=np.hypot(device.uncertainty, common * device.magnitude),
+                    shared_uncertainty=common)
     words = [(point.frequency, flag) for point in points for flag in point.flags]
     return LevelSpectrum(level, whole, device.uncertainty, common, measured, drift,
                          _flags(run, device, measured, compensation, drift, words), tuple(words))

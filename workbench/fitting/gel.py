@@ -16,7 +16,7 @@ from workbench.comparison import Comparison, compare
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.files.errors import InputError
 from workbench.fitting.prepare import Prepared
-from workbench.fitting.seen import through_bench
+from workbench.fitting.seen import CLOCK, through_bench
 from workbench.operators import assemble
 from workbench.parameter_names import placed
 from workbench.problem import build, fill
@@ -72,7 +72,7 @@ def gel_study(
         problem = build(fill(with_gel(chip, thickness), prepared.state, registry), band=recording.problem.band,
                         accuracy=accuracy)
         model = reduce(assemble(problem.mesh, problem.terms), frequency, values, tolerance=1e-4)
-        solution = model.solve(frequency, values)
+        solution = model.solve(frequency * (1.0 + bench.get(CLOCK, 0.0)), values)
         seen, _, _ = through_bench(np.conj(solution.impedance), solution.omega, bench)
         spectrum = Spectrum(frequency, seen, origin=Origin("simulated"))
         cases.append(GelCase(thickness, spectrum, compare(recording.measured, spectrum)))

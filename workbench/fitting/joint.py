@@ -3,11 +3,12 @@
 1. A descent from every start solves a sequence of ever less smoothed problems (see `search`) on a coarse mesh. With
    the overtones smoothed away there are few ways to lay the model on the recording; as the smoothing is reduced, each
    overtone falls on its own neighbour.
-2. An overtone laid on the wrong neighbour leaves a residual of several per cent that is not white. While that is so,
-   further descents are made (see `multistart`): from the best end with the stiffnesses that rule radial and shear
-   overtones moved by about one overtone, together and apart, and from samples of the prior. A descent goes on for as
-   long as it keeps up with the best, until none is better.
-3. One more descent on the mesh asked for, from the best end, weighs the data by the noise that the residual shows.
+2. The best end is refined on the mesh asked for, with the data weighted by the noise that the residual shows.
+3. An overtone laid on the wrong neighbour, or a film of the wrong thickness, leaves more than the noise that the
+   recording states. While that is so, further descents are made (see `multistart`): from the best end with the
+   thickness of a film moved to its next optimum, with the stiffnesses that rule radial and shear overtones moved by
+   about one overtone, together and apart, and from samples of the prior. A descent goes on for as long as it keeps up
+   with the best; what ends about as low is refined, and leads where it leaves less.
 4. What the data say of every parameter is worked out at the minimum (see `uncertainty`), and the reduced model is
    checked against full solves there.
 """
@@ -26,6 +27,7 @@ from workbench.comparison import Comparison, compare
 from workbench.fitting import uncertainty
 from workbench.fitting.multistart import (
     PRIOR_SAMPLES,
+    Refined,
     Start,
     descent_from,
     listed_starts,
@@ -146,13 +148,17 @@ def fit(
     ends = [trial.end for trial in found if trial.end is not None]
     if not ends:
         raise FitError("no start could be predicted: " + found[0].reason)
-    best = min(ends, key=lambda end: end.cost)
-    best, tried = multistart(scout, best, prior_samples(scout, PRIOR_SAMPLES, seed), tries,
-                             lambda label: show(f"searching, {label}", 0.6))
-    found += tried
     search = Search(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
-    show("refining", 0.6)
-    minimum, noise = reweighted_descent(search, best.x)
+
+    def refine(x: Real) -> Refined:
+        show("refining", 0.6)
+        return Refined(*reweighted_descent(search, x))
+
+    best, refined, tried = multistart(
+        scout, refine, min(ends, key=lambda end: end.cost), prior_samples(scout, PRIOR_SAMPLES, seed), tries,
+        lambda label: show(f"searching, {label}", 0.6))
+    found += tried
+    minimum, noise = refined.minimum, refined.noise
     show("judging", 0.85)
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
                                                  coarser=None if coarse is None else scout.objective)

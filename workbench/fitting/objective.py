@@ -26,9 +26,9 @@ from geometry.stretch import tied
 from workbench.dimensions import flexible_within
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
 from workbench.fitting.predict import Prediction, Predictor
-from workbench.fitting.seen import log_ratio, lorentzian, through_bench
+from workbench.fitting.seen import CLOCK, log_ratio, lorentzian, through_bench
 from workbench.neighbourhood import TERMS, Neighbourhood, neighbourhood
-from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName, part, placed
+from workbench.parameter_names import LOSS, Kind, ParameterName, part, placed
 from workbench.problem import Problem
 from workbench.spectrum import Spectrum
 
@@ -55,7 +55,8 @@ class Recording:
         if every == 1:
             return self
         uncertainty = None if measured.uncertainty is None else measured.uncertainty[::every]
-        thin = Spectrum(measured.frequency[::every], measured.impedance[::every], uncertainty, measured.origin)
+        thin = replace(measured, frequency=measured.frequency[::every], impedance=measured.impedance[::every],
+                       uncertainty=uncertainty)
         return replace(self, measured=thin)
 
 
@@ -370,18 +371,14 @@ class Objective:
         scaled = [each for each in self._scaled[index] if free is None or each[0] in free]
         keys = _keys(moved, scaled)
         values, bench = self.settings(x, index)
-        prediction = predictor({**problem.values, **values})
+        prediction = predictor({**problem.values, **values}, bench.get(CLOCK, 0.0))
         omega = prediction.solution.omega
-        seen, device, elements = through_bench(prediction.impedance, omega, bench)
+        seen, device, elements = through_bench(prediction.impedance, omega, bench, lambda: prediction.frequency_slope)
         gradient = np.zeros((omega.size, len(self.parameters)), dtype=complex)
         for column, p in self._bench[index]:
             if free is None or column in free:
                 gradient[:, column] = elements[p.parsed.key]
         slopes = np.conj(prediction.logarithmic_gradient(keys))
-        clock = bench.get(BENCH + "clock", 0.0)
-        if clock != 0.0 and omega.size > 1:
-            # A clock that is off shows the slopes, too, at other frequencies (`through_bench`).
-            slopes = slopes + clock * np.gradient(slopes, np.log(omega), axis=0)
         for column, p, key in moved:
             slope = slopes[:, keys.index(key)] * self._scale(x, index, key)
             # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.

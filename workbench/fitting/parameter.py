@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
+from geometry.assumed import FILMS, SHAPE_UNCERTAINTY, length_uncertainty
 from geometry.chip import Chip
 from geometry.dimension import Dimension
+from geometry.names import role_of
 from geometry.stretch import movable, tied
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
@@ -34,13 +34,8 @@ CERAMIC_LOSS = 1e-3
 CERAMIC_LOSS_REACH = 5e-2
 POLYMER_LOSS_REACH = 0.3
 
-#: Standard uncertainty of a dimension without a stated tolerance, relative.
-MEASURED = 0.005
-
-#: The same of a shape (m; rad for a draft), as far as parts of its kind have it: printers and moulds widen a hole by a
-#: degree, a printed side bulges by a tenth of a line of filament, glass as thin as a lid and lapped discs are flat to a
-#: few micrometres.
-UNSTATED_SHAPE: Mapping[str, float] = {"draft": math.radians(1.0), "barrel": 4e-5, "bow": 4e-6, "dome": 2e-6}
+#: Share of a size that a derivative by it needs on either side.
+NEARBY = 0.005
 
 #: What to do about a radius that would pass another (`geometry.stretch.movable`).
 BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
@@ -94,8 +89,9 @@ class Parameter:
     the number multiplies the coefficient that each recording's problem has: a fluid at two temperatures. An ``offset``
     is added to what the other parameters of the value, or its problem, give: to the factor where both are relative.
     ``beyond`` tells what to do about a bound that does not come from what is known; ``tied`` are lengths that move with
-    this one since they are as long. ``powers`` are values, by their keys, that the number x scales together: each by
-    (1 + x)**power, after all others have been set.
+    this one since they are as long. ``assumed`` says in words what was taken to be known where nobody states it.
+    ``nuisance`` is whether it is no answer, and is there for what it leaves uncertain of the others. ``powers`` are
+    values, by their keys, that the number x scales together: each by (1 + x)**power, after all others have been set.
     """
 
     name: str
@@ -109,6 +105,8 @@ class Parameter:
     beyond: str = ""
     tied: tuple[str, ...] = ()
     offset: bool = False
+    assumed: str = ""
+    nuisance: bool = False
     powers: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
@@ -132,6 +130,11 @@ class Parameter:
     @property
     def is_dimension(self) -> bool:
         return self.parsed.kind is Kind.DIMENSION
+
+    @property
+    def is_film(self) -> bool:
+        """Whether it is the thickness of a film of gel or glue, which spectra may show at several values."""
+        return self.parsed.is_thickness and role_of(self.parsed.owner) in FILMS and not self.offset
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -225,8 +228,9 @@ def _loss(name: str, coefficient: str, value: complex, material: Material, unit:
 def dimension_parameter(chip: Chip, name: str) -> Parameter:
     """A dimension of a chip: within three tolerances of its value, the tolerance read as the limits of a uniform law.
 
-    A radius does not reach the next one, and stands for all radii of its length, under the first of their names; what
-    several of them state of their tolerance must agree.
+    Where the chip file states none, its role says what is assumed (`geometry.assumed`). A radius does not reach the
+    next one, and stands for all radii of its length, under the first of their names; what several of them state of
+    their tolerance must agree.
 
     Raises:
         InputError: the chip has no such dimension, states it as exact, or states two tolerances of radii that coincide.
@@ -246,20 +250,19 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
         raise InputError(chip.file, name, "a tolerance of 0", "a tolerance above zero, or none, for a length that is "
                          "free")
     parsed = ParameterName.parse(first)
-    unknown = UNSTATED_SHAPE.get(parsed.coefficient, MEASURED * abs(found.value))
-    prior = unknown if tolerance is None else tolerance / np.sqrt(3.0)
-    reach = max(3.0 * prior * np.sqrt(3.0), 0.02 * abs(found.value))
-    wanted = found.value - reach, found.value + reach
+    known_to = length_uncertainty(first, replace(found, tolerance=tolerance))
+    wanted = known_to.lowest, known_to.highest
     low, high = stretchable([chip], first, *wanted)
     beyond = BEYOND if parsed.is_radius and (low, high) != wanted else ""
-    return Parameter(first, found.value, low, high, float(prior), parsed.dimension_unit, beyond=beyond, tied=others)
+    return Parameter(first, found.value, low, high, known_to.deviation, parsed.dimension_unit, beyond=beyond,
+                     tied=others, assumed=known_to.assumed)
 
 
 def about(chip: Chip, name: str) -> tuple[float, float]:
     """A range (m or rad) about a shape that the chip states, or another size of it: twice what is usual of such shapes,
-    or what it would be measured to, to either side."""
+    or twice :data:`NEARBY` of the size, to either side."""
     value = chip.dimensions()[name].value
-    reach = 2.0 * UNSTATED_SHAPE.get(ParameterName.parse(name).coefficient, MEASURED * abs(value))
+    reach = 2.0 * SHAPE_UNCERTAINTY.get(ParameterName.parse(name).coefficient, NEARBY * abs(value))
     return movable(chip, name, value - reach, value + reach)
 
 
@@ -288,6 +291,12 @@ def ranges_of_dimensions(
         low, high = shared.get(name, (known[name].value,) * 2)
         result[name] = low + below, high + above
     return result
+
+
+def shared_gain(uncertainty: float) -> Parameter:
+    """The gain that all points of a recording share, known to a standard `uncertainty` (relative): of a standard's
+    tolerance, say. It moves no more than what it leaves uncertain of permittivities and stiffnesses."""
+    return replace(bench_parameter("gain"), prior=uncertainty, nuisance=True)
 
 
 def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:

@@ -60,6 +60,12 @@ class Prediction:
         return np.conj(self.solution.impedance)
 
     @cached_property
+    def frequency_slope(self) -> Complex:
+        """d ln Z / d ln f (n,), e^{+j w t}."""
+        solution = self.solution
+        return np.conj(solution.omega / solution.impedance * solution.frequency_gradient(self.values))
+
+    @cached_property
     def error(self) -> Real:
         """Estimated relative error (n,) of the impedance."""
         return self.model.error(self.solution)
@@ -105,25 +111,27 @@ class Predictor:
         self.place: Neighbourhood | None = None
         self._latest: Prediction | None = None
 
-    def __call__(self, values: Mapping[str, complex]) -> Prediction:
+    def __call__(self, values: Mapping[str, complex], clock: float = 0.0) -> Prediction:
         """The spectrum at these parameters, of a larger model if need be; those not given are the problem's own.
+
+        It is that at the frequencies of a generator whose `clock` is off by so much, relative.
 
         Raises:
             NotEnriched: the reduced model did not reach the tolerance.
         """
         values = {**self.problem.values, **values}
-        known = self._latest
+        known, frequencies = self._latest, self.frequencies * (1.0 + clock)
         if self.model is None:
-            prediction = self._grow(values, None)
+            prediction = self._grow(values, None, clock)
         else:
             operators = self.model.operators
-            groups = operators.coefficients.groups(2.0 * np.pi * self.frequencies, values)
+            groups = operators.coefficients.groups(2.0 * np.pi * frequencies, values)
             if known is not None and known.model is self.model and _alike(known.solution.groups, groups):
                 # Another state of a device, or a step of what does not act here.
                 return replace(known, values=values)
-            prediction = Prediction(solve_groups(operators, self.frequencies, groups), self.model, values)
+            prediction = Prediction(solve_groups(operators, frequencies, groups), self.model, values)
             if math.isfinite(self.tolerance) and prediction.error.max() > self.tolerance:
-                prediction = self._grow(values, float(self.frequencies[np.argmax(prediction.error)]))
+                prediction = self._grow(values, float(self.frequencies[np.argmax(prediction.error)]), clock)
         self._latest = prediction
         return prediction
 
@@ -216,7 +224,9 @@ class Predictor:
         self.solves += len(at)
         return np.conj(solve_full(self.operators, at, {**self.problem.values, **values}).impedance)
 
-    def _grow(self, values: Mapping[str, complex], worst: float | None) -> Prediction:
+    def _grow(self, values: Mapping[str, complex], worst: float | None, clock: float) -> Prediction:
+        """The prediction of a model that is large enough; `worst` is the frequency (Hz) where the last one was least
+        so."""
         start = self.model
         if start is not None and self._latest is not None and start.basis.shape[1] > WIDE:
             # Of a long way what was needed at its last place: dense solves cost the cube of the rank.
@@ -228,7 +238,10 @@ class Predictor:
                                   worst=worst)
         self.solves += model.solves - (0 if start is None else start.solves)
         self.model = model
-        return Prediction(solution, model, values)
+        # The model is made, and its error estimated, at the frequencies themselves: a clock is off by far less than
+        # the width of a resonance.
+        return Prediction(solution if clock == 0.0 else model.solve(self.frequencies * (1.0 + clock), values), model,
+                          values)
 
 
 def _alike(one: Groups, other: Groups) -> bool:

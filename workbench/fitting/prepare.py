@@ -30,6 +30,7 @@ from workbench.fitting.parameter import (
     dimension_parameter,
     material_parameter,
     parameters,
+    shared_gain,
 )
 from workbench.merit import Antiresonance, Figures, NoResonance, figures, fit_resonance
 from workbench.parameter_names import Kind, ParameterName
@@ -93,6 +94,8 @@ def prepare(
 ) -> Prepared:
     """One recording of a chip, ready to be fitted.
 
+    What all points of the recording share is a gain beside the parameters that are asked for.
+
     Args:
         kind: "pzt" frees the transducer's material, "polymer" that of the sample.
         name: of the recording, in messages and results.
@@ -134,8 +137,11 @@ def prepare(
     fine, coarse = (
         build(device, band=meshed_band, accuracy=mesh)
         for mesh in (discretisation(accuracy), discretisation(accuracy).refined(COARSE)))
+    moved = parameters(fine, chip, freed.name, wanted)
+    if part.shared_uncertainty and not any(p.is_bench and p.parsed.coefficient == "gain" for p in moved):
+        moved = (*moved, shared_gain(part.shared_uncertainty))
     return Prepared(kind, chip, state, freed, (Recording(name, fine, part, chip),),
-                    (Recording(name, coarse, part, chip),), parameters(fine, chip, freed.name, wanted))
+                    (Recording(name, coarse, part, chip),), moved)
 
 
 def free_region(chip: Chip, state: str, kind: str, region: str | None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+#: The clock of the generator, which makes (1 + clock) f of a frequency f.
+CLOCK = BENCH + "clock"
+
+
 def log_ratio(model: Complex, measured: Complex) -> Complex:
     """ln(model / measured) (n,), the phase as its principal value."""
     ratio = model / measured
@@ -20,24 +24,22 @@ def log_ratio(model: Complex, measured: Complex) -> Complex:
 
 
 def through_bench(
-    impedance: Complex, omega: Real, bench: Mapping[str, float]
+    impedance: Complex, omega: Real, bench: Mapping[str, float], slope: Callable[[], Complex] | None = None
 ) -> tuple[Complex, Complex, dict[str, Complex]]:
     """What an instrument sees of an impedance (n,), e^{+j w t}, through the elements named in `bench`.
 
-    A clock that is off shifts the spectrum by so little that its slope between the given points tells by how much.
+    Where a clock is off, `impedance` is that of the device at the frequencies that the generator really makes.
+
+    Args:
+        slope: d ln Z / d ln f (n,) of the impedance, asked for where the clock is named.
 
     Returns:
         the impedance seen (n,), d ln seen / d ln impedance (n,), of the impedance at the generator's frequency, and
-        d ln seen / d element (n,) for every element; for the clock only where it is named.
+        d ln seen / d element (n,) for every element; for the clock only where it is named and a slope given.
     """
     def element(name: str) -> float:
         return bench.get(BENCH + name, 0.0)
 
-    clock = BENCH + "clock" in bench
-    if clock:
-        logarithm = np.log(np.abs(impedance)) + 1j * np.unwrap(np.angle(impedance))
-        drift = np.gradient(logarithm, np.log(omega)) if omega.size > 1 else np.zeros(1)
-        impedance = impedance * np.exp(element("clock") * drift)
     parallel = impedance / (1.0 + 1j * omega * element("parallel_capacitance") * impedance)
     whole = element("series_resistance") + 1j * omega * element("series_inductance") + parallel
     gain = np.exp(element("gain") + 1j * (element("phase") - omega * element("delay")))
@@ -51,8 +53,8 @@ def through_bench(
         "delay": -1j * omega,
     }
     device = parallel**2 / (impedance * whole)
-    if clock:
-        slopes["clock"] = device * drift
+    if slope is not None and CLOCK in bench:
+        slopes["clock"] = device * slope() / (1.0 + bench[CLOCK])
     return gain * whole, device, {BENCH + name: slope for name, slope in slopes.items()}
 
 

@@ -14,7 +14,7 @@ from workbench.comparison import Comparison
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import REFUSED, Optimum, Search, Weighted
-from workbench.fitting.seen import log_ratio, through_bench
+from workbench.fitting.seen import CLOCK, log_ratio, through_bench
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -110,10 +110,14 @@ class FitUncertainty:
 
 
 def noise_shape(measured: Spectrum) -> Real:
-    """Relative standard deviation (n,) of each point up to a common factor: the spectrum's own, or constant."""
-    if measured.uncertainty is None:
+    """Relative standard deviation (n,) of each point up to a common factor: the spectrum's own, or constant.
+
+    What all points share is left out: it is a number of the bench.
+    """
+    noise = measured.noise
+    if noise is None:
         return np.ones(measured.frequency.size)
-    return np.asarray(measured.uncertainty / measured.magnitude)
+    return np.asarray(noise / measured.magnitude)
 
 
 def noise(log_ratio: Complex, deviation: Real, stated: bool, ratio: float) -> Noise:
@@ -238,7 +242,7 @@ def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence
 def unrefined(coarser: Objective, x: Real, index: int, frequency: Real, tolerance: float) -> Complex:
     """The impedance (n,) of a recording as `coarser` predicts it at other frequencies (Hz)."""
     values, bench = coarser.settings(x, index)
-    prediction = coarser.predictors[index].elsewhere(frequency, tolerance, values)
+    prediction = coarser.predictors[index].elsewhere(frequency * (1.0 + bench.get(CLOCK, 0.0)), tolerance, values)
     return through_bench(prediction.impedance, prediction.solution.omega, bench)[0]
 
 
@@ -345,6 +349,8 @@ def _undetermined(search: Search, x: Real, information: Real) -> tuple[Direction
         # The standard error with the prior is 1 / sqrt(1 + value) of the prior.
         narrowing = float(1.0 / np.sqrt(1.0 + max(value, 0.0)))
         if narrowing * NARROWED <= 1.0:
+            continue
+        if sum(share**2 for share, p in zip(vector, search.parameters, strict=True) if p.nuisance) > 0.5:
             continue
         order = np.argsort(-np.abs(vector))
         shares = tuple((search.parameters[i].name, float(vector[i])) for i in order if abs(vector[i]) > 0.1)
@@ -457,7 +463,7 @@ def _statements(search: Search, estimates: Sequence[ParameterEstimate], undeterm
         if found.at_bound:
             beyond = found.parameter.beyond if "bound" in found.at_bound else ""
             result.append(f"{found.parameter.name} is held by {found.at_bound}{beyond and f', {beyond}'}.")
-        if not found.determined:
+        if not found.determined and not found.parameter.nuisance:
             result.append(f"{found.parameter.name} is not determined by these data: its interval is that of the prior "
                           f"narrowed to {100 * found.narrowing:.0f} %.")
     for direction in undetermined:

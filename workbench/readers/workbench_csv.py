@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from workbench.files.errors import InputError, nearest_names
 from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
-from workbench.spectrum import COLUMNS, ORIGIN_KINDS, UNCERTAINTY_COLUMN, Origin, Spectrum
+from workbench.spectrum import COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin, Spectrum
 
 _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
@@ -27,7 +27,8 @@ def parse(text: RecordingText) -> Spectrum:
     table = [(line, content) for line, content in numbered if not content.startswith("#")]
     if not table:
         raise text.error(len(text.lines), None, text.lines[-1], "the column names and rows; the file is cut short")
-    origin = _origin(text, comments)
+    shared = _shared_uncertainty(text, comments)
+    origin = _origin(text, [each for each in comments if _key(each[1]) != SHARED_UNCERTAINTY])
     header_line, header = table[0]
     names = tuple(cells(header, ","))
     if names not in (COLUMNS, (*COLUMNS, UNCERTAINTY_COLUMN)):
@@ -43,7 +44,27 @@ def parse(text: RecordingText) -> Spectrum:
         for line, value in zip(rows.lines, uncertainty, strict=True):
             if value <= 0.0:
                 raise text.error(line, 4, float(value), "an uncertainty above zero")
-    return Spectrum(rows.values[:, 0], impedance, uncertainty, origin)
+    if shared and uncertainty is None:
+        raise InputError(text.path, SHARED_UNCERTAINTY, shared, f"a column {UNCERTAINTY_COLUMN} that it is a part of")
+    return Spectrum(rows.values[:, 0], impedance, uncertainty, origin, shared)
+
+
+def _key(comment: str) -> str:
+    return comment[1:].partition(":")[0].strip()
+
+
+def _shared_uncertainty(text: RecordingText, comments: list[tuple[int, str]]) -> float:
+    """What the line of the uncertainty that all points share says, 0 without one."""
+    found = 0.0
+    for line, content in comments:
+        if _key(content) == SHARED_UNCERTAINTY:
+            try:
+                found = float(content.partition(":")[2])
+            except ValueError:
+                found = -1.0
+            if not 0.0 <= found < 1.0:
+                raise text.error(line, None, content, "a share of Z from 0 to less than 1")
+    return found
 
 
 def _origin(text: RecordingText, comments: list[tuple[int, str]]) -> Origin:

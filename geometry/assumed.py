@@ -1,0 +1,78 @@
+"""How exactly a length is taken to be known where nobody says: an assumption by the role of its layer.
+
+A number that is freed without a statement of how exact it is - in a fit, a live view, a tolerance analysis or a
+diagnosis - is given the one that people who make such parts would give. Reports show it as assumed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from geometry.dimension import Dimension
+from geometry.names import CAVITY, role_of
+
+#: Films that are spread by hand: they are known to within this factor, and searched within the shares of the value
+#: beside it. Doubled, a gel stated as 20 um would be as likely one of 120 um as one of 20 um.
+FILMS = ("couplant", "bond")
+FILM_FACTOR, FILM_RANGE = 3.0, (0.1, 5.0)
+
+#: What comes from a printer, and how far its lengths are off (m): a layer, or half the width of a line of filament.
+PRINTED = ("substrate", "sidewall", CAVITY)
+PRINTED_TOLERANCE = 50e-6
+
+#: What is turned, lapped or bought, relative: catalogues of discs and lids state 0.5 to 2 %.
+MACHINED_TOLERANCE = 0.01
+
+#: Standard uncertainty of a shape (m; rad for a draft), as far as parts of its kind have it: printers and moulds widen
+#: a hole by a degree, a printed side bulges by a tenth of a line of filament, glass as thin as a lid and lapped discs
+#: are flat to a few micrometres.
+SHAPE_UNCERTAINTY: Mapping[str, float] = {"draft": math.radians(1.0), "barrel": 4e-5, "bow": 4e-6, "dome": 2e-6}
+
+
+@dataclass(frozen=True)
+class LengthUncertainty:
+    """How exactly a length is known.
+
+    ``deviation`` (m; rad for an angle) is the standard uncertainty; ``low`` and ``high`` are the limits that stand for
+    it, and ``lowest`` and ``highest`` those of a search. ``assumed`` says in words what was taken to be known where the
+    chip file states nothing, and is empty where it does.
+    """
+
+    deviation: float
+    low: float
+    high: float
+    lowest: float
+    highest: float
+    assumed: str = ""
+
+
+def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
+    """How exactly the dimension ``<region>.<what>`` is known: as the chip file states, or as its role lets assume.
+
+    A tolerance is the limit of a uniform law. A search goes to three tolerances, or 2 % of the length where that is
+    more. The thickness of a film is known to a factor: its logarithm is uniform.
+    """
+    region, _, what = name.rpartition(".")
+    value, size = length.value, abs(length.value)
+    if length.tolerance is not None:
+        return _limited(value, length.tolerance, "")
+    if what in SHAPE_UNCERTAINTY:
+        return _limited(value, math.sqrt(3.0) * SHAPE_UNCERTAINTY[what], "a shape as far as parts of its kind have it")
+    role = role_of(region)
+    if role in FILMS and what == "thickness":
+        return LengthUncertainty(
+            size * math.log(FILM_FACTOR) / math.sqrt(3.0), value / FILM_FACTOR, value * FILM_FACTOR,
+            FILM_RANGE[0] * value, FILM_RANGE[1] * value,
+            f"a film of gel or glue is known to a factor of {FILM_FACTOR:g}")
+    if role in PRINTED:
+        return _limited(value, PRINTED_TOLERANCE, f"a printed length is known to {1e6 * PRINTED_TOLERANCE:g} um")
+    return _limited(value, MACHINED_TOLERANCE * size,
+                    f"a turned or bought part is known to {100.0 * MACHINED_TOLERANCE:g} %")
+
+
+def _limited(value: float, tolerance: float, assumed: str) -> LengthUncertainty:
+    reach = max(3.0 * tolerance, 0.02 * abs(value))
+    return LengthUncertainty(tolerance / math.sqrt(3.0), value - tolerance, value + tolerance, value - reach,
+                             value + reach, assumed)
