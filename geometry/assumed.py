@@ -48,6 +48,12 @@ class LengthUncertainty:
     assumed: str = ""
 
 
+def is_film(name: str) -> bool:
+    """Whether the dimension ``<region>.<what>`` is the thickness of a film of gel or glue."""
+    region, _, what = name.rpartition(".")
+    return what == "thickness" and role_of(region) in FILMS
+
+
 def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
     """How exactly the dimension ``<region>.<what>`` is known: as the chip file states, or as its role lets assume.
 
@@ -60,13 +66,12 @@ def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
         return _limited(value, length.tolerance, "")
     if what in SHAPE_UNCERTAINTY:
         return _limited(value, math.sqrt(3.0) * SHAPE_UNCERTAINTY[what], "a shape as far as parts of its kind have it")
-    role = role_of(region)
-    if role in FILMS and what == "thickness":
+    if is_film(name):
         return LengthUncertainty(
             size * math.log(FILM_FACTOR) / math.sqrt(3.0), value / FILM_FACTOR, value * FILM_FACTOR,
             FILM_RANGE[0] * value, FILM_RANGE[1] * value,
             f"a film of gel or glue is known to a factor of {FILM_FACTOR:g}")
-    if role in PRINTED:
+    if role_of(region) in PRINTED:
         return _limited(value, PRINTED_TOLERANCE, f"a printed length is known to {1e6 * PRINTED_TOLERANCE:g} um")
     return _limited(value, MACHINED_TOLERANCE * size,
                     f"a turned or bought part is known to {100.0 * MACHINED_TOLERANCE:g} %")

@@ -70,6 +70,18 @@ def test_a_sweep_gives_every_frequency_as_soon_as_it_is_solved(
         next(parts)
 
 
+def test_the_gradient_by_frequency_is_that_of_neighbouring_solutions(
+    filled: Problem, filled_operators: FullOperators
+) -> None:
+    step = 1e-5
+    found = solve_full(filled_operators, FREQUENCY, filled.values)
+    ahead, behind = (solve_full(filled_operators, FREQUENCY * (1.0 + sign * step), filled.values).impedance
+                     for sign in (1.0, -1.0))
+    exact = (ahead - behind) / (2.0 * step * found.omega)
+    # The square of the step times what resonances of Q up to 200 bend the spectrum: 4e-6.
+    assert np.abs(found.frequency_gradient(filled.values) / exact - 1.0).max() < 1e-5
+
+
 def test_an_unknown_parameter_has_no_gradient(filled: Problem, filled_operators: FullOperators) -> None:
     solution = solve_full(filled_operators, FREQUENCY[:1], filled.values)
     with pytest.raises(KeyError, match=r"no coefficient depends on 'pla\.shear'.*pla\.shear_modulus"):

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from workbench.files.errors import InputError
 from workbench.merit import bvd_impedance
 from workbench.readers import read_recording
 from workbench.spectrum import Origin, Spectrum, corrected, write_csv
@@ -174,3 +175,35 @@ def test_csv_round_trip_of_any_numbers(tmp_path_factory: Any, values: Any) -> No
     got = read_recording(path).spectrum
     np.testing.assert_array_equal(got.frequency, frequency)
     np.testing.assert_array_equal(got.impedance, written.impedance)
+
+
+def test_what_all_points_share_is_a_part_of_the_uncertainty(tmp_path: Path) -> None:
+    frequency, impedance = np.array([1e5, 2e5, 3e5]), np.array([3.0 - 4.0j, 10.0 + 0.0j, -20.0j])
+    own, shared = np.array([0.03, 0.02, 0.1]), 0.01
+    found = Spectrum(frequency, impedance, np.hypot(own, shared * np.abs(impedance)), shared_uncertainty=shared)
+    assert found.noise == pytest.approx(own, rel=1e-12)
+    assert Spectrum(frequency, impedance, own).noise == pytest.approx(own, rel=1e-15)
+    assert Spectrum(frequency, impedance).noise is None
+    # Interpolated, restricted and written, it is still there.
+    assert found.restricted(1e5, 2e5).shared_uncertainty == shared
+    assert found.on([1.5e5, 2.5e5]).shared_uncertainty == shared
+    write_csv(found, tmp_path / "spectrum.csv")
+    again = read_recording(tmp_path / "spectrum.csv").spectrum
+    assert again.shared_uncertainty == shared
+    assert again.noise == pytest.approx(own, rel=1e-12)
+
+
+@pytest.mark.parametrize("shared", [-0.1, 1.0, np.nan])
+def test_a_share_is_a_share(shared: float) -> None:
+    with pytest.raises(ValueError, match="shared_uncertainty"):
+        Spectrum(np.array([1e5, 2e5]), np.array([1.0 + 0j, 2.0]), np.array([0.1, 0.1]), shared_uncertainty=shared)
+
+
+def test_a_shared_part_needs_the_whole(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="a part of an uncertainty"):
+        Spectrum(np.array([1e5, 2e5]), np.array([1.0 + 0j, 2.0]), shared_uncertainty=0.1)
+    path = tmp_path / "spectrum.csv"
+    path.write_text("# kind: measured\n# shared uncertainty: 2\nfrequency_hz,z_real_ohm,z_imag_ohm,uncertainty_ohm\n"
+                    "1e5,1,2,0.1\n2e5,1,2,0.1\n")
+    with pytest.raises(InputError, match=r"line 2.*a share of Z from 0 to less than 1"):
+        read_recording(path)

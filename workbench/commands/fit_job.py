@@ -202,9 +202,10 @@ def parameter_table(result: FitResult, prepared: Prepared) -> Table:
         p = e.parameter
         difference = f"{100.0 * (e.value / p.start - 1.0):+.2f}" if p.start else ""
         held = e.at_bound.removesuffix(f" of {prepared.material.name}")
-        remarks = [f"held by {held}" if held else "", "" if e.determined else "not determined",
+        remarks = [f"held by {held}" if held else "",
+                   "of all points together" if p.nuisance else "" if e.determined else "not determined",
                    "by profile" if e.method == "profile" else ""]
-        prior = "" if p.prior is None else f"± {shown(p.prior, p.unit, digits=2)}"
+        prior = "" if p.prior is None else f"± {shown(p.prior, p.unit, digits=2)}{' (assumed)' if p.assumed else ''}"
         rows.append((short_name(e, prepared), shown(p.start, p.unit), *shown_estimate(e.value, e.low, e.high, p.unit),
                      shown_unit(p.unit), difference, prior, "; ".join(filter(None, remarks))))
     return Table(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", ""),

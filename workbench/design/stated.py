@@ -3,7 +3,8 @@ own word, each taking the place of those before it.
 
 A person's word is a text, ``superstrate.thickness = 20 um``: of a length its limits, of a coefficient its standard
 uncertainty. ``uniform`` or ``normal`` behind it make either a limit, ``standard`` a standard uncertainty; per cents are
-of the number itself, and ``exact`` leaves it certain. In a TOML file the same stands in a table::
+of the number itself, ``exact`` leaves it certain, and ``assumed`` says of a length what its role lets assume
+(`geometry.assumed`), such as a factor of three of a film of gel. In a TOML file the same stands in a table::
 
     [uncertainty]
     "superstrate.thickness" = "20 um"
@@ -15,12 +16,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
+from geometry.assumed import is_film, length_uncertainty
 from geometry.chip import Chip
 from geometry.stretch import movable, tied
 from materials.entry import KINDS
@@ -33,6 +35,9 @@ from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
 from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName
 from workbench.problem import FilledChip, fill
+
+#: The amount that stands for what is assumed of a length by the role of its layer.
+ASSUMED = "assumed"
 
 #: Of a fluid, what the model holds as a number of its own; its losses follow from others.
 FLUID_NUMBERS = ("density", "sound_speed")
@@ -119,6 +124,11 @@ def stated_uncertainty(
     known = numbers_of(device)
     for each in given:
         _say(each, device, known, law, found)
+    said = {_meant(each, device, known) for each in given}
+    for name, length in chip.dimensions().items():
+        if length.tolerance is None and is_film(name) and name not in {*found.inputs, *said}:
+            found.notes.append(f"{name} is taken as exact, since the chip file states no tolerance, but "
+                               f"{length_uncertainty(name, length).assumed}: \"{name} = {ASSUMED}\" counts with that")
     return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
 
 
@@ -326,6 +336,15 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: L
         found.notes.append(f"{name}: {each.source} goes before what a fit says of it, correlations included")
     if each.amount == "exact":
         found.drop(name)
+        return
+    if each.amount == ASSUMED:
+        if not is_length:
+            raise InputError(each.source, each.field, each.amount, f"an uncertainty of {name}: only lengths have one "
+                             "that is assumed by the role of their layer")
+        length = length_uncertainty(name, replace(device.chip.dimensions()[name], tolerance=None))
+        found.put(from_standard(name, mean, length.deviation, origin=f"assumed: {length.assumed}",
+                                ends=movable(device.chip, name, length.low, length.high),
+                                tied=_tied(device.chip, name)))
         return
     choose(word, _WORDS, source=each.source, field=each.field)
     if amount.endswith("%"):

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from workbench.design.stated import uncertainty_of_files
+from geometry.assumed import length_uncertainty
+from workbench.design.stated import ASSUMED, uncertainty_of_files
 from workbench.diagnosis.numbers import DIMENSIONS, SAME_NUMBER, DeviceNumbers, names, unit_of
 from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names
@@ -148,6 +149,9 @@ def _uncertainty(
 ) -> float:
     """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
     entry, unit = table.content[written], unit_of(name, numbers.states)
+    if entry == ASSUMED and ParameterName.parse(name).kind is Kind.DIMENSION:
+        chip = next(state.chip for state in states if name in state.chip.dimensions())
+        return length_uncertainty(name, replace(chip.dimensions()[name], tolerance=None)).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
     found = parse_quantity(entry, "dimensionless" if share else DIMENSIONS[unit], source=table.source,
                            field=table.at(written))

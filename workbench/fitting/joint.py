@@ -172,7 +172,7 @@ def fit(
     return FitResult(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out, check,
         minimum.converged, improved, minimum.iterations,
-        (*_findings(minimum, improved, listed, matches, left_out, check), *estimated.findings,
+        (*_findings(minimum, improved, listed, matches, left_out, check), *estimated.findings, *assumed(parameters),
          *refused_steps([*scout.objective.refusals, *search.objective.refusals])),
         time.perf_counter() - started, solves,
     )
@@ -252,6 +252,11 @@ def _findings(
     if check[0] > 10.0 * FINE:
         result.append(f"The reduced model is {check[0]:.1e} off a full solve at {check[1] / 1e3:.1f} kHz.")
     return result
+
+
+def assumed(parameters: Sequence[Parameter]) -> list[str]:
+    """A statement of every parameter whose prior nobody stated but its role lets assume."""
+    return [f"{p.name} was freed without a tolerance: assumed, {p.assumed}." for p in parameters if p.assumed]
 
 
 def refused_steps(refusals: Sequence[str]) -> list[str]:

@@ -10,10 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from geometry.assumed import FILMS, SHAPE_UNCERTAINTY, length_uncertainty
+from geometry.assumed import SHAPE_UNCERTAINTY, is_film, length_uncertainty
 from geometry.chip import Chip
 from geometry.dimension import Dimension
-from geometry.names import role_of
 from geometry.stretch import movable, tied
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
@@ -134,7 +133,7 @@ class Parameter:
     @property
     def is_film(self) -> bool:
         """Whether it is the thickness of a film of gel or glue, which spectra may show at several values."""
-        return self.parsed.is_thickness and role_of(self.parsed.owner) in FILMS and not self.offset
+        return self.is_dimension and is_film(self.name) and not self.offset
 
     @property
     def names(self) -> tuple[str, ...]:
