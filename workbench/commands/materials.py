@@ -8,6 +8,7 @@ import warnings
 from typing import TYPE_CHECKING
 
 from materials import (
+    Fluid,
     Registry,
     describe,
     differences,
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
     registry = user_registry(options.materials)
     match options.action:
         case "list":
-            print_table("materials", Table(("name", "kind", "density (kg/m^3)", ""), tuple(
+            print_table("materials", Table(("name", "kind", "density (kg/m^3)", "remarks"), tuple(
                 _list_row(registry, name) for name in registry.names())))
         case "show":
             if options.name is None:
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
                 withdrawn = version.withdrawal
                 remark = version.fault if withdrawn is None else f"withdrawn on {withdrawn.date}: {withdrawn.reason}"
                 rows.append((version.name, *figures, remark))
-            print_table(options.name, Table(("version", "fitted on", "MAPE (%)", "algorithm", ""), tuple(rows)))
+            print_table(options.name, Table(("version", "fitted on", "MAPE (%)", "algorithm", "remarks"), tuple(rows)))
         case "withdraw":
             now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
             withdraw(registry, options.name, reason=options.reason, date=now)
@@ -85,6 +86,8 @@ def _list_row(registry: Registry, name: str) -> tuple[str, str, str, str]:
         remarks.append(f"fitted, {low / 1e6:.4g} to {high / 1e6:.4g} MHz")
     if withdrawn is not None:
         remarks.append("withdrawn")
+    if not isinstance(material, Fluid) and not any(number.imag for number in material.parameters().values()):
+        remarks.append("lossless")
     return name, type(material).__name__, f"{material.density:.6g}", "; ".join(remarks)
 
 
