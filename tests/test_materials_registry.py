@@ -161,6 +161,10 @@ def test_silicon_is_the_hill_average_of_its_cubic_constants() -> None:
     young, poisson = conversions.young_and_poisson(silicon.bulk_modulus, silicon.shear_modulus)
     assert young.real == pytest.approx(160e9, rel=0.02)
     assert poisson.real == pytest.approx(0.22, abs=0.005)
+    wafer = _load("silicon/wafer_100")
+    assert isinstance(wafer, IsotropicSolid)
+    assert (wafer.bulk_modulus + 4 * wafer.shear_modulus / 3).real / 1e9 == pytest.approx(c11, abs=0.01)
+    assert wafer.bulk_modulus == silicon.bulk_modulus
     # Eight atoms in the cube of 543.102 pm.
     assert silicon.density == pytest.approx(8 * 28.0855 * 1.66053907e-27 / 543.102e-12**3, rel=5e-5)
 

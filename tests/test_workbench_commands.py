@@ -328,6 +328,11 @@ def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.C
     shown = capsys.readouterr().out
     assert "997" in shown
     assert "298.15" in shown
+    assert main(["materials", "show", "silicon"]) == 0
+    shown = capsys.readouterr().out
+    assert "title                  Silicon, isotropic (Hill) average of the cubic crystal" in shown
+    assert "An axisymmetric model cannot hold a cubic crystal" in shown
+    assert "+- 1.58e+09" in shown
     assert main(["materials", "check"]) == 0
     checked = capsys.readouterr().out
     assert "water/iapws_2011: ok" in checked

@@ -24,6 +24,7 @@ from workbench.commands.asked import saving_folder
 from workbench.commands.terminal import print_line, print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
+from workbench.files.tables import read_toml
 from workbench.report.page import Table
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
             if options.name is None:
                 raise InputError("command line", "NAME", None, "the name of a material; see `workbench materials list`")
             print_line(describe(registry.load(options.name, temperature=_temperature(options))))
+            _print_remarks(registry, options.name)
         case "check":
             return _check(registry, options)
         case "diff":
@@ -66,6 +68,14 @@ def run(options: argparse.Namespace, _console: Console) -> int:
             for name in export_entries(registry, options.names, path=options.output):
                 print_line(name)
     return 0
+
+
+def _print_remarks(registry: Registry, name: str) -> None:
+    """What the entry says of the whole: its title, its conditions and its note."""
+    content = read_toml(registry.find(name)[1])
+    for key in ("title", "conditions", "note"):
+        if key in content:
+            print_line(f"  {key:<22} {' '.join(str(content[key]).split())}")
 
 
 def _temperature(options: argparse.Namespace) -> float | None:
