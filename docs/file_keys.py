@@ -229,7 +229,7 @@ def accepted(found: Readings) -> dict[str, dict[str, tuple[str, str]]]:
         for key in read if listed is None else listed:
             # The list of states and the tables of known numbers have names for keys.
             if listed is not None or key == "defaults":
-                takes = read.get(key) or (TAKES[key], "")
+                takes = read.get(key) or (TAKES.get(key, "text"), "")
                 keys.setdefault(_title(table), {}).setdefault(key, takes)
     return keys
 
