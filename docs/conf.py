@@ -21,6 +21,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import api  # noqa: E402
 import architecture  # noqa: E402
 import chip_keys  # noqa: E402
+import file_keys  # noqa: E402
+import material_table  # noqa: E402
 
 _PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
@@ -41,7 +43,9 @@ html_theme_options: dict[str, Any] = {
     "icon_links": [], "navbar_end": ["theme-switcher"], "navbar_align": "left", "show_prev_next": True,
     "footer_start": [], "footer_end": [], "header_links_before_dropdown": 6, "use_edit_page_button": False,
 }
-html_sidebars = {"gallery/*": []}
+# The four sections are in the header, the pages of one beside its text; the first page, which has no
+# section, has no empty column.
+html_sidebars = {"index": []}
 html_show_sourcelink = False
 html_show_sphinx = False
 
@@ -69,6 +73,9 @@ def _generate(_app: object) -> None:
     made = HERE / "_generated"
     made.mkdir(exist_ok=True)
     (made / "chip_keys.md").write_text(chip_keys.page(), encoding="utf-8")
+    (made / "bench_keys.md").write_text(file_keys.bench_page(), encoding="utf-8")
+    (made / "campaign_keys.md").write_text(file_keys.campaign_page(), encoding="utf-8")
+    (made / "material_table.md").write_text(material_table.page(), encoding="utf-8")
     (made / "api.rst").write_text(api.page(), encoding="utf-8")
     architecture.draw(made / "architecture.png")
 

@@ -13,7 +13,8 @@ def describe(material: Material) -> str:
     A fitted material ends in what is known of its fit.
     """
     lines = [f"{material.name}: {type(material).__name__}, source {material.source}"]
-    for name, number in material.parameters().items():
+    thermal = {} if isinstance(material, Fluid) else material.thermal()
+    for name, number in (material.parameters() | thermal).items():
         known = material.values.get(name)
         lines.append(f"  {name:<22} {_number(number):<28} {'' if known is None else _remarks(known)}".rstrip())
     match material:

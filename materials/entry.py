@@ -77,11 +77,17 @@ def _from_strain_charge(numbers: _Numbers) -> dict[str, complex]:
     return conversions.stress_charge(**{name: numbers[name] for name in _STRAIN_CHARGE})
 
 
+_THERMAL = {
+    "thermal_conductivity": "thermal conductivity",
+    "heat_capacity": "heat capacity",
+    "thermal_expansion": "thermal expansion",
+}
+
 KINDS: Mapping[str, Kind] = {
     "piezoelectric": Kind(
         build=Piezoelectric,
         required={"density": "density"},
-        optional={},
+        optional=_THERMAL,
         forms=(
             Form(
                 {
@@ -97,7 +103,7 @@ KINDS: Mapping[str, Kind] = {
     "isotropic solid": Kind(
         build=IsotropicSolid,
         required={"density": "density"},
-        optional={},
+        optional=_THERMAL,
         forms=(
             Form({"bulk_modulus": "pressure", "shear_modulus": "pressure"},
                  _unchanged("bulk_modulus", "shear_modulus")),

@@ -27,7 +27,33 @@ def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> d
 
 
 @dataclass(frozen=True, kw_only=True)
-class Piezoelectric:
+class Heat:
+    """How a solid takes, leads and shows heat; what a source does not give is None.
+
+    Thermal conductivity in W/(m K), heat capacity in J/(kg K), linear thermal expansion in 1/K. No term of the acoustic
+    model reads them, so they are not among the parameters of a solid.
+    """
+
+    THERMAL: ClassVar[tuple[str, ...]] = ("thermal_conductivity", "heat_capacity", "thermal_expansion")
+
+    thermal_conductivity: float | None = field(default=None, repr=False)
+    heat_capacity: float | None = field(default=None, repr=False)
+    thermal_expansion: float | None = field(default=None, repr=False)
+
+    def thermal(self) -> dict[str, complex]:
+        """Every known thermal constant by its field name."""
+        found = {name: getattr(self, name) for name in self.THERMAL}
+        return {name: complex(number) for name, number in found.items() if number is not None}
+
+    def values_that_hold(self, parameters: Mapping[str, complex], values: Mapping[str, Value]) -> dict[str, Value]:
+        """`values` without those of a number that has been changed, or set to None, since it was read."""
+        known = {**parameters, **self.thermal()}
+        stated = {name: value for name, value in values.items() if name in known or name not in self.THERMAL}
+        return _still_true(stated, known)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piezoelectric(Heat):
     """A transversely isotropic piezoelectric solid poled along z, in stress-charge form.
 
     Density in kg/m^3, stiffness at constant electric field in Pa, piezoelectric constants in C/m^2, permittivity at
@@ -56,7 +82,7 @@ class Piezoelectric:
     fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _still_true(self.values, self.parameters()))
+        object.__setattr__(self, "values", self.values_that_hold(self.parameters(), self.values))
 
     @property
     def c66(self) -> complex:
@@ -83,7 +109,7 @@ class Piezoelectric:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsotropicSolid:
+class IsotropicSolid(Heat):
     """An isotropic, possibly viscoelastic solid; also the material of a suspended particle.
 
     Density in kg/m^3, adiabatic bulk and shear modulus in Pa. Acevedo-Espinosa et al. (RP-UEIS), eq. 17.
@@ -101,7 +127,7 @@ class IsotropicSolid:
     fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _still_true(self.values, self.parameters()))
+        object.__setattr__(self, "values", self.values_that_hold(self.parameters(), self.values))
 
     @property
     def compressibility(self) -> float:

@@ -160,7 +160,8 @@ _POSITIVE = (
 
 
 def _check_positive(material: Material, source: str) -> None:
-    for name, number in material.parameters().items():
+    thermal = {} if isinstance(material, Fluid) else material.thermal()
+    for name, number in (material.parameters() | thermal).items():
         if not (math.isfinite(number.real) and math.isfinite(number.imag)):
             raise InputError(source, name, number, "a finite number")
         if name in _POSITIVE and number.real <= 0:

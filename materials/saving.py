@@ -12,7 +12,7 @@ from typing import Any
 from materials import toml
 from materials.entry import KINDS, Kind, parse_entry
 from materials.fit import Fit
-from materials.kinds import Material
+from materials.kinds import Fluid, Material
 from materials.registry import PACKAGE_DATA, bibliography_keys
 from materials.value import RECORDING, UNITS, Value
 from materials.versions import check_name, entry_file, entry_name, put, split_version, versions_of
@@ -38,9 +38,9 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
     kind = _kind(start)
     lossy = kind.forms[0].dimensions if kind.forms else {}
     # A source that prints other constants (wave speeds, compliances) has no Value under the names of the fields.
-    converted = bool(set(start.values) - set(numbers))
+    converted = bool(set(start.values) - set(numbers) - set(_thermal(start)))
     values: dict[str, Value] = {}
-    for name, number in numbers.items():
+    for name, number in (numbers | _thermal(start)).items():
         known = start.values.get(name)
         if name in estimates:
             value = replace(estimates[name], source=RECORDING, conditions=_conditions(fit), rounding=0.0)
@@ -53,7 +53,7 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
             elif converted:
                 source, conditions = start.source, "converted from what the source prints"
             value = Value(number, "", source, conditions)
-        if name not in estimates:
+        if name in numbers and name not in estimates:
             value = replace(value, status="fixed", loss_status="fixed" if name in lossy else "")
         stated = _loss_is_stated(value)
         values[name] = replace(
@@ -115,7 +115,8 @@ def entry_text(material: Material) -> str:
         ValueError: the material has no fit, or a number without a :class:`Value`.
     """
     fit, kind = material.fit, _kind(material)
-    missing = sorted(set(material.parameters()) - set(material.values))
+    stated = material.parameters() | _thermal(material)
+    missing = sorted(set(stated) - set(material.values))
     if fit is None or missing:
         raise ValueError(f"{material.name}: no fit, or no value of {missing}; materials.fitted makes both")
     head = {
@@ -125,13 +126,18 @@ def entry_text(material: Material) -> str:
         "conditions": _conditions(fit),
     }
     lines = [f"{key} = {toml.quoted(text)}" for key, text in head.items()]
-    lines += ["", *(f"{name} = {_value_text(material.values[name], head)}" for name in material.parameters()), ""]
+    lines += ["", *(f"{name} = {_value_text(material.values[name], head)}" for name in stated), ""]
     return "\n".join([*lines, *_fit_lines(fit)]) + "\n"
 
 
 def _conditions(fit: Fit) -> str:
     temperature = "" if fit.temperature is None else f", {fit.temperature:g} K"
     return f"{fit.band[0] / 1e6:g} to {fit.band[1] / 1e6:g} MHz{temperature}"
+
+
+def _thermal(material: Material) -> dict[str, complex]:
+    """The thermal constants of a solid; those of a fluid are among its parameters."""
+    return {} if isinstance(material, Fluid) else material.thermal()
 
 
 def _kind(material: Material) -> Kind:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib.util
 import os
 import re
 import shlex
@@ -9,10 +11,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import workbench as wb
+from workbench.bench.setup import Acquisition, Standards
+from workbench.diagnosis.state import STATE_KEYS
 from workbench.options import parser
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -179,6 +184,73 @@ def test_every_key_of_a_chip_file_is_explained() -> None:
     assert done.returncode == 0, done.stderr
     for key in ("cavity_radius", "live_inner_radius", "particle_radius", "z_min", "tolerance"):
         assert f"| `{key}` |" in done.stdout
+
+
+def docs_module(name: str) -> ModuleType:
+    """A module of the documentation, which is no package."""
+    specification = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / f"docs/{name}.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[specification.name] = module
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_every_key_of_bench_and_campaign_is_explained() -> None:
+    keys = docs_module("file_keys")
+    for page, read in ((keys.bench_page(), keys.bench_keys()), (keys.campaign_page(), keys.campaign_keys())):
+        for title, table in read.items():
+            part = page.partition(f"### {title}\n")[2].partition("\n###")[0]
+            for key in table:
+                assert f"| `{key}` |" in part, (title, key)
+    # What the page says comes from the reader: the fields of its classes, its units and its defaults.
+    compensation = {field.name for field in dataclasses.fields(Standards)}
+    assert keys.bench_keys()["`[compensation]`"].keys() == compensation >= {"open", "short", "load", "load_tolerance"}
+    assert keys.bench_keys()["`[acquisition]`"].keys() == {field.name for field in dataclasses.fields(Acquisition)}
+    assert keys.campaign_keys()["`[states.NAME]`"].keys() == set(STATE_KEYS)
+    assert "| `step` | text with a unit: Hz, kHz, MHz | `500 Hz` |" in keys.bench_page()
+    assert "| `known` | one of `stated`, `named` | `stated` |" in keys.campaign_page()
+
+
+def test_a_key_that_nobody_explains_stops_the_page() -> None:
+    keys = docs_module("file_keys")
+    read = keys.bench_keys()
+    read["`[limits]`"]["device_power"] = ("text", "")
+    with pytest.raises(ValueError, match=r"disagree on the keys \['device_power'\] of `\[limits\]`"):
+        keys.page(keys.BENCH, read)
+    with pytest.raises(ValueError, match=r"disagree on the keys \['attempts'\] of `\[acquisition\]`"):
+        keys.page(keys.BENCH, keys.bench_keys() | {"`[acquisition]`": {
+            key: told for key, told in keys.bench_keys()["`[acquisition]`"].items() if key != "attempts"}})
+
+
+def test_every_material_is_in_the_table() -> None:
+    page = docs_module("material_table").page()
+    for name in wb.Registry().names():
+        assert f"| `{name}` |" in page
+    assert "| 2329 | 8947 / 5342 | lossless | 150 / 695 / 2.59 |" in page
+
+
+def test_what_a_rectangular_chip_costs_is_what_its_program_says(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "docs/rectangular_chip.md").read_text(encoding="utf-8")
+    program = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[0]
+    exec(compile(program, "rectangular_chip", "exec"), {})
+    assert f"```text\n{capsys.readouterr().out}```" in text
+
+
+def test_the_header_shows_every_section_and_the_sections_every_page() -> None:
+    # More than fit into the header, and the theme hides the rest under "More".
+    def listed(page: Path) -> list[str]:
+        found = re.findall(r"```{toctree}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+        return [line for block in found for line in block.splitlines() if line and not line.startswith(":")]
+
+    sections = listed(ROOT / "docs/index.md")
+    settings = (ROOT / "docs/conf.py").read_text(encoding="utf-8")
+    (room,) = re.findall(r'"header_links_before_dropdown": (\d+)', settings)
+    assert 0 < len(sections) <= int(room)
+    pages = [page for section in sections for page in listed(ROOT / f"docs/{section}.md")]
+    assert sorted([*pages, *sections, "index"]) == sorted(
+        [*(page.stem for page in (ROOT / "docs").glob("*.md")), "gallery/index"])
 
 
 @pytest.mark.slow

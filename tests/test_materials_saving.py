@@ -88,6 +88,18 @@ def test_a_saved_fit_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
     assert pickle.loads(pickle.dumps(read)).fit == read.fit
 
 
+def test_a_saved_fit_keeps_the_thermal_constants(tmp_path: Path) -> None:
+    # Young's modulus and Poisson's ratio are converted; the conductivity is what the source printed.
+    found = fitted(Registry().load("borosilicate_glass"), {}, fit=FIT)
+    save(found, "borosilicate_glass/lid_3", folder=tmp_path)
+    read = Registry((tmp_path,)).load("borosilicate_glass/lid_3")
+    _same(found, read)
+    assert read.values["thermal_conductivity"].source == "schott_borofloat33"
+    assert read.values["thermal_conductivity"].status == ""
+    assert read.values["thermal_expansion"].value == pytest.approx(3.3e-6)
+    assert read.values["bulk_modulus"].conditions == "converted from what the source prints"
+
+
 def test_what_was_held_fixed_keeps_its_source() -> None:
     start = replace(_start(), density=7600.0)
     found = fitted(start, ESTIMATES, fit=FIT)

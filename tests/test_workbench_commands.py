@@ -319,11 +319,20 @@ def test_render_draws_the_fields_asked_for(cell: Path, tmp_path: Path, capsys: p
 
 def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["materials", "list"]) == 0
-    assert "water/iapws_2011" in capsys.readouterr().out
+    listed = capsys.readouterr().out
+    assert "water/iapws_2011" in listed
+    assert re.search(r"name +┃ kind +┃ density( \(kg/m\^3\))? +┃ remarks +┃", listed)
+    assert re.search(r"pzt5h/erturk_2011 +│ Piezoelectric +│ 7500 +│ lossless", listed)
+    assert re.search(r"pzt5h/morgan_tp226 +│ Piezoelectric +│ 7500 +│ +│", listed)
     assert main(["materials", "show", "water", "--temperature", "25 degC"]) == 0
     shown = capsys.readouterr().out
     assert "997" in shown
     assert "298.15" in shown
+    assert main(["materials", "show", "silicon"]) == 0
+    shown = capsys.readouterr().out
+    assert "title                  Silicon, isotropic (Hill) average of the cubic crystal" in shown
+    assert "An axisymmetric model cannot hold a cubic crystal" in shown
+    assert "+- 1.58e+09" in shown
     assert main(["materials", "check"]) == 0
     checked = capsys.readouterr().out
     assert "water/iapws_2011: ok" in checked

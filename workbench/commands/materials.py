@@ -8,6 +8,7 @@ import warnings
 from typing import TYPE_CHECKING
 
 from materials import (
+    Fluid,
     Registry,
     describe,
     differences,
@@ -23,6 +24,7 @@ from workbench.commands.asked import saving_folder
 from workbench.commands.terminal import print_line, print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
+from workbench.files.tables import read_toml
 from workbench.report.page import Table
 
 if TYPE_CHECKING:
@@ -38,12 +40,13 @@ def run(options: argparse.Namespace, _console: Console) -> int:
     registry = user_registry(options.materials)
     match options.action:
         case "list":
-            print_table("materials", Table(("name", "kind", "density (kg/m^3)", ""), tuple(
+            print_table("materials", Table(("name", "kind", "density (kg/m^3)", "remarks"), tuple(
                 _list_row(registry, name) for name in registry.names())))
         case "show":
             if options.name is None:
                 raise InputError("command line", "NAME", None, "the name of a material; see `workbench materials list`")
             print_line(describe(registry.load(options.name, temperature=_temperature(options))))
+            _print_remarks(registry, options.name)
         case "check":
             return _check(registry, options)
         case "diff":
@@ -56,7 +59,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
                 withdrawn = version.withdrawal
                 remark = version.fault if withdrawn is None else f"withdrawn on {withdrawn.date}: {withdrawn.reason}"
                 rows.append((version.name, *figures, remark))
-            print_table(options.name, Table(("version", "fitted on", "MAPE (%)", "algorithm", ""), tuple(rows)))
+            print_table(options.name, Table(("version", "fitted on", "MAPE (%)", "algorithm", "remarks"), tuple(rows)))
         case "withdraw":
             now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
             withdraw(registry, options.name, reason=options.reason, date=now)
@@ -65,6 +68,14 @@ def run(options: argparse.Namespace, _console: Console) -> int:
             for name in export_entries(registry, options.names, path=options.output):
                 print_line(name)
     return 0
+
+
+def _print_remarks(registry: Registry, name: str) -> None:
+    """What the entry says of the whole: its title, its conditions and its note."""
+    content = read_toml(registry.find(name)[1])
+    for key in ("title", "conditions", "note"):
+        if key in content:
+            print_line(f"  {key:<22} {' '.join(str(content[key]).split())}")
 
 
 def _temperature(options: argparse.Namespace) -> float | None:
@@ -85,6 +96,8 @@ def _list_row(registry: Registry, name: str) -> tuple[str, str, str, str]:
         remarks.append(f"fitted, {low / 1e6:.4g} to {high / 1e6:.4g} MHz")
     if withdrawn is not None:
         remarks.append("withdrawn")
+    if not isinstance(material, Fluid) and not any(number.imag for number in material.parameters().values()):
+        remarks.append("lossless")
     return name, type(material).__name__, f"{material.density:.6g}", "; ".join(remarks)
 
 

@@ -37,6 +37,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "piezoelectric charge": {"C/N": 1.0, "pC/N": 1e-12, "m/V": 1.0, "pm/V": 1e-12},
     "thermal conductivity": {"W/(m K)": 1.0, "mW/(m K)": 1e-3},
     "heat capacity": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
+    "thermal expansion": {"1/K": 1.0, "ppm/K": 1e-6},
     "energy density": {"J/m^3": 1.0},
     "energy": {"J": 1.0, "fJ": 1e-15},
     "stiffness": {"N/m": 1.0, "pN/um": 1e-6},
