@@ -6,9 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, shown
+from geometry.limits import CLOSED, ONE_CAVITY, ONE_DISC
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
 from geometry.parts import Electrodes, Layer, Ports, State, discs, largest_shape, port_axis
+from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
 
 
@@ -35,14 +37,14 @@ def check_dimensions(
     places += [(name, d) for name, d in named.items() if name.startswith(("electrode_", "ports."))]
     for place, dimension in places:
         if not (math.isfinite(dimension.value) and dimension.value > 0.0):
-            raise InputError(file, place, millimetres(dimension.value), "a length above zero")
+            raise InputError(file, place, shown(dimension), "a length above zero")
         tolerance = dimension.tolerance
         if tolerance is not None and not 0.0 <= tolerance < dimension.value:
             raise InputError(
                 file,
                 f"{place}.tolerance",
                 millimetres(tolerance),
-                f"zero or more and below the value, {millimetres(dimension.value)}",
+                f"zero or more and below the value, {shown(dimension)}",
             )
     for i, layer in enumerate(layers):
         if layer.density is not None and not (math.isfinite(layer.density) and layer.density > 0.0):
@@ -82,13 +84,13 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
         layer = layers[i]
         if layer.role == TRANSDUCER:
             raise InputError(
-                file, f"layers[{i}].cavity_radius", millimetres(layer.inner_radius), "no hole through the transducer"
+                file, f"layers[{i}].cavity_radius", _hole(layer), f"no hole through the transducer: {ONE_DISC}"
             )
         if layer.inner_radius > layer.outer_radius - SAME_LENGTH:
             raise InputError(
                 file,
                 f"layers[{i}].cavity_radius",
-                millimetres(layer.inner_radius),
+                _hole(layer),
                 f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}",
             )
         for j, side in ((i - 1, "below"), (i + 1, "above")):
@@ -96,14 +98,14 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
                 raise InputError(
                     file,
                     f"layers[{i}].cavity_radius",
-                    millimetres(layer.inner_radius),
-                    f"a closed cavity: a layer {side} {layer.region!r}",
+                    _hole(layer),
+                    f"a closed cavity: a layer {side} {layer.region!r}; {CLOSED}",
                 )
             if layers[j].outer_radius < layer.inner_radius + SAME_LENGTH:
                 raise InputError(
                     file,
                     f"layers[{i}].cavity_radius",
-                    millimetres(layer.inner_radius),
+                    _hole(layer),
                     f"a closed cavity: {layers[j].region!r} {side} reaches only "
                     f"{millimetres(layers[j].outer_radius)}",
                 )
@@ -113,8 +115,13 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
             file,
             f"layers[{gap}].cavity_radius",
             None,
-            f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers",
+            f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers; "
+            f"{ONE_CAVITY}",
         )
+
+
+def _hole(layer: Layer) -> str:
+    return millimetres(layer.inner_radius) if layer.cavity_radius is None else shown(layer.cavity_radius)
 
 
 def check_stack(layers: Sequence[Layer], file: str) -> None:
@@ -124,8 +131,13 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
         choose(layer.role, ROLES, source=file, field=f"layers[{i}].role")
     if roles.count(TRANSDUCER) != 1:
         raise InputError(
-            file, "layers", f"{roles.count(TRANSDUCER)} layers with role 'transducer'", "exactly one transducer"
+            file, "layers", f"{roles.count(TRANSDUCER)} layers with role 'transducer'", f"exactly {ONE_DISC}"
         )
+    for i, layer in enumerate(layers):
+        if layer.role == TRANSDUCER and layer.profile is not None and (nearest := _nearest(layer.profile, layer)) > (
+                SAME_LENGTH):
+            raise InputError(file, f"layers[{i}].profile.points", f"r = {millimetres(nearest)} and more",
+                             f"no hole through the transducer: {ONE_DISC}")
     for i, (layer, region) in enumerate(zip(layers, region_names(roles), strict=True)):
         if layer.region != region:
             raise InputError(
@@ -146,6 +158,17 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
                 f"{millimetres(below.z_top)}, the top of {below.region!r}, which it {fault} by "
                 f"{millimetres(abs(distance))}; leave 'bottom' out to stack the layers",
             )
+
+
+def _nearest(profile: Profile, layer: Layer) -> float:
+    """How near to the axis the points of an outline come (m); 0 for a profile that is no outline."""
+    if not isinstance(profile.source, Outline):
+        return 0.0
+    sizes = profile.sizes({"thickness": layer.thickness.value, "radius": layer.outer_radius})
+    corners = profile.source.corners
+    points = (point for corner in corners for point in (corner.at, *corner.through, corner.arc) if point)
+    radii = (radius for radius, _ in points)
+    return min(sizes.get(radius, 0.0) if isinstance(radius, str) else radius for radius in radii)
 
 
 def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
