@@ -57,18 +57,18 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
     for i, layer in enumerate(layers):
         for name, size in layer.shapes.items():
             if profiled:
-                raise InputError(file, f"layers[{i}].{name}", _shown(name, size.value), "none in a chip of which "
+                raise InputError(file, f"layers[{i}].{name}", shown(size, SHAPES[name]), "none in a chip of which "
                                  "a layer has a profile: say it in a profile of this one")
-            place, shown = f"layers[{i}].{name}", _shown(name, size.value)
+            place, said = f"layers[{i}].{name}", shown(size, SHAPES[name])
             if name == "draft" and layer.cavity_radius is None:
-                raise InputError(file, place, shown, "none where there is no hole: it is that of the hole's wall")
+                raise InputError(file, place, said, "none where there is no hole: it is that of the hole's wall")
             limit = largest_shape(layer, name)
             if not abs(size.value) < limit:
-                raise InputError(file, place, shown, f"less than {_shown(name, limit)} to either side")
+                raise InputError(file, place, said, f"less than {_shown(name, limit)} to either side")
             if size.tolerance is not None and not 0.0 <= size.tolerance < math.inf:
                 raise InputError(file, f"{place}.tolerance", _shown(name, size.tolerance), "zero or more")
             if name == "draft" and layer.inner_radius + math.tan(size.value) * layer.thickness.value <= 0.0:
-                raise InputError(file, place, shown, "a hole that does not close before the top of the layer")
+                raise InputError(file, place, said, "a hole that does not close before the top of the layer")
 
 
 def _shown(name: str, size: float) -> str:
@@ -177,10 +177,10 @@ def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
     for name, disc in discs(electrodes):
         radius = rim if disc.radius is None else disc.radius.value
         if radius > rim + SAME_LENGTH:
-            raise InputError(file, f"{name}.radius", millimetres(radius),
+            raise InputError(file, f"{name}.radius", millimetres(radius) if disc.radius is None else shown(disc.radius),
                              f"at most the transducer's radius, {millimetres(rim)}")
         if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
-            raise InputError(file, f"{name}.inner_radius", millimetres(disc.inner_radius.value),
+            raise InputError(file, f"{name}.inner_radius", shown(disc.inner_radius),
                              f"below its radius, {millimetres(radius)}")
 
 

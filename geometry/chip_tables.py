@@ -161,6 +161,9 @@ def _state(name: str, table: Table) -> State:
             raise table.error(key, CLOSED)
     table.only(("cavity", "temperature", "materials", "particle", "particle_radius", "particle_diameter", "reported"))
     particle = _optional_radius(table, "particle_radius", "particle_diameter")
+    if particle is not None and not particle.value > 0.0:
+        key = "particle_radius" if "particle_radius" in table else "particle_diameter"
+        raise table.error(key, "a length above zero")
     materials = table.table("materials")
     return State(
         name=name,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -38,13 +39,14 @@ def millimetres(length: float) -> str:
     return f"{1e3 * length:.6g} mm"
 
 
-def shown(dimension: Dimension) -> str:
-    """A length as messages show it: as it was typed, where that is what it still is."""
+def shown(dimension: Dimension, kind: str = "length") -> str:
+    """A length or an angle as messages show it: as it was typed, where that is what it still is."""
     try:
-        typed = parse_quantity(dimension.typed, "length", source="", field="")
+        if parse_quantity(dimension.typed, kind, source="", field="") == dimension.value:
+            return dimension.typed
     except InputError:
-        return millimetres(dimension.value)
-    return dimension.typed if typed == dimension.value else millimetres(dimension.value)
+        pass
+    return f"{math.degrees(dimension.value):.4g} deg" if kind == "angle" else millimetres(dimension.value)
 
 
 def read_radius(table: Table, key: str, diameter: str) -> Dimension:
@@ -70,5 +72,8 @@ def read_dimension(table: Table, key: str, kind: str = "length") -> Dimension:
     inner = table.table(key).only(("value", "tolerance", "assumed", "note"))
     assumed = inner.flag("assumed")
     inner.required("value", f"a {kind} with its unit")
-    return Dimension(inner.quantity("value", kind), inner.optional_quantity("tolerance", kind), assumed,
+    tolerance = inner.optional_quantity("tolerance", kind)
+    if tolerance is not None and tolerance < 0.0:
+        raise inner.error("tolerance", "zero or more")
+    return Dimension(inner.quantity("value", kind), tolerance, assumed,
                      inner.text("note", ""), str(inner.content["value"]))
