@@ -64,7 +64,7 @@ def cut(solid: Solid, placement: Placement, asymmetry: float, source: str, field
     if not solid.isValid() or solid.Volume() <= SOME:
         raise InputError(source, field, f"a solid of {solid.Volume():.4g} mm^3, valid: {solid.isValid()}",
                          "a valid, closed solid")
-    found = turned_about(solid, placement, asymmetry * 1e-3)
+    found = turned_about(solid, placement, asymmetry * 1e-3, max(asymmetry, SHOWN_WITHIN))
     if found is not None and found.share <= min(asymmetry, 1e-6):
         return found.face, ""
     if found is not None and found.share <= asymmetry:
@@ -115,9 +115,9 @@ def upright(solid: Solid, placement: Placement) -> Solid:
     return solid
 
 
-def turned_about(solid: Solid, placement: Placement, enough: float) -> Turned | None:
-    """The section where it shows most of the solid, or None where no cut is in one piece; no better one than `enough`
-    (share of the volume) is looked for."""
+def turned_about(solid: Solid, placement: Placement, enough: float, most: float) -> Turned | None:
+    """The section where it shows most of the solid, or None where no cut is in one piece or all leave out more than
+    `most` (share of the volume) by volume alone; no better one than `enough` is looked for."""
     solid = upright(solid, placement)
     whole = placement.sector == 2.0 * math.pi
     best: Turned | None = None
@@ -130,6 +130,9 @@ def turned_about(solid: Solid, placement: Placement, enough: float) -> Turned | 
         if not whole:
             degrees = math.degrees(placement.sector)
             body = _rotated(revolved(faces[0], degrees), -0.5 * degrees)
+        # The bodies differ by so much at least, and what they differ by takes long to find where they do.
+        if abs(body.Volume() - solid.Volume()) > most * solid.Volume():
+            continue
         differing = (*turned.cut(body).Solids(), *body.cut(turned).Solids())
         share = sum(each.Volume() for each in differing) / solid.Volume()
         if best is None or share < best.share * (1.0 - 1e-9):
@@ -178,7 +181,8 @@ def turning(solid: Solid, asymmetry: float) -> tuple[Placement, Turned] | None:
     for axis, origin in _candidates(solid):
         whole = Placement(axis, origin)
         for placement in (whole, _sector(solid, whole)):
-            found = None if placement is None else turned_about(solid, placement, 1e-6)
+            found = None if placement is None else turned_about(
+                solid, placement, 1e-6, max(asymmetry, NAMED_WITHIN))
             if placement is not None and found is not None and (best is None or found.share < 0.5 * best[1].share):
                 best = placement, found
         if best is not None and best[1].share < asymmetry:
@@ -187,7 +191,10 @@ def turning(solid: Solid, asymmetry: float) -> tuple[Placement, Turned] | None:
 
 
 def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tuple[float, float, float]]]:
-    """Axes (direction, point in m) that the solid may turn about: of its round faces, the largest first, of inertia."""
+    """Axes (direction, point in m) that the solid may turn about: of its round faces, the largest first.
+
+    Of one without such faces (some programs write splines for all) the middle lines of its bounding box along x, y, z.
+    """
     found: list[tuple[float, Any, Any]] = []
     for face in solid.Faces():
         axis = _axis_of(face)
@@ -203,12 +210,10 @@ def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tupl
             found.append((face.Area(), point, direction))
     found.sort(key=lambda each: -each[0])
     lines = [(point, direction) for _, point, direction in found[:4]]
-    centre = np.array(solid.Center().toTuple())
-    values, vectors = np.linalg.eigh(np.array(type(solid).matrixOfInertia(solid)))
-    for k in range(3):
-        others = [values[j] for j in range(3) if j != k]
-        if abs(others[0] - others[1]) < 1e-2 * abs(values).max():
-            lines.append((centre, vectors[:, k]))
+    if not lines:
+        # Of the box, which is exact to some 1e-7 mm where integrals over splines are not.
+        middle = _round(np.array(solid.BoundingBox().center.toTuple()), 10.0 * CLOSE)
+        lines = [(middle, np.array(AXES[name])) for name in ("z", "y", "x")]
     for point, direction in lines:
         # Up is where its largest component is positive; the point of the axis nearest to the file's origin.
         direction = _round(direction * math.copysign(1.0, direction[np.argmax(np.abs(direction))]), 1e-9)
