@@ -40,7 +40,9 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "density": "of a part that was weighed, in place of its material's",
         "thickness": "of the layer",
         "radius": "of the layer; it may differ from layer to layer",
+        "diameter": "twice the radius, in place of it",
         "cavity_radius": "a hole that belongs to the cavity; holes are in neighbouring layers",
+        "cavity_diameter": "twice that radius, in place of it",
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
@@ -55,6 +57,10 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "live_inner_radius": "where it begins, if it is a ring",
         "ground_radius": "the same of the ground electrode",
         "ground_inner_radius": "the same of the ground electrode",
+        "live_diameter": "twice `live_radius`, in place of it",
+        "live_inner_diameter": "twice `live_inner_radius`, in place of it",
+        "ground_diameter": "twice `ground_radius`, in place of it",
+        "ground_inner_diameter": "twice `ground_inner_radius`, in place of it",
     },
     "`profile`, of a layer": {
         "points": "the outline: three or more points, each `[\"r\", \"z\"]` or a table, see below",
@@ -64,6 +70,11 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "part": "the name of the solid in it",
         "scale": "how long one is that the STEP file counts; `1 mm` if not given",
         "parameters": "sizes by name, lengths or angles, that points or the function use; dimensions of the chip",
+        "axis": "the direction in a script or file that points up through the chip, about which the solid turns: `x`, "
+                "`y`, `z` (if not given), `-x`, `-y`, `-z`, or three numbers",
+        "origin": "the point x, y, z on that axis from which heights are counted; that of the file if not given",
+        "sector": "the angle within which the solid is, where it is a part of a body that turns: `180 deg` for one "
+                  "half, as models with a plane of symmetry have it",
         "asymmetry": "share of the solid's volume that may differ from its section turned about the axis; 1e-6 if not "
                      "given",
     },
@@ -85,6 +96,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "materials": "materials of single regions in this state, by the region's name",
         "particle": "the material of a particle, for potential and traps",
         "particle_radius": "its radius; both or neither",
+        "particle_diameter": "twice that radius, in place of it",
         "reported": "figures that somebody reported, for comparison: `[[states.NAME.reported]]`",
     },
     "`[[states.NAME.reported]]`": {
@@ -112,7 +124,10 @@ TAKES: Mapping[str, str] = {
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
     "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
-    **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
+    **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
+       for size in ("radius", "diameter")},
+    **{f"{name}{size}": "a length" for name in ("", "cavity_", "particle_") for size in ("radius", "diameter")},
+    "axis": "text, or a list of numbers", "origin": "a list of three lengths", "sector": "an angle",
 }
 
 

@@ -270,6 +270,10 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "bands that do not overlap": (
         ["compare", "disc.csv", "chip.toml", "--from", "1 MHz", "--to", "2 MHz", "-o", "out"],
         ["disc.csv", "frequency", "300000 to 450000 Hz", "band of chip.toml, 1e+06 to 2e+06 Hz"]),
+    "recording and chip swapped": (["compare", "chip.toml", "disc.csv", "-o", "out"],
+                                   ["recording", "'chip.toml'", "swapped", "disc.csv is the recording"]),
+    "a chip in place of a recording": (["compare", "chip.toml", "chip.toml", "-o", "out"],
+                                       ["'chip.toml'", "a TOML file, as chip files are"]),
     "unknown format": (["compare", "disc.csv", "chip.toml", "--format", "e4990", "-o", "out"],
                        ["format", "'e4990'", "did you mean 'e4990a'"]),
     "no folder of materials": (["mesh", "chip.toml", "--materials", "nowhere"], ["'nowhere'", "an existing folder"]),

@@ -370,7 +370,8 @@ def _measure(sub: argparse.ArgumentParser) -> None:
 
 def _import(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("files", nargs="+", type=Path, metavar="FILE",
-                     help="waveforms, CSV or ISF, in pairs named alike but for CH1 and CH2; or folders of them")
+                     help="waveforms of an oscilloscope: CSV with all channels in one file, or CSV or ISF in pairs "
+                     "named alike but for CH1 and CH2; or folders of them")
     sub.add_argument("--total", type=int, default=1, metavar="N",
                      help="channel across device and reference resistor (default 1)")
     sub.add_argument("--reference", type=int, default=2, metavar="N",

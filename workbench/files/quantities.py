@@ -50,6 +50,12 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 #: a rounding in the sixteenth digit still counts as a tail.
 SPARED = 6
 
+#: A number with a decimal comma.
+_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
+
+#: The unit that messages show of a dimension, where it is not the first one: nobody states a chip in metres.
+EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz"}
+
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
@@ -63,13 +69,17 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
     """
     units = UNITS[dimension]
-    example, named = next(iter(units)), f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
+    example = EXAMPLES.get(dimension, next(iter(units)))
+    named = f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
     if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
         if not math.isfinite(text):
             raise InputError(source, field, text, "a finite number")
         return float(text)
     if isinstance(text, bool) or not isinstance(text, str):
         raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
+    if _COMMA.match(text):
+        raise InputError(source, field, text,
+                         f'{named} with a decimal point, not a comma: "{text.replace(",", ".")}"')
     match = _NUMBER.match(text)
     if match is None:
         raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError, nearest_names
+from workbench.instruments.waveform_table import recognised
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
@@ -73,6 +74,9 @@ def load(path: Path) -> RecordingText:
 
 def refuse_waveform(text: RecordingText) -> None:
     """Raise if the file is a Tektronix oscilloscope waveform: voltage against time, not a spectrum."""
+    if maker := recognised(text.lines):
+        raise InputError(text.path, "format", maker, "an impedance spectrum; `workbench import FILE ... --resistance "
+                         "R` makes one of a capture at every frequency, R being the resistor in series with the device")
     for line in text.lines[:4]:
         if line.startswith(("Record Length,", "Sample Interval,")) or line.upper().startswith((":WFMP", "WFMP")):
             raise _waveform(text.path, line[:40])
