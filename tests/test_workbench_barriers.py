@@ -73,7 +73,7 @@ def test_the_barrier_of_a_plane_standing_wave_is_its_full_depth() -> None:
 def test_the_weight_lowers_the_barrier_downwards() -> None:
     heavy = replace(NEUTRAL, density=1500.0)
     forces = half_wave(heavy)
-    r, z = points()
+    r, _ = points()
     # A trap that holds along r, in the same standing wave.
     depth = full_depth(forces)
     forces = replace(forces, potential=forces.potential + depth * (r / RADIUS) ** 2)

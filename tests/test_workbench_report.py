@@ -100,7 +100,7 @@ def test_without_a_resonance_there_are_no_figures_and_a_reason() -> None:
     assert merit is None
     assert "edge of the band" in reason
     assert figures_record(merit, reason) == {"f0_hz": None, "z_min_ohm": None, "q": None, "no_resonance": reason}
-    assert figures_row("disc", None) == ("disc", "none", "", "", "", "")
+    assert figures_row("disc", None) == ("disc", "none", "", "", "")
 
 
 def test_fits_are_recorded_with_their_errors() -> None:

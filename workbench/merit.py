@@ -51,14 +51,15 @@ class Antiresonance:
     """What the maximum of |Z| above f0 adds.
 
     ``frequency`` Hz and ``z_max`` ohm; ``kt`` the thickness coupling factor; ``k_effective`` the effective coupling
-    factor; ``static_capacitance`` (farad) the clamped capacitance of the one-mode circuit.
+    factor; ``circuit_capacitance`` (farad) the parallel one of a circuit of this mode alone: where a fit may start, not the
+    static capacitance, which the modes outside the window hide (`workbench.capacitance` has that of a model).
     """
 
     frequency: float
     z_max: float
     kt: float
     k_effective: float
-    static_capacitance: float
+    circuit_capacitance: float
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antireson
     fa = _extremum(at, grid, index, sign=-1.0)
     z_max = float(np.abs(at(fa)))
     return Antiresonance(fa, z_max, thickness_coupling(f0, fa), effective_coupling(f0, fa),
-                         _static_capacitance(spectrum, f0, fa, bandwidth))
+                         _circuit_capacitance(spectrum, f0, fa, bandwidth))
 
 
 def thickness_coupling(resonance: float, antiresonance: float) -> float:
@@ -198,8 +199,8 @@ def _ratio(resonance: float, antiresonance: float) -> float:
     return resonance / antiresonance
 
 
-def _static_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:
-    """C0 from the points away from the resonance.
+def _circuit_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:
+    """C0 of a one-mode circuit from the points away from the resonance.
 
     A lossless one-mode circuit has Im Y / w = C0 (1 + r / (1 - (f / f0)^2)) with r = C1 / C0 = (fa / f0)^2 - 1. The
     median over the points more than five half-power widths from f0 shrugs off narrow overtones; points near fa, where
@@ -326,7 +327,7 @@ def _fit_circuit(spectrum: Spectrum, start: Figures, series_resistance: bool) ->
         return np.vstack([slope.real, slope.imag])
 
     omega0 = 2.0 * np.pi * start.f0
-    capacitance = start.antiresonance.static_capacitance if start.antiresonance else math.nan
+    capacitance = start.antiresonance.circuit_capacitance if start.antiresonance else math.nan
     if not capacitance > 0.0:  # no antiresonance in the band, or overtones spoil the estimate: take the far end's
         susceptance = max(float(spectrum.admittance.imag[-1]), 0.1 / (start.z_min * start.q))
         capacitance = susceptance / omega[-1]

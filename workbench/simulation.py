@@ -20,6 +20,7 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
+from workbench.capacitance import Capacitance, capacitance
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.field_forces import particle_forces
@@ -81,7 +82,7 @@ class Simulation(Snapshot, Shown):
     ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
     estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
     (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual``
-    the largest scaled residual of one. ``seconds`` by step.
+    the largest scaled residual of one. ``capacitance`` of the electrodes. ``seconds`` by step.
     """
 
     operators: FullOperators
@@ -91,6 +92,7 @@ class Simulation(Snapshot, Shown):
     error: float
     mesh_error: MeshError | None
     solves: int
+    capacitance: Capacitance
     seconds: Mapping[str, float]
 
     @property
@@ -206,11 +208,14 @@ def simulate(
     progress("fields", 0.0)
     shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive(), registry)
     lap("fields")
+    static = capacitance(operators, problem.values)
+    lap("capacitance")
     progress("fields", 1.0)
     return Simulation(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
-        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, capacitance=static,
+        seconds=seconds,
     )
 
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial.legendre import legder, legval2d, legvander2d
-from numpy.typing import NDArray
 
 from workbench.basins import find_basins, find_walls, label_basins, lowest_pass, outward
 from workbench.field_forces import Excitation, ParticleForces, axial_focus_time, force_at

@@ -20,7 +20,7 @@ from workbench.commands.tables import model_table
 from workbench.commands.terminal import Show, print_table, progress_bars
 from workbench.parameter_names import ParameterName
 from workbench.problem import fill
-from workbench.report.figures import FIGURE_COLUMNS, figures_row
+from workbench.report.figures import MODEL_COLUMNS, capacitance_cells, figures_row
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 from workbench.report.simulations import simulation_record
 from workbench.simulation import Simulation
@@ -133,10 +133,10 @@ def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Cal
 def _figures_table(chip: Chip, runs: list[Simulation]) -> Table:
     rows = []
     for run in runs:
-        rows.append(figures_row(f"{run.state}, simulated", run.figures))
-        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number(r.z_min), number(r.q), "", "")
+        rows.append((*figures_row(f"{run.state}, simulated", run.figures), *capacitance_cells(run.capacitance)))
+        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number(r.z_min), number(r.q), "", "", "")
                  for r in chip.state(run.state).reported]
-    return Table(FIGURE_COLUMNS, tuple(rows))
+    return Table(MODEL_COLUMNS, tuple(rows))
 
 
 def _without_resonance(runs: list[Simulation]) -> list[Note]:

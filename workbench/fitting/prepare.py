@@ -303,8 +303,8 @@ def _static_capacitances(measured: Spectrum, merit: Figures | None) -> list[floa
     # |Z| w C lies below one at resonances as far as above it at antiresonances.
     found = [float(np.exp(-np.mean(np.log(2.0 * np.pi * measured.frequency * measured.magnitude))))]
     anti: Antiresonance | None = None if merit is None else merit.antiresonance
-    if anti is not None and math.isfinite(anti.static_capacitance) and anti.static_capacitance > 0.0:
-        found.append(anti.static_capacitance)
+    if anti is not None and math.isfinite(anti.circuit_capacitance) and anti.circuit_capacitance > 0.0:
+        found.append(anti.circuit_capacitance)
     elif merit is not None:
         with suppress(ValueError, RuntimeError):
             found.append(fit_resonance(measured, "bvd").parameters["C0"].value)

@@ -5,14 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from workbench.comparison import Comparison
+from workbench.particles import net_weight
 from workbench.report.figures import figures_record, fit_record, resonance_fits
 from workbench.simulation import Simulation
-from workbench.traps import focus_time
+from workbench.traps import Trap, focus_time
 
 
 def simulation_record(run: Simulation) -> dict[str, Any]:
     """Everything of a simulated state that merit.json holds."""
     record = figures_record(run.figures, run.no_resonance)
+    record["static_capacitance_f"] = {"clamped": run.capacitance.clamped,
+                                      "at_1_khz": run.capacitance.low_frequency}
     record["resonance_fits"] = {name: fit_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
     record["model"] = {
         "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
@@ -29,11 +32,19 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "contrast_factor": run.traps.forces.scattering.contrast_factor,
             "pressure_amplitude_pa": excitation.pressure_amplitude, "energy_density_j_m3": excitation.energy_density,
             "drive": excitation.description, "focus_time_s": focus_time(run.traps),
-            "traps": [{"r_m": t.radius, "z_m": t.height, "depth_j": t.depth, "radial_stiffness_n_m": t.radial_stiffness,
-                       "axial_stiffness_n_m": t.axial_stiffness, "on_wall": t.on_wall} for t in run.traps.traps],
+            "net_weight_n": net_weight(run.traps.forces.particle, run.traps.forces.fluid),
+            "share_settled": run.traps.settled,
+            "traps": [_trap_record(trap) for trap in run.traps.traps],
         }
     record["seconds"] = dict(run.seconds)
     return record
+
+
+def _trap_record(trap: Trap) -> dict[str, Any]:
+    return {"r_m": trap.radius, "z_m": trap.height, "above_floor_m": trap.above_floor, "barrier_j": trap.barrier,
+            "axial_barrier_j": trap.axial_barrier, "radial_barrier_j": trap.radial_barrier, "depth_j": trap.depth,
+            "lift_n": trap.lift, "share_of_cavity": trap.share, "radial_stiffness_n_m": trap.radial_stiffness,
+            "axial_stiffness_n_m": trap.axial_stiffness, "on_wall": trap.on_wall}
 
 
 def comparison_record(comparison: Comparison) -> dict[str, Any]:
