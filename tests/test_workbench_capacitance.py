@@ -45,7 +45,8 @@ def test_a_smaller_electrode_holds_its_share_and_a_rim(stacked, meshed, referenc
     disc = materials["transducer"]
     assert found.clamped == pytest.approx(disc.absolute_eps33.real * math.pi * 3e-3**2 / 2e-3, rel=1e-6)
     # Free to strain: eps^T = eps^S + e c^-1 e^t with the strains along the radius and around it equal.
-    stiffness = np.array([[2.0 * (disc.c11 + disc.c12).real, 2.0 * disc.c13.real], [2.0 * disc.c13.real, disc.c33.real]])
+    stiffness = np.array([[2.0 * (disc.c11 + disc.c12).real, 2.0 * disc.c13.real],
+                          [2.0 * disc.c13.real, disc.c33.real]])
     coupling = np.array([2.0 * disc.e31.real, disc.e33.real])
     free = disc.absolute_eps33.real + coupling @ np.linalg.solve(stiffness, coupling)
     # At 1 kHz the first mode, above 300 kHz, adds 1e-5.

@@ -41,7 +41,7 @@ TABLES: dict[str, tuple[str, Table, str]] = {
          ("14.1", "170288", "1.03050", "-0.0010", "5.3901", "-0.020", "117.3"))), "one"),
     "measurement": ("disc_7.h5", Table(FIGURE_COLUMNS, (
         ("10 Vpp", "1.0305", "5.391", "117.2", "0.456"),)), "one"),
-    "history": ("pzt_mine/disc_1", Table(("version", "fitted on", "MAPE (%)", "algorithm", ""), (
+    "history": ("pzt_mine/disc_1", Table(("version", "fitted on", "MAPE (%)", "algorithm", "remark"), (
         ("pzt_mine/disc_1@1", "2026-01-02T12:23:34+00:00", "1.02", "joint",
          "withdrawn on 2026-01-03T12:23:34+00:00: the density was that of another disc"),
         ("pzt_mine/disc_1@2", "2026-01-04T12:23:34+00:00", "1.01", "joint", ""))), "folded"),

@@ -51,8 +51,8 @@ class Antiresonance:
     """What the maximum of |Z| above f0 adds.
 
     ``frequency`` Hz and ``z_max`` ohm; ``kt`` the thickness coupling factor; ``k_effective`` the effective coupling
-    factor; ``circuit_capacitance`` (farad) the parallel one of a circuit of this mode alone: where a fit may start, not the
-    static capacitance, which the modes outside the window hide (`workbench.capacitance` has that of a model).
+    factor; ``circuit_capacitance`` (farad) the parallel one of a circuit of this mode alone: where a fit may start, not
+    the static capacitance, which the modes outside the window hide (`workbench.capacitance` has that of a model).
     """
 
     frequency: float

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
     registry = user_registry(options.materials)
     match options.action:
         case "list":
-            print_table("materials", Table(("name", "kind", "density (kg/m^3)", ""), tuple(
+            print_table("materials", Table(("name", "kind", "density (kg/m^3)", "origin"), tuple(
                 _list_row(registry, name) for name in registry.names())))
         case "show":
             if options.name is None:
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
                 withdrawn = version.withdrawal
                 remark = version.fault if withdrawn is None else f"withdrawn on {withdrawn.date}: {withdrawn.reason}"
                 rows.append((version.name, *figures, remark))
-            print_table(options.name, Table(("version", "fitted on", "MAPE (%)", "algorithm", ""), tuple(rows)))
+            print_table(options.name, Table(("version", "fitted on", "MAPE (%)", "algorithm", "remark"), tuple(rows)))
         case "withdraw":
             now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
             withdraw(registry, options.name, reason=options.reason, date=now)

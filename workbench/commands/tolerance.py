@@ -147,4 +147,4 @@ def _model_table(found: Tolerance) -> Table:
             ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
     rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
              for label, off in found.model.off.items()]
-    return Table(("", ""), tuple(rows))
+    return Table(("of the model", "value"), tuple(rows))
