@@ -12,9 +12,9 @@ from workbench.fitting.batch import Column
 from workbench.report.figures import FIGURE_COLUMNS
 from workbench.report.page import Table
 
-STATES = ("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")
+STATES = ("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")
 LABEL = "with stiffness_loss of pzt_mine/disc_1@2 and shear_modulus loss of glass/trial, held out"
-PARAMETERS = ("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "")
+PARAMETERS = ("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "remark")
 DEVIATION = np.array([1.0, 2.0])
 
 #: Title, table and how it is drawn.

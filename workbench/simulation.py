@@ -223,7 +223,7 @@ def _check_accuracy(problem: Problem, error: MeshError, accuracy: float | Discre
     """Warn of a mesh whose estimated error is above the one asked for."""
     if isinstance(accuracy, float) and error.rms > accuracy:
         warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above "
-                      f"the {100.0 * accuracy:g} % asked for; a smaller accuracy than that makes a finer mesh", MeshTooCoarse, stacklevel=3)
+                      f"the {100.0 * accuracy:g} % asked for; state a smaller accuracy", MeshTooCoarse, stacklevel=3)
 
 
 def _merit(spectrum: Spectrum) -> tuple[Figures | None, str]:
