@@ -47,7 +47,7 @@ TABLES: dict[str, tuple[str, Table, str]] = {
         ("pzt_mine/disc_1@2", "2026-01-04T12:23:34+00:00", "1.01", "joint", ""))), "folded"),
     "keys of two columns": ("", Table(("state", "effect", *(f"a-rather-long-heading-{n}" for n in range(6))), tuple(
         (state, effect, *"123456") for state in ("empty", "filled") for effect in ("bond", "gel"))), "folded"),
-    "one long word": ("", Table(("recording", ""), (
+    "one long word": ("", Table(("recording", "value"), (
         ("SHA-256", "0123456789abcdef" * 4),
         ("file", "/a/folder/" + "with_a_long_name/" * 5 + "a_file_of_a_name" * 4 + "_.csv"))), "list"),
     "one column": ("", Table(("file",), (("with_a_long_name" * 4 + "_of_78_chars__",), ("a.csv",))), "list"),

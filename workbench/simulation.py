@@ -207,9 +207,8 @@ def simulate(
     check_mesh(problem, frequency)
     progress("fields", 0.0)
     shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive(), registry)
-    lap("fields")
     static = capacitance(operators, problem.values)
-    lap("capacitance")
+    lap("fields")
     progress("fields", 1.0)
     return Simulation(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
