@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
-from workbench.spectrum import Spectrum
+from workbench.brief import Brief
+from workbench.spectrum import Spectrum, WithSpectrum, spectrum_of
 
 Interpolant = Callable[..., NDArray[np.complex128]]
 
@@ -81,9 +82,9 @@ class Figures:
 
 
 def figures(
-    spectrum: Spectrum, *, near: float | None = None, band: tuple[float, float] | None = None
+    spectrum: Spectrum | WithSpectrum, *, near: float | None = None, band: tuple[float, float] | None = None
 ) -> Figures:
-    """The figures of merit of the deepest resonance, or of the one nearest to `near` (hertz).
+    """The figures of merit of the deepest resonance of a spectrum or of what has one, or that nearest to `near` (Hz).
 
     `band` (low, high) in hertz leaves everything else out of sight, the half-power points included. A minimum counts
     as a resonance if |Z| rises by sqrt(2) on both sides before it falls below that minimum again.
@@ -93,7 +94,8 @@ def figures(
             what is known.
         ValueError: the band holds fewer than two points.
     """
-    seen = spectrum if band is None else spectrum.restricted(*band)
+    whole = spectrum_of(spectrum)
+    seen = whole if band is None else whole.restricted(*band)
     f0, z_min, f1, f2 = _resonance(seen, near)
     try:
         coarse = Spectrum(seen.frequency[::2], seen.impedance[::2])
@@ -224,8 +226,8 @@ class Estimate:
     standard_error: float
 
 
-@dataclass(frozen=True, eq=False)
-class ResonanceFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ResonanceFit(Brief):
     """A resonance fitted to a spectrum.
 
     ``method`` "bvd" or "pole"; ``frequency`` (Hz) and ``q`` of the motional branch's series resonance, or of the

@@ -20,6 +20,7 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.capacitance import Capacitance, capacitance
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
@@ -36,7 +37,7 @@ from workbench.problem import FilledChip, Problem, build, fill
 from workbench.reduction import reduced
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
-from workbench.traps import TrapReport, find_traps
+from workbench.traps import TrapReport, barrier_words, find_traps
 
 if TYPE_CHECKING:
     import xarray
@@ -57,8 +58,8 @@ def quiet(_activity: str, _fraction: float) -> None:
     """A :data:`Progress` that shows nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class Snapshot:
+@dataclass(frozen=True, eq=False, repr=False)
+class Snapshot(Brief):
     """One state of a chip at one frequency under one drive.
 
     ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
@@ -75,7 +76,7 @@ class Snapshot:
     residual: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Snapshot, Shown):
     """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
 
@@ -107,7 +108,8 @@ class Simulation(Snapshot, Shown):
                  f"{merit.f0 / 1e6:.6g} MHz, {merit.z_min:.4g} ohm, {merit.q:.4g}"),
                 ("fields", f"{self.fields.frequency / 1e6:.6g} MHz, {self.fields.drive}")]
         if self.traps is not None:
-            rows += [("trap", f"r {1e3 * trap.radius:.3g} mm, z {1e3 * trap.height:.3g} mm, depth {trap.depth:.3g} J")
+            rows += [("trap", f"r {1e3 * trap.radius:.3g} mm, {1e3 * trap.above_floor:.3g} mm above the floor, barrier "
+                      f"{barrier_words(trap.barrier)}, {100.0 * trap.share:.0f} % of the cavity")
                      for trap in self.traps.traps[:3]]
         rows.append(("estimated error of Z", f"{100.0 * self.error:.1g} % by the reduced model" + (
             "" if self.mesh_error is None else f", {100.0 * self.mesh_error.rms:.1g} % rms by the mesh")))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial.legendre import legder, legval2d, legvander2d
 
 from workbench.basins import find_basins, find_walls, label_basins, lowest_pass, outward
+from workbench.brief import Brief
 from workbench.field_forces import Excitation, ParticleForces, axial_focus_time, force_at
 from workbench.nodal import FloatArray, raster, sample
 from workbench.particles import net_weight
@@ -70,8 +71,8 @@ def barrier_words(barrier: float | None) -> str:
     return "none to pass" if barrier is None else f"{barrier * 1e15:.3g} fJ"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrapReport:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TrapReport(Brief):
     """The traps of one field for one particle, deepest first, with the forces they were found in."""
 
     forces: ParticleForces

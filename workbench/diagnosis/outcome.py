@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from workbench.brief import Brief
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
 from workbench.diagnosis.decision import VERDICTS
@@ -54,8 +55,8 @@ class Estimate(NamedTuple):
         return f"{value:.4g} ({low:.4g} to {high:.4g}) {shown_unit(self.unit)}".strip()
 
 
-@dataclass(frozen=True, eq=False)
-class Established:
+@dataclass(frozen=True, eq=False, repr=False)
+class Established(Brief):
     """An effect, its parameters, whether all of these are ``admissible``, and the ``share`` of the mismatch beyond
     noise, of what the known parameters leave, that it takes away."""
 
@@ -88,7 +89,7 @@ class Place(NamedTuple):
     evidence: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Shown):
     """What was found.
 

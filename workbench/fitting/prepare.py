@@ -19,6 +19,7 @@ from geometry.chip import Chip
 from geometry.names import TRANSDUCER
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.files.errors import InputError, choose
 from workbench.fitting.objective import Recording
@@ -59,8 +60,8 @@ STRONG, FREQUENCY_FACTOR = 0.3, 2.0
 RADIAL_ROOT = 2.05
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prepared(Brief):
     """All that `joint.fit` is asked, and what it is about.
 
     ``material`` is the one whose coefficients are free, as it fills its region (with the chip's density for it), in

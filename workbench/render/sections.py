@@ -1,8 +1,9 @@
 """The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, regions and mesh.
 
 Every dot is the value of its cell's own polynomial there, so a picture is smooth however large the cells are.
-Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, and says so), a colour
-bar with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is largest.
+Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, and says so), a
+colour bar with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is
+largest.
 """
 
 from __future__ import annotations
