@@ -207,5 +207,6 @@ def test_barriers_of_the_shipped_small_chip_are_those_of_a_flood() -> None:
         found = flooded(report.forces, here, [place for place in places if place != here])
         # Both rasters miss a pass by half a step; the place itself is rounded to one.
         assert trap.barrier == pytest.approx(found, rel=0.03), str(trap)
-        assert trap.barrier <= min(trap.axial_barrier, trap.radial_barrier) * (1 + 1e-12)
-        assert trap.barrier < trap.depth * 1.02
+        assert trap.barrier is not None
+        assert all(way is None or trap.barrier <= way * (1 + 1e-12)
+                   for way in (trap.axial_barrier, trap.radial_barrier))

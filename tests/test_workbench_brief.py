@@ -60,9 +60,9 @@ def test_arrays_are_shown_by_their_shapes() -> None:
 
 
 def test_no_public_result_has_the_text_that_a_dataclass_makes() -> None:
-    results = (wb.Simulation, wb.Snapshot, wb.Comparison, wb.Reading, wb.Spectrum, wb.Diagnosis, wb.Tolerance, wb.Design,
-               wb.StudyResult, wb.DesignModel, wb.Evaluation, wb.RangeModel, wb.MaterialFit, wb.Campaign, wb.Posterior,
-               Solution, FitResult)
+    results = (wb.Simulation, wb.Snapshot, wb.Comparison, wb.Reading, wb.Spectrum, wb.Diagnosis, wb.Tolerance,
+               wb.Design, wb.StudyResult, wb.DesignModel, wb.Evaluation, wb.RangeModel, wb.MaterialFit, wb.Campaign,
+               wb.Posterior, Solution, FitResult)
     for each in results:
         assert issubclass(each, Brief), each
         assert "__repr__" not in vars(each) or each is Shown, each

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +12,12 @@ import pytest
 
 from geometry.chip import Chip, Dimension, State, read_chip
 from geometry.parts import ElectrodeDisc
+from materials.kinds import Material, Piezoelectric
 from materials.registry import Registry
 from workbench.capacitance import METER_FREQUENCY, Capacitance, capacitance
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.operators import assemble
-from workbench.problem import build, fill
+from workbench.problem import Problem, build, fill
 
 SMALL_CHIP = Path(__file__).parent.parent / "examples" / "small_campaign" / "chip.toml"
 #: The clamped plate capacitor of the small chip's disc, 8 mm across and 2 mm thick: 165 pF.
@@ -37,12 +39,16 @@ def test_three_reports_of_one_disc_give_one_capacitance() -> None:
     assert [each.low_frequency for each in found] == pytest.approx([387.7e-12] * 3, rel=2e-3)
 
 
-def test_a_smaller_electrode_holds_its_share_and_a_rim(stacked, meshed, reference_materials) -> None:
+def test_a_bare_disc_has_the_capacitance_of_its_plate_clamped_and_free(
+    stacked: Callable[..., Chip], meshed: Callable[..., Problem],
+    reference_materials: Callable[[str], dict[str, Material]],
+) -> None:
     chip = stacked([("transducer", 2e-3, 3e-3, None)], band=(300e3, 700e3))
     materials = reference_materials("free_disc_fitted_rho7500")
     problem = meshed(chip, materials, elements_per_wavelength=4.0)
     found = capacitance(assemble(problem.mesh, problem.terms), problem.values)
     disc = materials["transducer"]
+    assert isinstance(disc, Piezoelectric)
     assert found.clamped == pytest.approx(disc.absolute_eps33.real * math.pi * 3e-3**2 / 2e-3, rel=1e-6)
     # Free to strain: eps^T = eps^S + e c^-1 e^t with the strains along the radius and around it equal.
     stiffness = np.array([[2.0 * (disc.c11 + disc.c12).real, 2.0 * disc.c13.real],

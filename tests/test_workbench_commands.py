@@ -212,7 +212,9 @@ def test_compare_finds_what_was_put_in(disc: Path, tmp_path: Path) -> None:
     assert record["findings"] == []
     assert {path.name for path in out.iterdir()} == {"spectrum.csv", "merit.json", "report.html", "impedance.png",
                                                      "residual.png"}
-    assert "Nothing was fitted" in check_report(out / "report.html")
+    text = check_report(out / "report.html")
+    assert "Nothing was fitted" in text
+    assert "workbench diagnose CAMPAIGN.toml" in text
 
 
 def test_compare_uses_the_common_band(disc: Path, tmp_path: Path) -> None:

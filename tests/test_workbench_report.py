@@ -25,7 +25,7 @@ from workbench.report.figures import (
     measured_figures,
     resonance_fits,
 )
-from workbench.report.page import Answer, Note, Picture, Table, Verbatim, number, write_json, write_report
+from workbench.report.page import Answer, Block, Note, Picture, Table, Verbatim, number, write_json, write_report
 from workbench.report.simulations import comparison_record
 from workbench.spectrum import Spectrum
 
@@ -106,7 +106,7 @@ def test_a_table_has_a_heading_for_every_column() -> None:
 
 
 def test_text_of_several_lines_is_one_paragraph(tmp_path: Path) -> None:
-    blocks = ["one\nparagraph.\n\nAnother.", Verbatim("a = 1\nb = 2"), Answer("Yes.")]
+    blocks: list[Block] = ["one\nparagraph.\n\nAnother.", Verbatim("a = 1\nb = 2"), Answer("Yes.")]
     text = write_report(tmp_path / "a.html", "a", [("b", blocks)]).read_text()
     assert "<p>one paragraph.</p><p>Another.</p>" in text
     assert "<pre>a = 1\nb = 2</pre>" in text

@@ -25,6 +25,7 @@ from workbench.diagnosis.state import DeviceState, StateFit, spectrum_of
 from workbench.fitting.joint import refused_steps
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.notebook import Shown, Summary
+from workbench.parameter_names import spoken
 
 if TYPE_CHECKING:
     import xarray
@@ -191,6 +192,7 @@ class Diagnosis(Shown):
                         + (f"; it looks like {name}" if name else ""))
             case _:
                 raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
+        text = spoken(text)
         return f"{text[0].upper()}{text[1:]}."
 
     def _likeliest(self) -> tuple[str, float]:

@@ -111,8 +111,8 @@ def photograph(
     camera.SetFocalPoint(*middle)
     camera.SetPosition(*(middle + float(np.linalg.norm(high - low)) * towards))
     camera.SetViewUp(0.0, 0.0, 1.0)
-    across, up, _ = 0.5 * (high - low)
-    camera.SetParallelScale((1.0 + MARGIN) * max(float(up), float(across) * height / width))
+    half_width, half_height = 0.5 * (high - low)[:2]
+    camera.SetParallelScale((1.0 + MARGIN) * max(float(half_height), float(half_width) * height / width))
     window.SetOffScreenRendering(1)
     window.SetMultiSamples(4)
     window.SetSize(width, height)
