@@ -42,7 +42,7 @@ def test_in_a_trap_in_the_liquid_they_gather() -> None:
     first, second, *_ = found.sentences
     assert first == ("At 0.9980 MHz and 10 Vpp, 100 % of evenly spread neutral spheres of 10 um gather in the liquid, "
                      "on the axis, 0.38 mm above the floor.")
-    assert second == "To leave the trap one needs 96 fJ (along z 1e+02 fJ, along r 96 fJ)."
+    assert second == "To leave the trap one needs 96 fJ (along z 100 fJ, along r 96 fJ)."
 
 
 def test_in_two_traps_each_has_its_share() -> None:
@@ -71,11 +71,11 @@ def test_a_field_too_weak_for_the_weight_is_said_with_the_voltage_that_is_enough
     assert found.gathers is False
     assert "on the floor, where the weight brings them (100 %)" in found.sentences[0]
     assert "The field is too weak" in found.sentences[1]
-    # Twice the voltage of that sentence holds it; force and lift go with its square.
+    # Force and lift go with the square of the voltage, which is said with two digits.
     enough = float(found.sentences[1].split("From ")[1].split(" Vpp")[0])
     lift = find_traps(half_wave(lead)).traps[0].lift
     assert lift is not None
-    assert (enough / 10.0) ** 2 * lift == pytest.approx(net_weight(lead, WATER), rel=0.01)
+    assert (enough / 10.0) ** 2 * lift == pytest.approx(net_weight(lead, WATER), rel=0.06)
     assert "of evenly spread neutral spheres" in said(half_wave(lead, p0=1.1e5 * enough / 10.0)).sentences[0]
 
 

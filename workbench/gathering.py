@@ -80,11 +80,11 @@ def _of_traps(state: str, report: TrapReport) -> Gathering:
         sentences.append("One that starts a quarter wavelength above or below it on the same vertical line does not "
                          "get there: another trap, a wall or its weight takes it.")
     elif seconds > SLOW:
-        sentences.append(f"Focusing is slow: {seconds:.2g} s from a quarter wavelength away; it is faster by the "
-                         f"square of the voltage, so that {voltage * math.sqrt(seconds / 10.0):.2g} Vpp would take "
-                         "10 s.")
+        quick = voltage * math.sqrt(seconds / 10.0)
+        sentences.append(f"Focusing is slow: {rounded(seconds)} s from a quarter wavelength away; it is faster by the "
+                         f"square of the voltage, so that {rounded(quick)} Vpp would take 10 s.")
     else:
-        sentences.append(f"From a quarter wavelength away they are there in {seconds:.2g} s.")
+        sentences.append(f"From a quarter wavelength away they are there in {rounded(seconds)} s.")
     where = _on_walls(report)
     if share < 1.0 - FEW and where:
         sentences.append(f"The others come to rest {where}.")
@@ -97,14 +97,14 @@ def _strength(trap: Trap, report: TrapReport, *, several: bool) -> str:
     if trap.barrier is None:
         words = f"Nothing leads out of {which}"
     else:
-        words = (f"To leave {which} one needs {trap.barrier * 1e15:.2g} fJ (along z {_femto(trap.axial_barrier)}, "
+        words = (f"To leave {which} one needs {rounded(trap.barrier * 1e15)} fJ (along z {_femto(trap.axial_barrier)}, "
                  f"along r {_femto(trap.radial_barrier)})")
         if trap.barrier < THERMAL:
             words += ", which thermal motion gives it"
     weight = abs(net_weight(report.forces.particle, report.forces.fluid))
     if trap.lift is None or not weight:
         return words + "."
-    return f"{words}, and the field lifts up to {trap.lift / weight:.2g} times its net weight."
+    return f"{words}, and the field lifts up to {rounded(trap.lift / weight)} times its net weight."
 
 
 def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
@@ -116,8 +116,8 @@ def _why_not(report: TrapReport, free: list[Trap]) -> tuple[str, ...]:
         best = max(falling, key=lambda trap: trap.lift or 0.0)
         assert best.lift is not None
         enough = 2.0 * excitation.voltage * math.sqrt(weight / best.lift)
-        return (f"The field is too weak: its trap {place_words(best)} lifts up to {best.lift * 1e12:.2g} pN, and the "
-                f"net weight is {weight * 1e12:.2g} pN. From {enough:.3g} Vpp on it would hold one.",)
+        return (f"The field is too weak: its trap {place_words(best)} lifts up to {rounded(best.lift * 1e12)} pN, and "
+                f"the net weight is {rounded(weight * 1e12)} pN. From {rounded(enough)} Vpp on it would hold one.",)
     if free and not any(trap.holds for trap in free):
         return ("The weight joins what traps there are in the liquid with a deeper one at a wall.",)
     if free:
@@ -142,7 +142,7 @@ def _antinode(forces: ParticleForces, trap: Trap) -> str:
         kind, goal = "node of the pressure", "antinodes"
     where = "at the floor" if share <= 0.25 else "at mid-height" if share < 0.75 else "at the lid"
     return (f"On the vertical line through the deepest trap the {kind} is {where}, and these particles go to pressure "
-            f"{goal} (contrast factor {forces.scattering.contrast_factor:.2g}).")
+            f"{goal} (contrast factor {rounded(forces.scattering.contrast_factor)}).")
 
 
 def _on_walls(report: TrapReport) -> str:
@@ -182,5 +182,10 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
+def rounded(value: float) -> str:
+    """Two significant digits, as one says them: 170 rather than 1.7e+02."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def _femto(barrier: float | None) -> str:
-    return "none" if barrier is None else f"{barrier * 1e15:.2g} fJ"
+    return "none" if barrier is None else f"{rounded(barrier * 1e15)} fJ"
