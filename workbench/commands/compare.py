@@ -71,7 +71,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
         "comparison": comparison_record(comparison),
     })
     rows = Table(("", "measured", "simulated", "difference (%)"), tuple(
-        (row.metric, number(row.measured, 6), number(row.simulated, 6), f"{row.difference_percent:+.2f}")
+        (row.metric.removesuffix(" factor"), number(row.measured, 6), number(row.simulated, 6),
+         f"{row.difference_percent:+.2f}")
         for row in comparison.rows))
     summary = Table(("over the common band", "value"), (
         ("MAPE of |Z| (%)", number(comparison.mape_percent)),

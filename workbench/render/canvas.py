@@ -102,9 +102,9 @@ def photograph(
     camera = renderer.GetActiveCamera()
     camera.ParallelProjectionOn()
     towards = np.array([math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise)])
-    aside = np.array([-math.sin(turn), math.cos(turn), 0.0])
+    sideways = np.array([-math.sin(turn), math.cos(turn), 0.0])
     # Across, up and towards the camera, of every point.
-    axes = np.stack([aside, np.cross(towards, aside), towards])
+    axes = np.stack([sideways, np.cross(towards, sideways), towards])
     seen = np.concatenate([shape.points for shape in shapes]) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle = 0.5 * (low + high) @ axes

@@ -30,19 +30,28 @@ DEFINITIONS = {
     "lift / weight": "largest force against the net weight on the vertical line through the trap, over the net weight: "
                      "below 1 the particle falls (or rises) out of the trap. Empty where a wall carries it.",
     "share": "part of the cavity's volume from which particles come to this trap.",
-    "stiffness": "force per displacement about the trap, along r and along z.",
+    "stiffness": "force per displacement about the trap, along r and along z; of a trap at a wall the curvature of the "
+                 "potential there, which may be negative.",
     "focusing time": "time from 90 % to 10 % of a quarter wavelength from the trap, along z, against drag and weight; "
                      "empty where a particle that starts there does not get to the trap.",
+    "MAPE of |Z|": "mean absolute percentage error: the mean over the points of ||Z_sim| - |Z_meas|| / |Z_meas|.",
+    "rms of ln(Z_sim / Z_meas)": "root mean square of the complex logarithm: relative error of magnitude and error of "
+                                 "phase in radian together.",
     "above the floor": "height above the floor of the cavity; z counts from the bottom of the chip.",
 }
 
 
 def definition(heading: str) -> str | None:
     """What a heading such as "f0 (MHz)" means, if it is one of :data:`DEFINITIONS`."""
-    return DEFINITIONS.get(heading.rsplit(" (", 1)[0])
+    return DEFINITIONS.get(_name(heading))
 
 
 def defined(headings: Iterable[str]) -> tuple[tuple[str, str], ...]:
-    """Those of the headings that have a definition, with it, without their units."""
-    found = ((heading.rsplit(" (", 1)[0], definition(heading)) for heading in headings)
-    return tuple((name, words) for name, words in found if words is not None)
+    """Those of the headings that have a definition, each once with it, without their units."""
+    found = {_name(heading): definition(heading) for heading in headings}
+    return tuple((name, words) for name, words in found.items() if words is not None)
+
+
+def _name(heading: str) -> str:
+    """A heading without the unit in brackets behind it."""
+    return heading if heading in DEFINITIONS else heading.rsplit(" (", 1)[0]

@@ -21,6 +21,7 @@ h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bot
 table { border-collapse: collapse; margin: .8rem 0; }
 th, td { padding: .25rem .7rem; text-align: right; }
 th { background: #f3f3f3; } th:first-child, td:first-child { text-align: left; }
+td.words { text-align: left; }
 tr { border-bottom: 1px solid #e5e5e5; }
 img { max-width: 100%; } figure { margin: 1rem 0; } figcaption { color: #555; font-size: .9rem; }
 abbr { text-decoration: underline dotted; cursor: help; }
@@ -31,11 +32,16 @@ abbr { text-decoration: underline dotted; cursor: help; }
 """
 
 
+#: Characters above which a cell of a table is text, that stands at the left, rather than a number.
+_WORDS = 24
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of text: a heading for every column, and rows of as many cells.
 
-    A heading that `definitions` knows shows what it means, and a legend below the table lists these meanings.
+    A heading, of a column or of a row, that `definitions` knows shows what it means, and a legend below the first table
+    of a page that has it says so.
 
     Raises:
         ValueError: a column other than the first has no heading, or a row is of another length.
@@ -89,19 +95,25 @@ def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[
     """Write an HTML page with every picture inside it. `sections` are (heading, blocks)."""
     parts = [f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>",
              f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>"]
+    told: set[str] = set()
     for heading, blocks in sections:
         parts.append(f"<h2>{html.escape(heading)}</h2>")
-        parts += [_html(block) for block in blocks]
+        parts += [_html(block, told) for block in blocks]
     write_atomic(path, "\n".join(parts) + "\n")
     return path
 
 
-def _html(block: Block) -> str:
+def _html(block: Block, told: set[str]) -> str:
+    """HTML of a block; `told` are the headings whose meanings the page has, to which those of a table are added."""
     match block:
         case Table(columns, rows):
             head = "".join(f"<th>{_heading(c)}</th>" for c in columns)
-            body = "".join("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
-            return f"<table><tr>{head}</tr>{body}</table>{_legend(columns)}"
+            cells = ("".join(_cell(c, first=k == 0) for k, c in enumerate(row)) for row in rows)
+            body = "".join(f"<tr>{row}</tr>" for row in cells)
+            new = {name: words for name, words in defined((*columns, *(row[0] for row in rows if row)))
+                   if name not in told}
+            told.update(new)
+            return f"<table><tr>{head}</tr>{body}</table>{_legend(new)}"
         case Picture(path, caption):
             data = base64.b64encode(path.read_bytes()).decode("ascii")
             text = html.escape(caption)
@@ -123,9 +135,16 @@ def _heading(text: str) -> str:
     return html.escape(text) if words is None else f'<abbr title="{html.escape(words)}">{html.escape(text)}</abbr>'
 
 
-def _legend(columns: Sequence[str]) -> str:
-    """What the headings mean, below their table; nothing where none has a definition."""
-    rows = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(words)}</dd>" for name, words in defined(columns))
+def _cell(text: str, *, first: bool) -> str:
+    """A cell: a heading of its row, a number, or a sentence, which stands at the left."""
+    if first:
+        return f"<td>{_heading(text)}</td>"
+    return f"<td{' class=words' if len(text) > _WORDS else ''}>{html.escape(text)}</td>"
+
+
+def _legend(meanings: Mapping[str, str]) -> str:
+    """What headings mean, below their table; nothing where there are none."""
+    rows = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(words)}</dd>" for name, words in meanings.items())
     return f'<dl class="legend">{rows}</dl>' if rows else ""
 
 
