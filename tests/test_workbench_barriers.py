@@ -59,34 +59,42 @@ def points() -> tuple[np.ndarray, np.ndarray]:
     return r, z
 
 
+def bowl(forces: ParticleForces, height: float) -> ParticleForces:
+    """The same forces with so much (J) more at the side wall: nothing but a plane wave holds along r."""
+    r = forces.mesh.points[:, 0]
+    return replace(forces, potential=forces.potential + height * (r / RADIUS) ** 2)
+
+
 def test_the_barrier_of_a_plane_standing_wave_is_its_full_depth() -> None:
     forces = half_wave(NEUTRAL)
-    trap = find_traps(forces).traps[0]
+    depth = full_depth(forces)
+    assert 1e-16 < depth < 1e-15
+    trap = find_traps(bowl(forces, 2.0 * depth)).traps[0]
     # The walls are points of the raster, the interpolant of cos^2 is good to 1e-6.
-    assert trap.barrier == pytest.approx(full_depth(forces), rel=1e-5)
-    assert trap.axial_barrier == pytest.approx(full_depth(forces), rel=1e-5)
-    # Along the radius the potential does not change: nothing holds the particle until it is at the side wall.
-    assert trap.radial_barrier == pytest.approx(0.0, abs=1e-5 * full_depth(forces))
+    assert trap.barrier == pytest.approx(depth, rel=1e-5, abs=0.0)
+    assert trap.axial_barrier == pytest.approx(depth, rel=1e-5, abs=0.0)
+    assert trap.radial_barrier == pytest.approx(2.0 * depth, rel=1e-5, abs=0.0)
     assert trap.above_floor == pytest.approx(HEIGHT / 2, abs=1e-8)
+    # Along the radius the wave itself does not change: nothing holds the particle until it is at the side wall.
+    free = find_traps(forces).traps[0]
+    assert free.radial_barrier == pytest.approx(0.0, abs=1e-5 * depth)
+    assert free.axial_barrier == pytest.approx(depth, rel=1e-5, abs=0.0)
 
 
 def test_the_weight_lowers_the_barrier_downwards() -> None:
-    heavy = replace(NEUTRAL, density=1500.0)
-    forces = half_wave(heavy)
-    r, _ = points()
-    # A trap that holds along r, in the same standing wave.
-    depth = full_depth(forces)
-    forces = replace(forces, potential=forces.potential + depth * (r / RADIUS) ** 2)
-    trap = find_traps(forces).traps[0]
+    heavy = replace(NEUTRAL, density=1100.0)
+    depth = full_depth(half_wave(heavy))
+    trap = find_traps(bowl(half_wave(heavy), depth)).traps[0]
     weight, k = net_weight(heavy, WATER), math.pi / HEIGHT
     # U = depth sin^2(k x) + W x about the node: it rests where depth k sin(2 k x) = -W, and leaves at the floor or at
     # the pass before it, where the slopes balance once more.
     sag = 0.5 * math.asin(weight / (depth * k)) / k
     climb = depth * (1.0 - 2.0 * math.sin(k * sag) ** 2) - weight * (HEIGHT / 2 - 2.0 * sag)
-    assert trap.axial_barrier == pytest.approx(climb, rel=2e-3)  # half a raster point off the pass
+    # Rest and pass are half a point of the raster off at most, (k / 128 wavelengths)^2 = 0.24 % of the depth each.
+    assert trap.axial_barrier == pytest.approx(climb, abs=4.8e-3 * depth)
     assert trap.barrier == trap.axial_barrier < depth
     # Largest force up: depth k.
-    assert trap.lift == pytest.approx(depth * k, rel=1e-3)
+    assert trap.lift == pytest.approx(depth * k, rel=1e-3, abs=0.0)
 
 
 def test_a_particle_too_heavy_for_the_field_is_not_held() -> None:
@@ -101,7 +109,7 @@ def test_a_particle_too_heavy_for_the_field_is_not_held() -> None:
         sink = 0.5 - (math.pi - math.asin(1.0 / 1.05**2)) / (2.0 * math.pi)
         assert trap.share == pytest.approx(1.0 - sink if holds else 0.0, abs=0.02)
         assert report.settled == pytest.approx(1.0 - trap.share, abs=1e-12)
-        assert trap.lift / net_weight(lead, WATER) == pytest.approx((factor) ** 2, rel=1e-3)
+        assert trap.lift / net_weight(lead, WATER) == pytest.approx((factor) ** 2, rel=1e-3, abs=0.0)
 
 
 def test_the_radial_barrier_of_a_gaussian_envelope() -> None:
@@ -111,16 +119,16 @@ def test_the_radial_barrier_of_a_gaussian_envelope() -> None:
     trap = find_traps(shaped(potential)).traps[0]
     # Along the radius, to the side wall; along the axis, to floor and lid, where the potential is zero.
     radial = 1e-13 * (1.0 - math.exp(-2.0 * (RADIUS / waist) ** 2))
-    assert trap.radial_barrier == pytest.approx(radial, rel=1e-4)
-    assert trap.axial_barrier == pytest.approx(1e-13, rel=1e-4)
+    assert trap.radial_barrier == pytest.approx(radial, rel=1e-4, abs=0.0)
+    assert trap.axial_barrier == pytest.approx(1e-13, rel=1e-4, abs=0.0)
     assert trap.barrier == trap.radial_barrier
-    assert trap.depth == pytest.approx(1e-13, rel=1e-4)
+    assert trap.depth == pytest.approx(1e-13, rel=1e-4, abs=0.0)
 
 
 def test_two_traps_share_the_cavity_and_the_pass_between_them() -> None:
-    first, second = find_traps(half_wave(NEUTRAL, half_waves=2)).traps
     depth = full_depth(half_wave(NEUTRAL))
-    assert (first.barrier, second.barrier) == pytest.approx((depth, depth), rel=1e-3)
+    first, second = find_traps(bowl(half_wave(NEUTRAL, half_waves=2), 2.0 * depth)).traps
+    assert (first.barrier, second.barrier) == pytest.approx((depth, depth), rel=1e-3, abs=0.0)
     assert (first.share, second.share) == pytest.approx((0.5, 0.5), abs=0.02)
 
 
@@ -131,8 +139,8 @@ def test_a_trap_on_the_floor_is_left_for_another_wall() -> None:
     trap = find_traps(shaped(potential)).traps[0]
     assert trap.on_wall
     assert trap.above_floor == pytest.approx(0.0, abs=2e-6)
-    assert trap.axial_barrier == pytest.approx(2e-13, rel=1e-4)
-    assert trap.barrier == pytest.approx(0.5e-13, rel=0.1)  # the corner is as much floor as wall: two raster points
+    assert trap.axial_barrier == pytest.approx(2e-13, rel=1e-4, abs=0.0)
+    assert trap.barrier == pytest.approx(0.5e-13, rel=1e-4, abs=0.0)
     sinks = find_traps(shaped(potential, replace(NEUTRAL, density=1050.0))).traps[0]
     assert sinks.lift is None
 
@@ -176,10 +184,10 @@ def flooded(forces: ParticleForces, trap_at: tuple[float, float], others: list[t
         return int(np.argmin(np.abs(r - place[0]))), int(np.argmin(np.abs(z - place[1])))
 
     start, goals = nearest(trap_at), {nearest(other) for other in others}
-    own = {tuple(x) for x in np.argwhere(walls)} if not walls[start] else set()
+    own = {(int(i), int(j)) for i, j in np.argwhere(walls)}
     if walls[start]:
-        # On the floor: side wall and lid are the other walls.
-        own = {(i, j) for i, j in np.argwhere(walls) if j > 2}
+        # Of a trap at the floor, or at the side wall, that wall is no exit.
+        own = {(i, j) for i, j in own if (j > 0 if start[1] == 0 else i < len(r) - 1)}
     queue, seen = [(total[start], start)], {start}
     level = -math.inf
     while queue:
@@ -205,8 +213,8 @@ def test_barriers_of_the_shipped_small_chip_are_those_of_a_flood() -> None:
             continue
         here = (trap.radius, trap.height)
         found = flooded(report.forces, here, [place for place in places if place != here])
-        # Both rasters miss a pass by half a step; the place itself is rounded to one.
-        assert trap.barrier == pytest.approx(found, rel=0.03), str(trap)
+        # Both rasters miss a pass by half a step; the place itself is rounded to one, and a corner is two or three.
+        assert trap.barrier == pytest.approx(found, rel=0.03, abs=0.0), str(trap)
         assert trap.barrier is not None
         assert all(way is None or trap.barrier <= way * (1 + 1e-12)
                    for way in (trap.axial_barrier, trap.radial_barrier))

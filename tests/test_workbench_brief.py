@@ -28,7 +28,8 @@ SPECTRUM = Spectrum(FREQUENCY, bvd_impedance(
 def check(text: str) -> None:
     lines = text.splitlines()
     assert 1 <= len(lines) <= LINES
-    assert max(map(len, lines)) <= COLUMNS
+    assert max(map(len, lines)) <= COLUMNS <= 120
+    assert LINES <= 12
 
 
 @dataclass(frozen=True, eq=False, repr=False)

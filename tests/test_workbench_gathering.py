@@ -75,7 +75,7 @@ def test_a_field_too_weak_for_the_weight_is_said_with_the_voltage_that_is_enough
     enough = float(found.sentences[1].split("From ")[1].split(" Vpp")[0])
     lift = find_traps(half_wave(lead)).traps[0].lift
     assert lift is not None
-    assert (enough / 10.0) ** 2 * lift == pytest.approx(net_weight(lead, WATER), rel=0.06)
+    assert (enough / 10.0) ** 2 * lift == pytest.approx(net_weight(lead, WATER), rel=0.06, abs=0.0)
     assert "of evenly spread neutral spheres" in said(half_wave(lead, p0=1.1e5 * enough / 10.0)).sentences[0]
 
 
@@ -88,7 +88,7 @@ def test_slow_focusing_is_said_with_a_voltage() -> None:
 
 def test_a_barrier_below_thermal_motion_is_no_trap() -> None:
     r, z = points()
-    assert pytest.approx(4.1e-20, rel=0.01) == THERMAL
+    assert pytest.approx(4.1e-20, rel=0.01, abs=0.0) == THERMAL
     potential = -2e-20 * np.exp(-2.0 * (r / 1.2e-3) ** 2) * np.sin(math.pi * z / HEIGHT) ** 2
     found = said(shaped(potential))
     assert "thermal motion" in str(found)

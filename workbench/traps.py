@@ -180,9 +180,11 @@ class _Landscape:
         exits[at] = False
         share = float(self.volume[self.label == rest].sum() / self.volume.sum())
         i, j = at
-        return _Held(self._climb(lowest_pass(self.total, at, exits), at),
-                     self._climb(self._along(self.total[i], j, mirrored=False), at),
-                     self._climb(self._along(self.total[:, j], i, mirrored=self.on_axis), at), lift, share)
+        axial = self._climb(self._along(self.total[i], j, mirrored=False), at)
+        radial = self._climb(self._along(self.total[:, j], i, mirrored=self.on_axis), at)
+        # In a corner, where two walls have one direction between them, a straight way may end sooner.
+        ways = [way for way in (self._climb(lowest_pass(self.total, at, exits), at), axial, radial) if way is not None]
+        return _Held(min(ways, default=None), axial, radial, lift, share)
 
     def _climb(self, level: float | None, at: tuple[int, int]) -> float | None:
         return None if level is None else level - float(self.total[at])
