@@ -93,7 +93,8 @@ def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -
     text = check_report(out / "report.html")
     assert text.count("<img") == len(pictures)
     assert "water/iapws_2011" in text
-    assert "depth" in text
+    assert "Do particles gather?" in text
+    assert "axial barrier" in text
     assert {path.suffix for path in out.glob("chip.*")} == {".step"}
     assert (out / "transducer.stl").stat().st_size > 1000
     assert (out / "fields_filled.vtu").is_file()
@@ -211,7 +212,9 @@ def test_compare_finds_what_was_put_in(disc: Path, tmp_path: Path) -> None:
     assert record["findings"] == []
     assert {path.name for path in out.iterdir()} == {"spectrum.csv", "merit.json", "report.html", "impedance.png",
                                                      "residual.png"}
-    assert "Nothing was fitted" in check_report(out / "report.html")
+    text = check_report(out / "report.html")
+    assert "Nothing was fitted" in text
+    assert "workbench diagnose CAMPAIGN.toml" in text
 
 
 def test_compare_uses_the_common_band(disc: Path, tmp_path: Path) -> None:

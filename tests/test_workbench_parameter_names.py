@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from workbench.parameter_names import Kind, ParameterName, part, placed
+from workbench.parameter_names import Kind, ParameterName, part, placed, spoken
 
 
 @pytest.mark.parametrize(("text", "expected"), [
@@ -64,3 +64,15 @@ def test_numbers_are_parts_of_complex_values() -> None:
     assert placed(values, {"gel.shear_modulus.loss": -4.0, "gel.thickness": 5.0}) == {
         "gel.shear_modulus": 2.0 - 4.0j, "gel.thickness": 5.0 + 0.0j}
     assert values["gel.shear_modulus"] == 2.0 - 1.0j
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("pic255/plutho.e33.loss: 0.1", "e33 loss of pic255: 0.1"),
+    ("shear_modulus loss of pla/acevedo_2026 takes 3 %", "shear modulus loss of pla takes 3 %"),
+    ("density of pzt_mine/disc_1@2", "density of pzt mine"),
+    ("pla/acevedo_2026.shear_modulus moves most", "shear modulus of pla moves most"),
+    ("ln(Z / Z_measured) of filled_2", "ln(Z / Z_measured) of filled_2"),
+    ("thickness of the couplant", "thickness of the couplant"),
+])
+def test_names_are_said_in_words(text: str, said: str) -> None:
+    assert spoken(text) == said

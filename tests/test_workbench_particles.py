@@ -308,12 +308,12 @@ def test_the_trap_of_a_cylinder_mode(k_r: float) -> None:
     volume = bead().volume
     # J0^2 = 1 - (k_r r)^2 / 2 about the axis; sin^2 and cos^2 of k_z z. Observed 7e-4 where the radial wavelength has
     # seven cells of half a wave's height, 1e-4 otherwise; of twice the cells 2e-5.
-    assert trap.axial_stiffness == pytest.approx(volume * 2 * k_z**2 * (potential + kinetic), rel=2e-3)
+    assert trap.axial_stiffness == pytest.approx(volume * 2 * k_z**2 * (potential + kinetic), rel=2e-3, abs=0.0)
     # Observed 2e-4; without the mirror image behind the axis 4e-2.
-    assert trap.radial_stiffness == pytest.approx(volume * kinetic * k_r**2, rel=1e-3)
-    assert trap.potential == pytest.approx(-volume * kinetic, rel=2e-4)
+    assert trap.radial_stiffness == pytest.approx(volume * kinetic * k_r**2, rel=1e-3, abs=0.0)
+    assert trap.potential == pytest.approx(-volume * kinetic, rel=2e-4, abs=0.0)
     # From the bottom to the wall at the axis, the highest place, which is a point of the raster.
-    assert trap.depth == pytest.approx(volume * (potential + kinetic), rel=2e-5)
+    assert trap.depth == pytest.approx(volume * (potential + kinetic), rel=2e-5, abs=0.0)
 
 
 def test_two_half_waves_make_two_traps_of_equal_depth() -> None:

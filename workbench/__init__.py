@@ -5,7 +5,7 @@
     chip = wb.read_chip("geometry/chips/reference_chip.toml")
     run = wb.simulate(chip, "filled")
     recording = wb.read_recording("chip_filled.csv")
-    print(wb.compare(recording.spectrum, run.spectrum).mape_percent)
+    print(wb.compare(recording, run).mape_percent)
     found = wb.diagnose(wb.read_campaign("campaign.toml"))
 
 What is listed in :data:`PUBLIC` is the whole promise; everything else may change. Names are loaded when they are first

@@ -12,6 +12,7 @@ Names say what they are:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -127,6 +128,24 @@ class ParameterName:
     def part_of(self, value: complex) -> float:
         """The real or the imaginary part of a complex `value`, whichever the number is."""
         return value.imag if self.is_loss else value.real
+
+
+#: A material of the registry with its version, and a coefficient of it where one follows.
+_MATERIAL = re.compile(r"\b([a-z]\w*)/[a-z0-9]\w*(?:@\d+)?(?:\.([A-Za-z]\w*)(\.loss)?)?")
+#: Names of coefficients that are words joined by a line.
+_JOINED = re.compile(r"\b(\w+)_(modulus|speed|viscosity|resistance|inductance|capacitance|thickness)\b")
+
+
+def spoken(text: str) -> str:
+    """A sentence with the names of parameters and materials as one says them: no version, no dots, no underscores.
+
+    "pic255/plutho.e33.loss" becomes "e33 loss of pic255". Tables keep the names themselves, which can be typed.
+    """
+    def said(found: re.Match[str]) -> str:
+        owner, coefficient, loss = found.group(1).replace("_", " "), found.group(2), found.group(3)
+        return owner if coefficient is None else f"{coefficient}{' loss' if loss else ''} of {owner}"
+
+    return _JOINED.sub(lambda found: found.group(0).replace("_", " "), _MATERIAL.sub(said, text))
 
 
 def part(values: Mapping[str, complex], name: str) -> float:

@@ -16,6 +16,7 @@ from geometry.section import Section
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
+from workbench.brief import Brief
 from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.files.errors import InputError
 from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
@@ -27,8 +28,8 @@ class LeftOutWarning(UserWarning):
     """A part of a solid does not turn about the axis and is not in the model: a port, a chamfer on one side."""
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Brief):
     """All that is needed to predict a spectrum: mesh, terms, and the value of every parameter by name.
 
     ``materials`` holds what fills each region (a vacuum is absent); ``values`` the complex parameters
@@ -97,8 +98,8 @@ def with_boundary_layers(problem: Problem) -> Problem:
     return problem.with_terms(tuple(terms), {})
 
 
-@dataclass(frozen=True, eq=False)
-class FilledChip:
+@dataclass(frozen=True, eq=False, repr=False)
+class FilledChip(Brief):
     """A chip in one of its states: ``materials`` is what fills each region (a vacuum is absent)."""
 
     chip: Chip

@@ -34,6 +34,7 @@ from geometry.chip import Chip
 from geometry.names import whole
 from geometry.stretch import movable, tied
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.coefficients import Coefficients
 from workbench.dimensions import flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
@@ -93,7 +94,7 @@ class NotCovered(RuntimeError):
         return (NotCovered, (self.model,))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Response(Shown):
     """A spectrum of a range model: ``values`` the numbers asked for, by name, and the ``prediction`` made for them."""
 
@@ -140,8 +141,8 @@ class Response(Shown):
         return np.stack(columns, axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class RangeModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeModel(Brief):
     """The spectrum of one problem for parameters within ``ranges`` (SI, by name, ``.loss`` for imaginary parts).
 
     ``frequency`` (n,) Hz is where it answers; ``tolerance`` the relative error it was made for, ``error`` the largest

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from workbench.brief import Brief
 from workbench.dense import chebyshev
 from workbench.energy_norm import energy_matrix, estimated_error, random_probes
 from workbench.forms import combined
@@ -71,8 +72,8 @@ class NotEnriched(RuntimeError):
         return (NotEnriched, (self.estimate, self.tolerance, self.solves))
 
 
-@dataclass(frozen=True, eq=False)
-class ReducedModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReducedModel(Brief):
     """A reduced model with what it takes to judge and to improve it.
 
     ``basis`` (size, r), last column with unit electrode voltage and the others with none; ``weights`` (size,) the unit

@@ -20,6 +20,8 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
+from workbench.brief import Brief
+from workbench.capacitance import Capacitance, capacitance
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.field_forces import particle_forces
@@ -35,7 +37,7 @@ from workbench.problem import FilledChip, Problem, build, fill
 from workbench.reduction import reduced
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
-from workbench.traps import TrapReport, find_traps
+from workbench.traps import TrapReport, barrier_words, find_traps
 
 if TYPE_CHECKING:
     import xarray
@@ -56,8 +58,8 @@ def quiet(_activity: str, _fraction: float) -> None:
     """A :data:`Progress` that shows nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class Snapshot:
+@dataclass(frozen=True, eq=False, repr=False)
+class Snapshot(Brief):
     """One state of a chip at one frequency under one drive.
 
     ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
@@ -74,14 +76,14 @@ class Snapshot:
     residual: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Snapshot, Shown):
     """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
 
     ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
     estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
     (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual``
-    the largest scaled residual of one. ``seconds`` by step.
+    the largest scaled residual of one. ``capacitance`` of the electrodes. ``seconds`` by step.
     """
 
     operators: FullOperators
@@ -91,6 +93,7 @@ class Simulation(Snapshot, Shown):
     error: float
     mesh_error: MeshError | None
     solves: int
+    capacitance: Capacitance
     seconds: Mapping[str, float]
 
     @property
@@ -105,7 +108,8 @@ class Simulation(Snapshot, Shown):
                  f"{merit.f0 / 1e6:.6g} MHz, {merit.z_min:.4g} ohm, {merit.q:.4g}"),
                 ("fields", f"{self.fields.frequency / 1e6:.6g} MHz, {self.fields.drive}")]
         if self.traps is not None:
-            rows += [("trap", f"r {1e3 * trap.radius:.3g} mm, z {1e3 * trap.height:.3g} mm, depth {trap.depth:.3g} J")
+            rows += [("trap", f"r {1e3 * trap.radius:.3g} mm, {1e3 * trap.above_floor:.3g} mm above the floor, barrier "
+                      f"{barrier_words(trap.barrier)}, {100.0 * trap.share:.0f} % of the cavity")
                      for trap in self.traps.traps[:3]]
         rows.append(("estimated error of Z", f"{100.0 * self.error:.1g} % by the reduced model" + (
             "" if self.mesh_error is None else f", {100.0 * self.mesh_error.rms:.1g} % rms by the mesh")))
@@ -205,12 +209,14 @@ def simulate(
     check_mesh(problem, frequency)
     progress("fields", 0.0)
     shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive(), registry)
+    static = capacitance(operators, problem.values)
     lap("fields")
     progress("fields", 1.0)
     return Simulation(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
-        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, capacitance=static,
+        seconds=seconds,
     )
 
 
@@ -218,7 +224,7 @@ def _check_accuracy(problem: Problem, error: MeshError, accuracy: float | Discre
     """Warn of a mesh whose estimated error is above the one asked for."""
     if isinstance(accuracy, float) and error.rms > accuracy:
         warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above "
-                      f"the {100.0 * accuracy:g} % asked for; ask for less", MeshTooCoarse, stacklevel=3)
+                      f"the {100.0 * accuracy:g} % asked for; state a smaller accuracy", MeshTooCoarse, stacklevel=3)
 
 
 def _merit(spectrum: Spectrum) -> tuple[Figures | None, str]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from threadpoolctl import ThreadpoolController
 
+from workbench.brief import Brief
 from workbench.coefficients import Groups, summed
 from workbench.dense import Span, solve_dense
 from workbench.factorisation import Factorisation, SuperLU
@@ -52,8 +53,8 @@ class NotConverged(RuntimeError):
         return (NotConverged, (self.frequency, self.residual, self.iterate))
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Brief):
     """States at unit electrode voltage, e^{-i w t}.
 
     ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``groups`` the model at these

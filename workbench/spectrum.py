@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,7 +63,7 @@ class Origin:
                 raise ValueError(f"origin setting name {name!r} must not be empty or hold a colon")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Spectrum(Shown):
     """Impedance against frequency, e^{+j w t}.
 
@@ -232,6 +232,26 @@ class Spectrum(Shown):
         at = np.array(frequencies, dtype=np.float64)
         uncertainty = None if self.uncertainty is None else np.interp(at, self.frequency, self.uncertainty)
         return replace(self, frequency=at, impedance=self.interpolant()(at), uncertainty=uncertainty)
+
+
+class WithSpectrum(Protocol):
+    """A result that has one spectrum: a reading of a recording, a simulation, a fit."""
+
+    @property
+    def spectrum(self) -> Spectrum: ...
+
+
+def spectrum_of(given: Spectrum | WithSpectrum) -> Spectrum:
+    """The spectrum itself, or that of a result.
+
+    Raises:
+        TypeError: what is given is neither.
+    """
+    found = given if isinstance(given, Spectrum) else getattr(given, "spectrum", None)
+    if not isinstance(found, Spectrum):
+        raise TypeError(f"received a {type(given).__name__}; expected a Spectrum, or what has one in .spectrum: a "
+                        "Reading, a Simulation, a MaterialFit")
+    return found
 
 
 def _refuse(

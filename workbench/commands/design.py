@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -93,11 +94,14 @@ def _pictures(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool
     """Pictures by section; the solids of the best chip are written on the way."""
     from workbench.render.plots import draw_spectra
 
-    pictures: dict[str, list[Picture]] = {"spectra": [], "search": [], "front": [], "solids": []}
+    pictures: dict[str, list[Picture]] = {"spectra": [], "fields": [], "search": [], "front": [], "solids": []}
     if found.best is not None:
         spectra = {"before": solver.spectrum(found.goal.chip), "after": solver.spectrum(found.best.chip)}
         path = draw_spectra(spectra, folder / "impedance.png", title=found.goal.chip.name)
         pictures["spectra"].append(Picture(path, "impedance before and after"))
+        for label, chip, evaluation in (("before", found.goal.chip, found.before),
+                                        ("after", found.best.chip, found.best.after)):
+            pictures["fields"] += _fields(label, chip, evaluation.frequency, solver, folder)
         if with_cad:
             pictures["solids"].append(_solids(found.best.chip, folder))
     if found.chosen.attempts:
@@ -105,6 +109,20 @@ def _pictures(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool
     if found.front:
         pictures["front"].append(_front(found, folder))
     return pictures
+
+
+def _fields(label: str, chip: Chip, frequency: float, solver: ChipSolver, folder: Path) -> list[Picture]:
+    """The potential of the particles in the cavity, or else the pressure there, at the frequency of the chip's figures.
+
+    None without a fluid in it, or without a frequency.
+    """
+    from workbench.render.gallery import draw_state
+
+    shot = solver.snapshot(chip, frequency) if math.isfinite(frequency) else None
+    if shot is None:
+        return []
+    drawn = draw_state(shot, folder / label, only=("pressure",) if shot.traps is None else ("gorkov",))
+    return [Picture(drawn[0].path, f"{label}, {drawn[0].caption}")]
 
 
 def _solids(chip: Chip, folder: Path) -> Picture:
@@ -161,9 +179,10 @@ def _report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> 
     outcome: list[Block] = [f"Asked for: {objectives} at {goal.operation.drive}, state {goal.state}."]
     outcome += [Note(line) if found.best is None else line for line in summary_lines(found)]
     outcome += [Note(each.statement) for each in found.rejected]
-    outcome += [before_after_table(found), *pictures["spectra"]]
+    outcome.append(before_after_table(found))
     if best is not None:
-        outcome[-1:-1] = [lengths_table(found, best)]
+        outcome.append(lengths_table(found, best))
+    outcome += [*pictures["spectra"], *pictures["fields"]]
     sections: list[tuple[str, list[Block]]] = [("Before and after", outcome)]
     if best is not None and best.candidate.optimum is not None:
         held = active_table(best.candidate, goal.objectives[0])

@@ -60,7 +60,7 @@ def left_table(found: Diagnosis) -> Table:
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
     """``report.html``: the headline, what it looks like, what to do next and what was taken as known; then evidence."""
-    first: list[Block] = [Note(found.headline), "\n".join(found.findings)]
+    first: list[Block] = [Note(found.headline), "\n\n".join(found.findings)]
     if found.established:
         first.append(established_table(found))
     first += [left_table(found), *_pictures(found, folder)]
@@ -178,4 +178,4 @@ def _merit(found: Diagnosis) -> Table:
             fits["with what was found"] = best
         rows += [(state.name, label, *merit_cells(measured_figures(spectrum_of(fit, state))[0]), number(fit.reduced, 3))
                  for label, fit in fits.items()]
-    return Table(("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))
+    return Table(("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))

@@ -112,7 +112,7 @@ def _label(name: str, unit: str) -> str:
 def _report(found: StudyResult, pictures: list[Picture], folder: Path) -> None:
     plan = found.study
     missing = missing_table(found)
-    words = Table(("figure", ""), tuple((name, figure(name).words) for name in plan.figures))
+    words = Table(("figure", "meaning"), tuple((name, figure(name).words) for name in plan.figures))
     asked: list[Block] = [
         f"{plan.size} points of {plan.chip.name} ({plan.sampling.method}), driven by {plan.operation.drive}.", words]
     confirmed: list[Block] = ["Points solved in full, on a mesh of their own, against the reduced model:",

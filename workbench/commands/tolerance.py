@@ -21,6 +21,7 @@ from workbench.design.tolerance_report import (
     sobol_table,
     tightening_table,
     tolerance_record,
+    unclear_tightenings,
     write_samples,
     yields_table,
 )
@@ -92,7 +93,10 @@ def _tell(found: Tolerance, console: Console) -> None:
         print_table("shares of the variance", sobol_table(found))
     if found.yields is not None:
         print_table("yield", yields_table(found))
-        print_table("what to make more exactly", tightening_table(found))
+        if any(each.is_clear for each in found.yields.tightenings):
+            print_table("what to make more exactly", tightening_table(found))
+        if words := unclear_tightenings(found):
+            print_line(words)
     for text in found.findings:
         print_line(text)
     if found.model is not None and found.outcomes is not None:
@@ -111,7 +115,7 @@ def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
 
     pictures = draw_tolerance(found, folder)
     blocks: list[tuple[str, list[Block]]] = []
-    first: list[Block] = [Note(text) for text in found.findings]
+    first: list[Block] = []
     first.append(f"{_driven(found)}; {found.drive}" + ("" if found.outcomes is None else
                  f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
     first.append(figures_table(found))
@@ -122,12 +126,14 @@ def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
             "full solves at their means. Beside it is what the samples' yield has more, on the same samples.")
         blocks.append(("Yield", first))
         blocks.append(("What to make more exactly", [
-            tightening_table(found),
+            *([tightening_table(found)] if any(each.is_clear for each in found.yields.tightenings) else []),
+            unclear_tightenings(found),
             "Found by weighing the samples as if they were of the narrower law (importance sampling), with the linear "
             "estimate on many more samples as control variate. A normal number is taken to be measured once more, so "
             "well that half of its uncertainty is left; what a fit correlates with it becomes narrower too."]))
     else:
         blocks.append(("Figures", first))
+    first += [Note(text) for text in found.findings]
     matters: list[Block] = [pictures["tornado"]] if "tornado" in pictures else []
     blocks.append(("What matters", [*matters, sensitivities_table(found)]))
     if found.sobol is not None:
@@ -147,4 +153,4 @@ def _model_table(found: Tolerance) -> Table:
             ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
     rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
              for label, off in found.model.off.items()]
-    return Table(("", ""), tuple(rows))
+    return Table(("of the model", "value"), tuple(rows))

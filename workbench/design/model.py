@@ -22,6 +22,7 @@ from geometry.names import CAVITY
 from geometry.stretch import moving_together, tied
 from materials.kinds import Fluid
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.design.bases import Bases, bases_of
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
 from workbench.design.evaluation import OF_FIELD, Evaluation, Operation, Question, answer, needs_resonance
@@ -69,8 +70,8 @@ class Evaluator(Protocol):
         """
 
 
-@dataclass(frozen=True, eq=False)
-class DesignModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignModel(Brief):
     """An :class:`Evaluator` on reduced models, which can be pickled for other processes.
 
     ``values`` the problem's own complex parameters; ``bases`` what it is computed on; ``cavity`` the places of the

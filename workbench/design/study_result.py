@@ -69,7 +69,7 @@ class Confirmation:
         return self.reduced - self.full
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StudyResult(Shown):
     """The table of a ``study``: ``rows`` are all of its points, ``full`` those solved in full besides."""
 

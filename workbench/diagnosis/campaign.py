@@ -53,6 +53,7 @@ from pathlib import Path
 from geometry.names import TRANSDUCER
 from geometry.stretch import tied
 from materials.registry import Registry, user_registry
+from workbench.brief import Brief
 from workbench.diagnosis.knowledge import Taken, read_knowledge
 from workbench.diagnosis.numbers import unit_of as unit_of
 from workbench.diagnosis.numbers import value_of as value_of
@@ -66,8 +67,8 @@ from workbench.parameter_names import ParameterName
 STATED, NAMED = "stated", "named"
 
 
-@dataclass(frozen=True, eq=False)
-class Campaign:
+@dataclass(frozen=True, eq=False, repr=False)
+class Campaign(Brief):
     """A device, its states, and what is known of it.
 
     ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the

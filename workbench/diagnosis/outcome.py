@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from workbench.brief import Brief
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
 from workbench.diagnosis.decision import VERDICTS
@@ -24,6 +25,7 @@ from workbench.diagnosis.state import DeviceState, StateFit, spectrum_of
 from workbench.fitting.joint import refused_steps
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.notebook import Shown, Summary
+from workbench.parameter_names import spoken
 
 if TYPE_CHECKING:
     import xarray
@@ -54,8 +56,8 @@ class Estimate(NamedTuple):
         return f"{value:.4g} ({low:.4g} to {high:.4g}) {shown_unit(self.unit)}".strip()
 
 
-@dataclass(frozen=True, eq=False)
-class Established:
+@dataclass(frozen=True, eq=False, repr=False)
+class Established(Brief):
     """An effect, its parameters, whether all of these are ``admissible``, and the ``share`` of the mismatch beyond
     noise, of what the known parameters leave, that it takes away."""
 
@@ -88,7 +90,7 @@ class Place(NamedTuple):
     evidence: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Shown):
     """What was found.
 
@@ -190,6 +192,7 @@ class Diagnosis(Shown):
                         + (f"; it looks like {name}" if name else ""))
             case _:
                 raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
+        text = spoken(text)
         return f"{text[0].upper()}{text[1:]}."
 
     def _likeliest(self) -> tuple[str, float]:

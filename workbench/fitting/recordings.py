@@ -45,7 +45,7 @@ class NotAccepted(RuntimeError):
         self.reasons = reasons
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MaterialFit(Shown):
     """A material fitted to a recording.
 

@@ -52,7 +52,7 @@ FORMATS: Mapping[str, Format] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reading(Shown):
     """A spectrum as recorded and what was noticed in it."""
 
