@@ -143,7 +143,28 @@ def multistart(
             # What helped once may help again.
             again = sorted(offsets(search, best.x), key=lambda offset: offset[0] != label)
             waiting = [*again, *(each for each in waiting if each[0].startswith(SAMPLE_LABEL))]
-    return best, refined, tried
+    return best, _from_film_to_film(search, refine, refined, progress), tried
+
+
+def _from_film_to_film(
+    search: Search, refine: Refine, best: Refined, progress: Callable[[str], None]
+) -> Refined:
+    """The best that films moved to their next optima lead to on the mesh asked for, from there on as long as it helps.
+
+    The error of a mesh for the search may hide the valley of a thin film: such a film is moved here once more.
+    """
+    waiting = film_offsets(search, best.minimum.x)
+    while waiting and not best.explained:
+        label, begin = waiting.pop(0)
+        progress(f"{label}, refined")
+        try:
+            other = refine(search.inside(begin))
+        except NO_END:
+            continue
+        if other.left < best.left:
+            best = other
+            waiting = sorted(film_offsets(search, best.minimum.x), key=lambda offset: offset[0] != label)
+    return best
 
 
 def _close(search: Search, one: Real, other: Real) -> bool:
@@ -153,6 +174,11 @@ def _close(search: Search, one: Real, other: Real) -> bool:
 
 def offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
     """Starts one and two optima from x (p,) by label, nearest first: films alone, then overtones."""
+    return [*film_offsets(search, x), *overtone_offsets(search, x)]
+
+
+def film_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
+    """Starts with a film one and two optima from x (p,) by label, nearest first."""
     result = []
     films = [i for i, p in enumerate(search.parameters) if p.is_film]
     for number, factor in sorted(FILM_FACTORS.items(), key=lambda item: abs(item[0])):
@@ -160,7 +186,7 @@ def offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
             begin = x.copy()
             begin[film] = np.clip(factor * x[film], search.low[film], search.high[film])
             result.append((f"{FILM_LABEL} {search.parameters[film].name} x {factor:g}", begin))
-    return result + overtone_offsets(search, x)
+    return result
 
 
 def overtone_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
