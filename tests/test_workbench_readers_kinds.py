@@ -75,6 +75,7 @@ def test_the_order_of_a_sweep_is_no_part_of_it(points: list[tuple[float, complex
     np.testing.assert_array_equal(reading.spectrum.frequency, FREQUENCY)
     np.testing.assert_allclose(reading.spectrum.impedance, Z, rtol=1e-10)
     assert [finding.code for finding in reading.findings] == found
+    assert reading.spectrum.origin.settings["put in order"] == "; ".join(f.message for f in reading.findings)
 
 
 @pytest.mark.parametrize("kind", ["workbench", "touchstone", "e4990a", "4294a", "labone", "map"])
@@ -529,7 +530,9 @@ def test_whole_recordings_are_not_accused_of_it(points: int) -> None:
         z = load + bvd_like(frequency)
         for noise in (0.0, 1e-3, 2e-2):
             measured = z * (1.0 + noise * (random.normal(size=points) + 1j * random.normal(size=points)))
-            assert "stretch" not in [finding.code for finding in examine(Spectrum(frequency, measured))]
+            for sign in (1.0, -1.0):
+                for impedance in (sign * measured, sign * np.conj(measured)):
+                    assert "stretch" not in [finding.code for finding in examine(Spectrum(frequency, impedance))]
 
 
 def bvd_like(frequency: np.ndarray) -> np.ndarray:
@@ -543,3 +546,10 @@ def test_the_workbenchs_own_file_is_read_back_as_before(tmp_path: Path) -> None:
     reading = read_recording(tmp_path / "own.csv")
     np.testing.assert_array_equal(reading.spectrum.impedance, Z)
     assert reading.findings == ()
+
+
+def test_signs_that_turn_to_the_end_are_seen() -> None:
+    impedance = np.concatenate((Z[:15], np.conj(Z[15:])))
+    (finding,) = examine(Spectrum(FREQUENCY, impedance))
+    assert finding.code == "stretch"
+    assert "points 16 to 21 " in finding.message

@@ -167,6 +167,9 @@ LAYOUTS: dict[str, Layout] = {
     "complex numbers, i first": Layout("Mathcad and spreadsheets", "z.csv", "Frequency (Hz);Z (Ohm)\n" + "".join(
         f"{f:.12g};{z.real:.12g} {'-' if z.imag < 0 else '+'} i{abs(z.imag):.12g}\n".replace(".", ",")
         for f, z in zip(FREQUENCY, Z, strict=True))),
+    "complex numbers behind tabs": Layout("the same", "z.txt", "Frequency\tZ\n" + "".join(
+        f"{f:.12g}\t{z.real:.12g} {'-' if z.imag < 0 else '+'} j{abs(z.imag):.12g}\t\n"
+        for f, z in zip(FREQUENCY, Z, strict=True))),
     "complex numbers without headings": Layout("the same", "z.csv", "".join(
         f"{f:.12g},{z.real:.12g}{z.imag:+.12g}i\n" for f, z in zip(FREQUENCY, Z, strict=True)), fills={}),
     "UTF-16, spreadsheet": Layout("Excel, 'Unicode text'", "book.txt", (

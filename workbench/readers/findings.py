@@ -90,11 +90,14 @@ def _stretches(spectrum: Spectrum) -> list[tuple[int, int]]:
     points = len(spectrum.frequency)
     if points < 6:
         return []
+    # A recording of reversed polarity passes the pole of its reflection coefficient; its negative does not.
+    reversed_ = np.count_nonzero(spectrum.impedance.real < 0.0) > 0.5 * points
+    impedance = -spectrum.impedance if reversed_ else spectrum.impedance
     best: list[tuple[int, int]] = []
     least = np.inf
     for z0 in (50.0, float(np.exp(np.mean(np.log(spectrum.magnitude))))):
         with np.errstate(divide="ignore", invalid="ignore"):
-            value: NDArray[np.complex128] = np.asarray((spectrum.impedance - z0) / (spectrum.impedance + z0))
+            value: NDArray[np.complex128] = np.asarray((impedance - z0) / (impedance + z0))
             if not np.all(np.isfinite(value)) or np.any(value == 0.0):
                 continue
             images: tuple[NDArray[np.complex128], ...] = (
@@ -128,9 +131,14 @@ def _turned(value: NDArray[np.complex128], image: NDArray[np.complex128]) -> tup
         places = np.delete(places, np.argmin(gain[places]))
     ends = (places + 2).tolist()
     if len(ends) == 1:
-        # One end: the shorter side is turned.
+        # One end: the shorter side is turned. A sharp resonance between two points looks a little like it.
+        if gain[places[0]] < factor**2:
+            return [], np.inf
         ends = [ends[0], points] if ends[0] > points / 2 else [0, ends[0]]
-    found = list(zip(ends[::2], ends[1::2], strict=True))
+    if sum(ends[1::2]) - sum(ends[::2]) > points / 2:
+        # The larger part is what the rest does not join.
+        ends = [0, *ends, points]
+    found = [(begin, end) for begin, end in zip(ends[::2], ends[1::2], strict=True) if begin < end]
     mended = value.copy()
     for begin, end in found:
         mended[begin:end] = image[begin:end]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,17 @@ from workbench.readers.findings import Finding
 from workbench.readers.text import RecordingText, check_impedance
 from workbench.spectrum import Origin, Spectrum
 
+#: The setting of an origin that says what was put in order or left out.
+PUT_IN_ORDER = "put in order"
 #: Frequencies closer than this (relative) are one: digits lost in a unit. Doubled, nothing changes, since no analyser
 #: steps by a thousandth of a hertz at 1 MHz.
 ONE_FREQUENCY = 1e-9
 #: Values at one frequency that differ by less (relative) are one value, rounded. Doubled, twice the noise goes unsaid.
 ONE_VALUE = 1e-6
 #: Values at one frequency that differ by this many times as much as neighbouring frequencies do, and by this much
-#: (relative), are of two states of a device. Doubled, a drift of twice the size is averaged with milder words.
-TWO_STATES = (3.0, 0.02)
+#: (relative), or by the last of these in any case, are of two states of a device. Doubled, a drift of twice the size is
+#: averaged with milder words.
+TWO_STATES = (3.0, 0.02, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,7 @@ def in_order(
 
     Points without a frequency (zero: idle rows, direct current) are left out. A falling sweep is turned round,
     overlapping ones are merged, points of one frequency are joined: equal values to one, different ones to their mean.
-    Findings say so, after `findings`.
+    Findings say so, after `findings`, and the origin's setting :data:`PUT_IN_ORDER` holds their words.
 
     Raises:
         InputError: fewer than two frequencies, a negative one, an impedance that is zero or not finite.
@@ -58,7 +61,7 @@ def in_order(
         frequency, impedance = frequency[~idle], impedance[~idle]
         uncertainty = None if uncertainty is None else uncertainty[~idle]
     check_impedance(text, impedance, lines)
-    if len(frequency) == 0 or np.ptp(frequency) <= ONE_FREQUENCY * frequency[0]:
+    if len(frequency) == 0 or np.ptp(frequency) == 0.0:
         raise text.error(lines[0] if lines else len(text.lines), column, f"{len(frequency)} points at one frequency",
                          "a sweep over at least 2 frequencies")
     order = np.argsort(frequency, kind="stable")
@@ -67,8 +70,13 @@ def in_order(
         found.append(Finding("falling", f"the sweep falls (line {lines[0]} to {lines[-1]}): turned round"))
     elif np.any(steps < 0.0):
         found.append(Finding("order", _order(steps, lines)))
+    # A sweep that rises or falls throughout has no frequency twice, however small its steps.
+    near = 0.0 if np.all(steps > 0.0) or np.all(steps < 0.0) else ONE_FREQUENCY
     frequency, impedance = frequency[order], impedance[order]
-    groups = np.concatenate(([0], np.cumsum(np.diff(frequency) > ONE_FREQUENCY * frequency[:-1])))
+    groups = np.concatenate(([0], np.cumsum(np.diff(frequency) > near * frequency[:-1])))
+    if groups[-1] == 0:
+        raise text.error(lines[0], column, f"{len(frequency)} points at one frequency", "a sweep over at least 2 "
+                         "frequencies")
     if groups[-1] + 1 < len(frequency):
         counts = np.bincount(groups)
         mean: NDArray[np.complex128] = np.asarray(
@@ -80,6 +88,10 @@ def in_order(
             uncertainty = np.sqrt(np.bincount(groups, uncertainty[order] ** 2)) / counts
     elif uncertainty is not None:
         uncertainty = uncertainty[order]
+    if found:
+        # A spectrum goes on without its findings, and its origin is shown wherever it is.
+        said = " ".join("; ".join(finding.message for finding in found).split())
+        origin = replace(origin, settings={**origin.settings, PUT_IN_ORDER: said})
     return Recorded(Spectrum(frequency, impedance, uncertainty, origin), tuple(found))
 
 
@@ -122,8 +134,8 @@ def _joined(
     differ = f"{of}, with values up to {200.0 * apart[worst]:.2g} % apart (at {frequency[worst]:.9g} Hz)"
     step = np.abs(np.diff(mean)) / np.minimum(size[:-1], size[1:])
     beside = np.minimum(np.concatenate((step[:1], step)), np.concatenate((step, step[-1:])))
-    times, least = TWO_STATES
-    far = many & (2.0 * apart > np.maximum(times * beside, least))
+    times, least, most = TWO_STATES
+    far = many & ((2.0 * apart > np.maximum(times * beside, least)) | (2.0 * apart > most))
     if 2 * np.count_nonzero(far) >= np.count_nonzero(many):
         return Finding("disagree", f"{differ}, much more than neighbouring frequencies are: their means were taken, "
                        "but these sweeps are probably of different states of the device; keep only one of them in a "

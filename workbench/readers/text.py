@@ -35,8 +35,8 @@ _EAST_ASIAN = 0x2E80
 
 _REAL = r"(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
 #: A complex number, with its imaginary unit before or behind the second part.
-_COMPLEX = re.compile(rf"\(?\s*([+-]?\s*{_REAL})\s*([+-])\s*(?:[ijIJ]\s*\*?\s*({_REAL})|({_REAL})\s*\*?\s*[ijIJ])\s*\)?"
-                      r"(?![\w.])")
+_COMPLEX = re.compile(
+    rf"(?:\( *)?([+-]? *{_REAL}) *([+-]) *(?:[ijIJ] *\*? *({_REAL})|({_REAL}) *\*? *[ijIJ])(?: *\))?(?![\w.])")
 #: A complex number as a pair in brackets. Behind a letter they hold the ports of S(1,1).
 _BRACKETED = re.compile(rf"(?<![\w'\"])\(\s*([+-]?{_REAL})\s*[,;]\s*([+-]?{_REAL})\s*\)")
 _PORTS = re.compile(r"(?<=[A-Za-z])\((\d),(\d)\)")
