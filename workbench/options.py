@@ -64,7 +64,8 @@ def _with_recording(sub: argparse.ArgumentParser) -> None:
                      help="which columns of the recording are what (default: as their headings say; where these do "
                           "not, the error proposes a map)")
     sub.add_argument("--format", metavar="NAME",
-                     help="format of the recording: workbench, e4990a, 4294a, touchstone or table (default: found out)")
+                     help="format of the recording: workbench, e4990a, 4294a, touchstone, labone, bode100, gamry, "
+                          "biologic, zplot, hioki, lines or table (default: found out)")
     sub.add_argument("--correction", choices=("negate", "conjugate"),
                      help="put a wrong phase right, on your word (default: as recorded)")
 

@@ -15,7 +15,7 @@ VACUUM_PERMITTIVITY = 8.8541878128e-12
 #: Factor to SI of every unit accepted in a file, by dimension. Temperatures are handled in :func:`parse_quantity`.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
-    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9},
     "peak-to-peak voltage": {"Vpp": 1.0, "mVpp": 1e-3},
     "power": {"W": 1.0, "mW": 1e-3},
     "resistance": {"ohm": 1.0, "Ohm": 1.0, "mohm": 1e-3, "kohm": 1e3},
