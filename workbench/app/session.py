@@ -39,7 +39,6 @@ from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import build, fill
 from workbench.ranges import NotCovered, OutOfRange, RangeModel
-from workbench.simulation import particle_of
 from workbench.solve import sweep
 from workbench.spectrum import Spectrum
 
@@ -114,7 +113,7 @@ class Session:
         self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
         device = fill(chip, self.state, self.registry)
         self.problem = build(device, band=self.band, accuracy=accuracy)
-        stated = particle_of(device, self.registry)
+        stated = device.particle
         self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
         self._lock = RLock()
         self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}

@@ -17,7 +17,7 @@ from geometry.chip import Chip, read_chip
 from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
-from workbench.commands.terminal import Show, print_table, progress_bars
+from workbench.commands.terminal import Show, print_table, progress_bars, say_finding
 from workbench.parameter_names import ParameterName
 from workbench.problem import fill
 from workbench.report.figures import FIGURE_COLUMNS, figures_row
@@ -74,6 +74,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     for path in unfinished.values():
         path.unlink(missing_ok=True)
     print_table(chip.name, _figures_table(chip, runs))
+    for text in dict.fromkeys(text for run in runs for text in run.findings):
+        say_finding(text, console)
     for note in _without_resonance(runs):
         console.print(note.text, style="yellow", markup=False)
     return 0
@@ -143,6 +145,15 @@ def _without_resonance(runs: list[Simulation]) -> list[Note]:
     return [Note(f"{run.state}: {run.no_resonance}") for run in runs if run.figures is None]
 
 
+def _findings(runs: list[Simulation]) -> list[Note]:
+    """What was assumed and left out, each once with the states that it holds in."""
+    found: dict[str, list[str]] = {}
+    for run in runs:
+        for text in run.findings:
+            found.setdefault(text, []).append(run.state)
+    return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
+
+
 def _millimetres(name: str, value: float, factor: float) -> str:
     """A dimension (m or rad) times a factor; an angle with its unit."""
     if ParameterName.parse(name).quantity == "angle":
@@ -161,7 +172,8 @@ def _simulation_report(
          ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
     sections: list[tuple[str, list[Block]]] = [
         ("Figures of merit", [chip.description, f"Source: {chip.source}" if chip.source else "",
-                              _figures_table(chip, runs), *_without_resonance(runs), Picture(spectra, "impedance")]),
+                              _figures_table(chip, runs), *_without_resonance(runs), *_findings(runs),
+                              Picture(spectra, "impedance")]),
     ]
     for run in runs:
         blocks: list[Block] = list(pictures[run.state])

@@ -32,6 +32,7 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "traps": [{"r_m": t.radius, "z_m": t.height, "depth_j": t.depth, "radial_stiffness_n_m": t.radial_stiffness,
                        "axial_stiffness_n_m": t.axial_stiffness, "on_wall": t.on_wall} for t in run.traps.traps],
         }
+    record["findings"], record["left_out_hz"] = list(run.findings), list(run.left_out)
     record["seconds"] = dict(run.seconds)
     return record
 
