@@ -105,7 +105,8 @@ class Session:
             InputError: something in the chip, its materials, or what is wanted.
         """
         self.chip, self.state = chip, chip.state(state).name
-        self.registry = Registry() if registry is None else registry
+        # What it shows is what a simulation of the saved chip gives.
+        self.registry = replace(Registry() if registry is None else registry, assumed_losses=True)
         self.band = chip.band if band is None else band
         self.drive: Drive = VoltageDrive() if drive is None else drive
         self.recording, self.recording_name = recording, recording_name
