@@ -60,15 +60,20 @@ def user_folder() -> Path:
 
 @dataclass(frozen=True)
 class Registry:
-    """The materials of the package and of any further `folders`."""
+    """The materials of the package and of any further `folders`.
+
+    A chip that is filled from a registry with ``assumed_losses`` gets its lossless ceramics with the loss of
+    :mod:`materials.assumed`. The registry itself loads every material as its entry states it.
+    """
 
     folders: tuple[Path, ...] = ()
+    assumed_losses: bool = False
 
     def names(self) -> tuple[str, ...]:
         """Every ``material/source`` name, sorted; of a saved fit every version, the withdrawn ones too."""
         return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
 
-    def load(self, name: str, *, temperature: float | None = None) -> Material:
+    def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
         """The material called `name`, read and checked.
 
         Args:
@@ -76,6 +81,7 @@ class Registry:
                 a saved fit, ``material/name`` or ``material/name@version``.
             temperature: in K, for a material whose numbers depend on it. None: the reference temperature its entry
                 states, which the result carries in its ``temperature``.
+            notes: takes up, if given, what is a :class:`materials.PassivityWarning` otherwise.
 
         Raises:
             InputError: no such name (the nearest ones are named), a material with several entries and no default, a
@@ -91,7 +97,7 @@ class Registry:
             warnings.warn(f"{chosen} was withdrawn on {withdrawal.date}: {withdrawal.reason}", WithdrawnWarning,
                           stacklevel=2)
         references = frozenset().union(*(bibliography_keys(folder / "references.bib") for folder in self._folders()))
-        return read_entry(path, chosen, references=references, temperature=temperature)
+        return read_entry(path, chosen, references=references, temperature=temperature, notes=notes)
 
     def find(self, name: str) -> tuple[str, Path]:
         """The full name and the file of what `name` means; see :meth:`load`.

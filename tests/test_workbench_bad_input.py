@@ -115,7 +115,7 @@ CHIP_MISTAKES = {
     "transducer of a plastic": ('"pzt4/acevedo_2026_initial"', '"pla"',
                                 ["material of transducer", "'pla'", "a piezoelectric material"]),
     "ceramic as a substrate": ('role = "substrate"\nmaterial = "pla"', 'role = "substrate"\nmaterial = "pzt5h"',
-                               ["material of substrate", "'pzt5h'", "a solid or a fluid"]),
+                               ["material of substrate", "'pzt5h", "not on the live electrode", "electrodes.live"]),
     "cavity wider than its layer": ('"1.5 mm"', '"3.5 mm"', ["layers[2].cavity_radius", "'3.5 mm'", "below 3 mm"]),
     "cavity wider than the substrate": (
         'thickness = "0.85 mm"\nradius = "3 mm"', 'thickness = "0.85 mm"\nradius = "1.2 mm"',

@@ -39,7 +39,6 @@ from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import build, fill
 from workbench.ranges import NotCovered, OutOfRange, RangeModel
-from workbench.simulation import particle_of
 from workbench.solve import sweep
 from workbench.spectrum import Spectrum
 
@@ -106,7 +105,8 @@ class Session:
             InputError: something in the chip, its materials, or what is wanted.
         """
         self.chip, self.state = chip, chip.state(state).name
-        self.registry = Registry() if registry is None else registry
+        # What it shows is what a simulation of the saved chip gives.
+        self.registry = replace(Registry() if registry is None else registry, assumed_losses=True)
         self.band = chip.band if band is None else band
         self.drive: Drive = VoltageDrive() if drive is None else drive
         self.recording, self.recording_name = recording, recording_name
@@ -114,7 +114,7 @@ class Session:
         self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
         device = fill(chip, self.state, self.registry)
         self.problem = build(device, band=self.band, accuracy=accuracy)
-        stated = particle_of(device, self.registry)
+        stated = device.particle
         self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
         self._lock = RLock()
         self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}

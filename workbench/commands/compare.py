@@ -16,7 +16,7 @@ from geometry.chip import read_chip
 from workbench.commands.asked import asked_model, asked_reading, check_order, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.tables import model_table, origin_table
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.report.figures import figures_record, measured_figures
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
          f"{comparison.worst_frequency / 1e6:.4f} MHz"),
         ("measured points used", f"{100.0 * comparison.fraction_used:.1f} %"),
     ))
-    notes: list[Block] = [Note(str(finding)) for finding in reading.findings]
+    notes: list[Block] = [Note(text) for text in (*map(str, reading.findings), *run.findings)]
     if comparison.rows_missing:
         notes.append(Note(comparison.rows_missing))
     next_step = what_next(comparison, options.chip, options.recording)
@@ -99,8 +99,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     print_table(f"{chip.name}, {run.state}", rows)
     print_table("", summary)
     print_line(textwrap.fill(next_step, shutil.get_terminal_size((80, 24)).columns, break_on_hyphens=False))
-    for finding in reading.findings:
-        console.print(f"finding: {finding.message}", style="yellow", markup=False)
+    for text in (*(finding.message for finding in reading.findings), *run.findings):
+        say_finding(text, console)
     return 0
 
 

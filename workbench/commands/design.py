@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from materials.registry import user_registry
 from workbench.commands.asked import asked_accuracy, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.design.candidate import Candidate, Confirmed
 from workbench.design.design_report import (
     active_table,
@@ -39,6 +40,7 @@ from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
 from workbench.design.programme import KEPT
 from workbench.files.errors import InputError
+from workbench.problem import fill
 from workbench.report.page import Block, Note, Picture, write_json, write_report
 
 if TYPE_CHECKING:
@@ -53,8 +55,10 @@ def run(options: argparse.Namespace, console: Console) -> int:
     workers = os.cpu_count() or 1 if options.workers is None else options.workers
     if workers < 1:
         raise InputError("command line", "--workers", options.workers, "one or more")
-    registry, accuracy = user_registry(options.materials), asked_accuracy(options)
+    registry, accuracy = replace(user_registry(options.materials), assumed_losses=True), asked_accuracy(options)
     goal = read_goal(options.goal, registry=registry)
+    for text in fill(goal.chip, goal.state, registry).findings:
+        say_finding(text, console)
     folder = output_folder(options.output)
     so_far, best_file = folder / SO_FAR, folder / "best.toml"
     # Or the chip of an earlier run would pass for this one's.

@@ -21,7 +21,7 @@ from geometry.chip import Chip, read_chip
 from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
-from workbench.commands.terminal import Show, print_line, print_table, progress_bars
+from workbench.commands.terminal import Show, print_line, print_table, progress_bars, say_finding
 from workbench.gathering import Gathering, gathering
 from workbench.parameter_names import ParameterName
 from workbench.problem import fill
@@ -83,6 +83,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     print_table(chip.name, _figures_table(chip, runs))
     for answer in reversed(answers):
         print_line(textwrap.fill(str(answer), shutil.get_terminal_size((80, 24)).columns))
+    for text in dict.fromkeys(text for run in runs for text in run.findings):
+        say_finding(text, console)
     for note in _without_resonance(runs):
         console.print(note.text, style="yellow", markup=False)
     return 0
@@ -152,6 +154,15 @@ def _without_resonance(runs: list[Simulation]) -> list[Note]:
     return [Note(f"{run.state}: {run.no_resonance}") for run in runs if run.figures is None]
 
 
+def _findings(runs: list[Simulation]) -> list[Note]:
+    """What was assumed and left out, each once with the states that it holds in."""
+    found: dict[str, list[str]] = {}
+    for run in runs:
+        for text in run.findings:
+            found.setdefault(text, []).append(run.state)
+    return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
+
+
 def _millimetres(name: str, value: float, factor: float) -> str:
     """A dimension (m or rad) times a factor; an angle with its unit."""
     if ParameterName.parse(name).quantity == "angle":
@@ -175,7 +186,7 @@ def _simulation_report(
         sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
     sections.append(("Figures of merit", [
         chip.description, f"Source: {chip.source}" if chip.source else "", _figures_table(chip, runs),
-        *_without_resonance(runs), Picture(spectra, _resolution(runs))]))
+        *_without_resonance(runs), *_findings(runs), Picture(spectra, _resolution(runs))]))
     for run in runs:
         blocks: list[Block] = []
         if run.traps is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -46,7 +47,7 @@ class _UnfinishedSpectrum:
     """
 
     def __init__(self, path: Path, chip: Chip, state: str, asked: Asked) -> None:
-        filling = fill(chip, state, asked.registry).materials
+        filling = fill(chip, state, replace(asked.registry, assumed_losses=True)).materials
         deciding = repr((chip, state, sorted(filling.items()), asked.band[1], discretisation(asked.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()

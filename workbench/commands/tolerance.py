@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
 from workbench.commands.asked import asked_model, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.design.figures import check_figures
 from workbench.design.requirement import parse_requirements
 from workbench.design.stated import Statement, parse_statement, read_statements, stated_uncertainty
@@ -27,6 +28,7 @@ from workbench.design.tolerance_report import (
 )
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
+from workbench.problem import fill
 from workbench.report.page import Block, Note, Table, write_json, write_report
 
 if TYPE_CHECKING:
@@ -37,11 +39,14 @@ def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
     chip = read_chip(options.chip)
     asked = asked_model(options, chip)
+    registry = replace(asked.registry, assumed_losses=True)
+    for text in fill(chip, options.state, registry).findings:
+        say_finding(text, console)
     required = parse_requirements(options.require, chip.regions)
     figures = check_figures([name.casefold() for name in options.figure], chip.regions, source="command line",
                             field="--figure")
     uncertainty = stated_uncertainty(
-        chip, options.state, registry=asked.registry, law=options.distribution, statements=_statements(options),
+        chip, options.state, registry=registry, law=options.distribution, statements=_statements(options),
         posteriors=options.posterior)
     resistance = _thermal_resistance(options.thermal_resistance, chip)
     check(uncertainty, required, options.samples, options.sobol, chip, names=("--samples", "--sobol"))
@@ -50,7 +55,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         found = tolerance(
             chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=asked.drive,
             thermal_resistance=resistance, tracking=options.tracking, samples=options.samples,
-            sobol_points=options.sobol, every=options.every, seed=options.seed, registry=asked.registry,
+            sobol_points=options.sobol, every=options.every, seed=options.seed, registry=registry,
             band=asked.band, accuracy=asked.accuracy,
             progress=lambda text, share: show(chip.state(options.state).name, text, share))
         show(found.state, "done", 1.0)

@@ -27,7 +27,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -124,7 +124,7 @@ def read_study(path: Path | str, *, materials: Sequence[Path] = ()) -> Study:
     table.required("study", "a table [study] with the chip and the figures")
     head = table.table("study", expected="a table [study]").only(_KEYS)
     chip = read_chip(path.parent / head.text("chip", expected='the chip file, such as "chip.toml"'))
-    registry, states = user_registry(materials), _states(head, chip)
+    registry, states = replace(user_registry(materials), assumed_losses=True), _states(head, chip)
     figures = check_figures(head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]'),
                             chip.regions, source=head.source, field=head.at("figures"))
     if not figures:

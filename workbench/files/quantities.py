@@ -33,7 +33,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "diffusivity": {"m^2/s": 1.0},
     # A permittivity is held relative to that of free space, whichever way it is written.
     "permittivity": {"1": 1.0, "F/m": 1.0 / VACUUM_PERMITTIVITY, "nF/m": 1e-9 / VACUUM_PERMITTIVITY},
-    "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12},
+    "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12,
+                   "m^2/N": 1.0, "1/MPa": 1e-6},
     "piezoelectric charge": {"C/N": 1.0, "pC/N": 1e-12, "m/V": 1.0, "pm/V": 1e-12},
     "thermal conductivity": {"W/(m K)": 1.0, "mW/(m K)": 1e-3},
     "heat capacity": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},

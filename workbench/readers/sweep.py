@@ -47,8 +47,8 @@ def in_order(
 
     Points without a frequency (zero: idle rows, direct current) are left out. A falling sweep is turned round,
     overlapping ones are merged, points of one frequency are joined: equal values to one, different ones to their mean.
-    Where nothing states the noise, repeated readings show it. Findings say so, after `findings`, and the origin's setting
-    :data:`PUT_IN_ORDER` holds their words.
+    Where nothing states the noise, repeated readings show it. Findings say so, after `findings`, and the origin's
+    setting :data:`PUT_IN_ORDER` holds their words.
 
     Raises:
         InputError: fewer than two frequencies, a negative one, an impedance that is zero or not finite.
@@ -92,11 +92,11 @@ def in_order(
         single = np.concatenate(([True], np.diff(groups) > 0))
         if uncertainty is not None:
             uncertainty = np.sqrt(np.bincount(groups, uncertainty[order] ** 2)) / counts
-        elif found[-1].kind == "averaged" and len(groups) - len(counts) >= REPEATS:
+        elif found[-1].code == "averaged" and len(groups) - len(counts) >= REPEATS:
             noise = _noise(impedance, mean, groups)
             uncertainty = noise * np.abs(mean) / np.sqrt(counts)
-            found.append(Finding("noise", f"repeated readings scatter by {100.0 * noise:.2g} % of Z: taken as the noise "
-                                 "of one"))
+            found.append(Finding("noise", f"repeated readings scatter by {100.0 * noise:.2g} % of Z: taken as the "
+                                 "noise of one"))
         frequency, impedance = frequency[single], mean
     elif uncertainty is not None:
         uncertainty = uncertainty[order]

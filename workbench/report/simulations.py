@@ -39,6 +39,7 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "share_settled": run.traps.settled,
             "traps": [_trap_record(trap) for trap in run.traps.traps],
         }
+    record["findings"], record["left_out_hz"] = list(run.findings), list(run.left_out)
     record["seconds"] = dict(run.seconds)
     return record
 
