@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 import geometry.mesh
 from geometry.chip import Chip
 from geometry.names import CAVITY
+from geometry.plausible import check_band
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
-from workbench.discretisation import ACCURACY, Discretisation
+from workbench.discretisation import ACCURACY, ROWS, Discretisation
 from workbench.drive import Drive, VoltageDrive
 from workbench.field_forces import particle_forces
 from workbench.fields import Fields, fields
 from workbench.files.errors import InputError
+from workbench.job_size import check_points
 from workbench.merit import Figures, NoResonance, figures
 from workbench.mesh_error import MeshError
 from workbench.mesh_error import estimate as mesh_error
@@ -32,7 +34,7 @@ from workbench.notebook import Shown, Summary
 from workbench.operators import FullOperators, assemble
 from workbench.particles import Particle, particle_from
 from workbench.problem import FilledChip, Problem, build, fill
-from workbench.reduction import reduced
+from workbench.reduction import ReducedModel, reduced
 from workbench.solve import Solution, solve_full, sweep
 from workbench.spectrum import Origin, Spectrum
 from workbench.traps import TrapReport, find_traps
@@ -129,9 +131,23 @@ def frequency_grid(band: tuple[float, float], points: int) -> Real:
     low, high = band
     if points < 5:
         raise InputError("simulate", "points", points, "at least 5 frequencies")
+    check_points(points, source="simulate")
     if not 0.0 < low < high < np.inf:
         raise InputError("simulate", "band", f"{low:g} to {high:g} Hz", "a rising band of positive frequencies")
     return np.linspace(low, high, points)
+
+
+def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]:
+    """The band (Hz) asked for, or the chip's own.
+
+    Raises:
+        InputError: a band that nobody drives such a chip in, and that the chip does not list as unusual.
+    """
+    if band is None:
+        return chip.band
+    if 0.0 < band[0] < band[1] and "band" not in chip.unusual:
+        check_band(chip.layers, band, chip.file, "band")
+    return band
 
 
 def simulate(
@@ -148,6 +164,7 @@ def simulate(
     accuracy: float | Discretisation = ACCURACY,
     on_point: Callable[[float, complex], None] | None = None,
     known: Mapping[float, complex] | None = None,
+    on_spectrum: Callable[[Spectrum], None] = lambda _spectrum: None,
     progress: Progress = quiet,
 ) -> Simulation:
     """Simulate a chip in one of its states.
@@ -161,9 +178,10 @@ def simulate(
         tolerance: relative error of the reduced model's impedance.
         drive: how the device is driven; 10 Vpp at the electrodes if not given.
         accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
+        on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
 
     Raises:
-        InputError: something in the chip, its materials or the arguments.
+        InputError: something in the chip, its materials or the arguments; a model there is no memory for.
         NotConverged, NotEnriched: a full solve or the reduced model did not reach its tolerance.
     """
     started = time.perf_counter()
@@ -176,9 +194,8 @@ def simulate(
 
     registry = registry or Registry()
     device = fill(chip, state, registry)
-    if not 0.0 < tolerance < 1.0:
-        raise InputError("simulate", "tolerance", tolerance, "a relative error between 0 and 1")
-    frequencies = frequency_grid(chip.band if band is None else band, points)
+    _check_tolerance(tolerance)
+    frequencies = frequency_grid(band_of(chip, band), points)
     span = (float(frequencies[0]), float(frequencies[-1]))
     progress("mesh", 0.0)
     problem = build(device, band=span, accuracy=accuracy)
@@ -188,18 +205,19 @@ def simulate(
     if full:
         impedance, solves, residual = _full_spectrum(operators, frequencies, problem, known or {}, on_point, progress)
         error, of_mesh = 0.0, None
+        lap("spectrum")
     else:
         model, solution = reduced(operators, frequencies, problem.values, tolerance=tolerance,
                                   progress=lambda fraction: progress("reduced model", fraction))
         impedance, solves, residual = solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
         lap("spectrum")
-        of_mesh = mesh_error(model, frequencies, problem.values)
-        _check_accuracy(problem, of_mesh, accuracy)
+        on_spectrum(Spectrum.from_solver(frequencies, impedance, origin=_origin(device, _reduced_to(error))))
+        of_mesh = _mesh_error(model, frequencies, problem, accuracy, progress)
         lap("error of the mesh")
-    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(device, error, of_mesh))
-    if full:
-        lap("spectrum")
+    method = "full solves" if of_mesh is None else f"{_reduced_to(error)}, of its mesh {of_mesh.rms:.1e} rms"
+    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(device, method))
+    on_spectrum(spectrum)
     merit, reason = _merit(spectrum)
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
     check_mesh(problem, frequency)
@@ -214,11 +232,24 @@ def simulate(
     )
 
 
-def _check_accuracy(problem: Problem, error: MeshError, accuracy: float | Discretisation) -> None:
-    """Warn of a mesh whose estimated error is above the one asked for."""
+def _check_tolerance(tolerance: float) -> None:
+    if not 0.0 < tolerance < 1.0:
+        raise InputError("simulate", "tolerance", tolerance, "a relative error between 0 and 1")
+
+
+def _mesh_error(
+    model: ReducedModel, frequencies: Real, problem: Problem, accuracy: float | Discretisation, progress: Progress
+) -> MeshError:
+    """The estimated error of the mesh, with a warning where it is above the one asked for."""
+    progress("error of the mesh", 0.0)
+    error = mesh_error(model, frequencies, problem.values)
     if isinstance(accuracy, float) and error.rms > accuracy:
-        warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above "
-                      f"the {100.0 * accuracy:g} % asked for; ask for less", MeshTooCoarse, stacklevel=3)
+        finer = [row for row in ROWS if row < accuracy]
+        remedy = "there is no finer one" if not finer else (
+            f'--accuracy "{100.0 * max(finer):g} %" (in Python accuracy={max(finer):g}) makes a finer one')
+        warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above the "
+                      f"{100.0 * accuracy:g} % that it was made for; {remedy}", MeshTooCoarse, stacklevel=3)
+    return error
 
 
 def _merit(spectrum: Spectrum) -> tuple[Figures | None, str]:
@@ -249,7 +280,7 @@ def snapshot(
     registry = registry or Registry()
     device = fill(chip, state, registry)
     progress("mesh", 0.0)
-    problem = build(device, band=band, accuracy=accuracy)
+    problem = build(device, band=band_of(chip, band), accuracy=accuracy)
     check_mesh(problem, frequency)
     progress("fields", 0.5)
     operators = assemble(problem.mesh, problem.terms)
@@ -342,9 +373,12 @@ def particle_of(device: FilledChip, registry: Registry | None) -> Particle | Non
     return particle_from(material, chosen.particle_radius)
 
 
-def _origin(device: FilledChip, error: float, of_mesh: MeshError | None) -> Origin:
-    method = "full solves" if of_mesh is None else (
-        f"reduced model, estimated relative error at most {error:.1e}, of its mesh {of_mesh.rms:.1e} rms")
+def _reduced_to(error: float) -> str:
+    """How a spectrum was found whose estimated relative error is at most so much."""
+    return f"reduced model, estimated relative error at most {error:.1e}"
+
+
+def _origin(device: FilledChip, method: str) -> Origin:
     settings = {"chip": device.chip.name, "state": device.state.name, "method": method,
                 **{f"material of {region}": material.name for region, material in device.materials.items()}}
     return Origin(kind="simulated", source=device.chip.file, settings=settings)
