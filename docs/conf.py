@@ -69,6 +69,7 @@ def _generate(_app: object) -> None:
     made = HERE / "_generated"
     made.mkdir(exist_ok=True)
     (made / "chip_keys.md").write_text(chip_keys.page(), encoding="utf-8")
+    (made / "plausible.md").write_text(chip_keys.plausible_page(), encoding="utf-8")
     (made / "api.rst").write_text(api.page(), encoding="utf-8")
     architecture.draw(made / "architecture.png")
 
