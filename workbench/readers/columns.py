@@ -64,7 +64,7 @@ class ColumnMap:
             raise ValueError(f"columns are counted from 1, received {named}")
 
 
-def read_column_map(path: Path) -> ColumnMap:
+def read_column_map(path: Path | str) -> ColumnMap:
     """A column map from a TOML file: the fields of :class:`ColumnMap`, with ``quantity`` a table of those of Quantity.
 
     ::
@@ -82,7 +82,7 @@ def read_column_map(path: Path) -> ColumnMap:
     Raises:
         InputError: a missing or unknown key, or a value that ColumnMap or Quantity refuse.
     """
-    table = Table.read(path)
+    table = Table.read(Path(path))
     quantity = Table.of(table.content.get("quantity"), source=table.source, field="quantity",
                         expected="a table with kind, form and unit")
     for each, kind in ((table, ColumnMap), (quantity, Quantity)):
