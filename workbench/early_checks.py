@@ -28,6 +28,8 @@ def check_early(options: argparse.Namespace) -> None:
     """
     for key in FILES:
         path = getattr(options, key, None)
+        if key == "campaign" and hasattr(options, "chip"):
+            continue  # an option of the live view, which names it
         if isinstance(path, Path) and not path.exists():
             folder = path.parent if path.parent.is_dir() else Path()
             near = nearest_names(path.name, (each.name for each in folder.iterdir()
