@@ -12,6 +12,7 @@ it prints then is its own. A moment at which the command had finished is not cou
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import signal
@@ -81,7 +82,8 @@ def interrupted(command: list[str], seconds: float, folder: Path) -> Ended:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "1000", "TERM": "dumb"}
     with subprocess.Popen(whole, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment,
                           start_new_session=True) as process:
-        time.sleep(seconds)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=seconds)
         began = time.perf_counter()
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGINT)
