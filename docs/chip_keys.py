@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import geometry
+from geometry import plausible
 from geometry.names import ROLES
 from workbench.files.quantities import UNITS
 
@@ -29,6 +30,8 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "description": "what it is, in words",
         "source": "where the description comes from",
         "band": 'the frequencies it is meant for, such as `["0.91 MHz", "1.155 MHz"]`',
+        "unusual": "names of sizes that are meant although no such part has them, such as `[\"couplant.thickness\"]`; "
+                   "see below",
     },
     "`[cavity]`": {
         "ports": "inlet and outlet of the cavity",
@@ -117,7 +120,7 @@ READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "dimensio
 #: What is read in a way of its own.
 TAKES: Mapping[str, str] = {
     "chip": "a table", "layers": "a list of tables", "cavity": "a table", "states": "a table", "role": "text",
-    "band": "a list of two frequencies",
+    "band": "a list of two frequencies", "unusual": "a list of names",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
         f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
     "profile": "a table", "points": "a list of points",
@@ -175,6 +178,23 @@ def tables() -> list[dict[str, str]]:
                     takes = dict(_readings(function, keys))
                     found.append({key: takes.get(key) or TAKES[key] for key in keys})
     return found
+
+
+def plausible_page() -> str:
+    """The sizes that parts of a chip have, as a table, from `geometry.plausible`."""
+    rows = [*((f"thickness of a layer with role `{role}`", each, "length")
+              for role, each in plausible.THICKNESSES.items()),
+            ("radius of a layer", plausible.RADIUS, "length"),
+            ("radius of a cavity", plausible.CAVITY_RADIUS, "length"),
+            ("radius of an electrode", plausible.ELECTRODE_RADIUS, "length"),
+            ("diameter and height of ports", plausible.PORT, "length"),
+            ("radius of a particle", plausible.PARTICLE_RADIUS, "length"),
+            ("density of a layer that was weighed", plausible.DENSITY, "density"),
+            ("temperature of a state", plausible.TEMPERATURE, "temperature")]
+    lines = ["| what | from | to |", "| --- | --- | --- |"]
+    lines += [f"| {name} | {plausible.as_text(each.low, kind)} | {plausible.as_text(each.high, kind)} |"
+              for name, each, kind in rows]
+    return "\n".join(lines) + "\n"
 
 
 def page() -> str:

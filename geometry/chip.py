@@ -6,13 +6,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from geometry import checks
+from geometry import checks, plausible
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
 from geometry.dimension import Dimension
 from geometry.names import CAVITY, TRANSDUCER
@@ -38,6 +38,7 @@ class Chip:
 
     ``layers`` from bottom to top, ``band`` the two ends (Hz) of the frequencies it is meant for, ``states`` in the
     order of the file, ``source`` where the description comes from, ``file`` the name errors are reported under.
+    ``unusual`` names what is meant although nobody would expect it (`geometry.plausible`): a gel of 2 mm, a wide band.
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), whether read from a file or made in code.
@@ -52,6 +53,7 @@ class Chip:
     description: str = ""
     source: str = ""
     file: str = "chip"
+    unusual: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
@@ -61,6 +63,7 @@ class Chip:
         checks.check_electrodes(self.electrodes, self.transducer.outer_radius, self.file)
         checks.check_ports(self.ports, self.holes, self.file)
         checks.check_states(self.states, self.layers, self.file)
+        plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file)
 
     @cached_property
     def holes(self) -> tuple[Layer, ...]:
@@ -134,17 +137,19 @@ class Chip:
         """
         return dict(named_dimensions(self.layers, self.electrodes, self.ports))
 
-    def with_dimensions(self, values: Mapping[str, float]) -> Chip:
+    def with_dimensions(self, values: Mapping[str, float], *, unusual: Collection[str] = ()) -> Chip:
         """The same chip with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
 
-        The tolerance of a length was that of its old value, and goes with it.
+        The tolerance of a length was that of its old value, and goes with it. A length that no such part has is refused
+        unless its name is among the `unusual` ones; a small move beyond what is usual makes it one of these.
 
         Raises:
-            InputError: unknown name, or the new lengths do not make a chip.
+            InputError: unknown name, a length that is no such part's, or the new lengths do not make a chip.
         """
         known = self.dimensions()
         for name in values:
             choose(name, known, source=self.file, field="dimension")
+        beyond = [name for name, value in values.items() if plausible.moved_beyond(name, known[name].value, value)]
 
         def changed(name: str, old: Dimension | None) -> Dimension | None:
             return None if old is None else always(name, old)
@@ -182,6 +187,7 @@ class Chip:
             layers=stacked(layers),
             electrodes=replace(self.electrodes, live_disc=live, ground_disc=ground),
             ports=ports,
+            unusual=tuple(dict.fromkeys((*self.unusual, *unusual, *beyond))),
         )
 
 
@@ -201,7 +207,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         InputError: the content does not describe a chip.
     """
     root = Table(source, "", content).only(("chip", "layers", "cavity", "states"))
-    head = root.table("chip").only(("name", "description", "source", "band"))
+    head = root.table("chip").only(("name", "description", "source", "band", "unusual"))
     layers, electrodes = read_layers(root)
     cavity = root.table("cavity").only(("ports",))
     return Chip(
@@ -214,4 +220,5 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         description=head.text("description", ""),
         source=head.text("source", ""),
         file=source,
+        unusual=head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual"),
     )

@@ -21,12 +21,13 @@ from workbench.files.writing import write_atomic
 Entry = str | float | bool | Mapping[str, "Entry"] | list["Entry"]
 
 
-def write_chip(chip: Chip, path: Path) -> Path:
+def write_chip(chip: Chip, path: Path | str) -> Path:
     """Write `chip` to `path` as a chip file, whole or not at all. Comments of the file it was read from are not kept.
 
     Raises:
         OSError: the file cannot be written.
     """
+    path = Path(path)
     write_atomic(path, chip_text(chip, path.parent))
     return path
 
@@ -36,6 +37,7 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
     head: dict[str, Entry] = {"name": chip.name}
     head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
     head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
+    head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
     parts = [_table("[chip]", head)]
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
         # A bottom is written only where the layer does not start where the one below ends, to the last digit.

@@ -150,7 +150,7 @@ def test_an_interrupted_full_spectrum_goes_on_where_it_stopped(
     first = Stop(13 + 5)
     monkeypatch.setattr(states, "simulate_state", first)
     assert main([*command, str(stopped)]) == 130
-    assert "what was finished is on disk" in capsys.readouterr().err
+    assert "holds spectrum_empty.csv, unfinished_empty.csv" in capsys.readouterr().err
     unfinished = stopped / "unfinished_filled.csv"
     assert len(unfinished.read_text().splitlines()) == 1 + 5
     # A kill may leave a line that reads as a number but lacks its last digits.

@@ -30,7 +30,8 @@ def name_of(path: Path) -> str:
 
 FILES = {name_of(path): path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))}
 #: The only modules that draw, print or end the program.
-SURFACE = {"workbench.cli", "workbench.__main__", *(name for name in FILES if name.startswith("workbench.commands"))}
+SURFACE = {"workbench.cli", "workbench.__main__", "workbench.interruption",
+           *(name for name in FILES if name.startswith("workbench.commands"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 
 

@@ -9,6 +9,8 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from workbench import __version__
+
 #: Shown by every command that has a drive.
 DRIVE_HELP = ('"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator of that open-circuit voltage, '
               '"0.1 W" constant input power')
@@ -26,6 +28,7 @@ def parser() -> argparse.ArgumentParser:
         description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
         epilog="exit status: 0 done, 1 computation failed, 2 mistake in the command or a file, 130 interrupted",
     )
+    whole.add_argument("--version", action="version", version=f"workbench {__version__}")
     subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (text, add_options) in COMMANDS.items():
         add_options(subparsers.add_parser(name, help=text, description=text))

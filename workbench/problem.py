@@ -20,6 +20,7 @@ from materials.use import check_use
 from workbench.brief import Brief
 from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.files.errors import InputError
+from workbench.job_size import check_size
 from workbench.particles import STIFF, Particle, breathing_frequency, particle_from
 from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
@@ -305,12 +306,15 @@ def build(
     and `radii` as in `geometry.mesh_size.MeshSize`.
 
     Raises:
-        InputError: see `workbench.discretisation.discretisation`.
+        InputError: see `workbench.discretisation.discretisation`; or a model this machine has no memory for
+            (`workbench.job_size`).
         MeshError: the mesh could not be made as the section asks.
     """
     fineness = discretisation(accuracy)
     low, high = device.chip.band if band is None else band
     check_use(device.materials.values(), band=(low, high))
+    check_size(device.section, device.materials, fineness, (low, high), source=device.chip.file, skins=skins,
+               radii=radii)
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)

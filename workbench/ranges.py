@@ -193,12 +193,12 @@ class RangeModel(Brief):
         """
         return _last(_growth(self, self.tolerance if tolerance is None else tolerance, limit, seed, progress))
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Keep the model in a file, to be read by :func:`load` with the chip it is of."""
         content = {"format": FORMAT, "ranges": dict(self.ranges), "tolerance": self.tolerance, "error": self.error,
                    "seconds": self.seconds, "solves": self.reduced.solves, "residual": self.reduced.residual,
                    "problem": fingerprint(self.problem)}
-        with replacing(path) as written:
+        with replacing(Path(path)) as written:
             np.savez(written, content=np.frombuffer(json.dumps(content).encode(), dtype=np.uint8),
                      frequency=self.frequency, basis=self.reduced.basis, weights=self.reduced.weights,
                      test=self.reduced.test, matrices=self.reduced.operators.matrices, sketch=self.reduced.sketch)
@@ -466,7 +466,7 @@ def fingerprint(problem: Problem) -> str:
 
 
 def load(
-    path: Path, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
+    path: Path | str, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
     accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
     """A model that :meth:`RangeModel.save` has kept, with the chip it is of.
@@ -474,6 +474,7 @@ def load(
     Raises:
         InputError: the file is no such model, or one of another chip, state, material or mesh.
     """
+    path = Path(path)
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             stored = {name: archive[name] for name in archive.files}

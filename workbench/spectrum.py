@@ -283,7 +283,7 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     return replace(spectrum, impedance=impedance, origin=replace(spectrum.origin, settings=settings))
 
 
-def write_csv(spectrum: Spectrum, path: Path) -> None:
+def write_csv(spectrum: Spectrum, path: Path | str) -> None:
     """Write the workbench's own file: ``# key: value`` lines of the origin, the column names, the rows.
 
     Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read

@@ -64,7 +64,7 @@ class Progress:
 
 def measure(
     setup: BenchSetup,
-    path: Path,
+    path: Path | str,
     *,
     resume: bool = False,
     sleep: Callable[[float], None] = time.sleep,

@@ -10,16 +10,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
+from geometry.plausible import check_band
 from materials.registry import Registry, user_folder, user_registry
 from workbench.discretisation import Discretisation, discretisation
 from workbench.drive import Drive, parse_drive
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
+from workbench.files.writing import writable_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from workbench.readers import Reading
+
+
+#: Bytes that there has to be room for before a command begins: a report with its pictures. Doubled, a nearly full disk
+#: is refused sooner.
+ROOM = 20e6
 
 
 @dataclass(frozen=True)
@@ -77,6 +84,8 @@ def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     band = end(options.low, chip.band[0], "--from"), end(options.high, chip.band[1], "--to")
     if not 0.0 < band[0] < band[1]:
         raise InputError("command line", "--from, --to", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
+    if "band" not in chip.unusual:
+        check_band(chip.layers, band, "command line", "--from, --to")
     return band
 
 
@@ -127,10 +136,10 @@ def saving_folder(folders: Sequence[Path]) -> Path:
     return folders[-1] if folders else user_folder()
 
 
-def output_folder(path: Path) -> Path:
-    """The output folder, made if need be."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        raise InputError("command line", "--output", str(path), "a folder; a file is in the way") from None
-    return path
+def output_folder(path: Path, *, room: float = ROOM) -> Path:
+    """The output folder, made if need be, with `room` (bytes) on its disk.
+
+    Raises:
+        InputError: see `workbench.files.writing.writable_folder`.
+    """
+    return writable_folder(path, source="command line", field="--output", room=room)

@@ -11,8 +11,9 @@ import tempfile
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,10 @@ from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars, say_finding
+from workbench.discretisation import discretisation
 from workbench.gathering import Gathering, gathering
+from workbench.interruption import Stopped, shielded
+from workbench.job_size import job_size, memory_to_use
 from workbench.parameter_names import ParameterName
 from workbench.problem import fill
 from workbench.report.figures import MODEL_COLUMNS, capacitance_cells, figures_row
@@ -49,8 +53,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
     with _solid_model(options.chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
-        for run in _simulated(chip, states, asked, show, unfinished):
-            write_csv(run.spectrum, folder / f"spectrum_{run.state}.csv")
+        for run in _simulated(chip, states, asked, show, folder, unfinished):
             pictures[run.state] = []
             if not options.no_pictures:
                 from workbench.render.gallery import draw_state
@@ -91,24 +94,42 @@ def run(options: argparse.Namespace, console: Console) -> int:
 
 
 def _simulated(
-    chip: Chip, states: Sequence[str], asked: Asked, show: Show, unfinished: Mapping[str, Path]
+    chip: Chip, states: Sequence[str], asked: Asked, show: Show, folder: Path, unfinished: Mapping[str, Path]
 ) -> Iterator[Simulation]:
-    """The simulation of every state in turn, the next one computed while what is made of this one is drawn.
+    """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
+    computed while what is made of this one is drawn, if there is memory for both.
 
     Full spectra are computed one after the other: they take long, and must stop when they are interrupted.
     """
+    files = {name: folder / f"spectrum_{name}.csv" for name in states}
     if unfinished:
         for name in states:
-            yield run_state(chip, name, asked, show, unfinished=unfinished[name])
+            yield run_state(chip, name, asked, show, unfinished=unfinished[name], spectrum=files[name])
         return
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        jobs = [pool.submit(run_state, chip, name, asked, show) for name in states]
-        try:
-            for job in jobs:
-                yield job.result()
-        finally:
-            for job in jobs:
-                job.cancel()
+    stopped = Event()
+
+    def heard(state: str, activity: str, fraction: float) -> None:
+        if stopped.is_set():
+            raise Stopped
+        show(state, activity, fraction)
+
+    pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, asked))
+    try:
+        jobs = [pool.submit(run_state, chip, name, asked, heard, spectrum=files[name]) for name in states]
+        for job in jobs:
+            yield job.result()
+    finally:
+        # Not waited for: what is in native code stops where it next says how far it is.
+        stopped.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _at_a_time(chip: Chip, states: Sequence[str], asked: Asked) -> int:
+    """Two states at a time where there is memory for them, else one."""
+    made, room = discretisation(asked.accuracy), memory_to_use()
+    devices = [fill(chip, name, asked.registry) for name in states]
+    sizes = sorted(job_size(each.section, each.materials, made, asked.band).memory for each in devices)
+    return 2 if room is None or sum(sizes[-2:]) <= room else 1
 
 
 @contextmanager
@@ -126,7 +147,12 @@ def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Cal
     # A process of its own rather than multiprocessing's, which would run the caller's script a second time. CadQuery's
     # own warnings stay in it.
     command = [sys.executable, "-P", "-W", "ignore", "-m", "workbench.cli", "export", str(chip_file), "-o", str(folder)]
-    with tempfile.TemporaryFile("w+") as words, subprocess.Popen(command, stdout=words, stderr=words) as process:
+    with ExitStack() as stack:
+        words = stack.enter_context(tempfile.TemporaryFile("w+"))
+        with shielded():
+            process = stack.enter_context(subprocess.Popen(command, stdout=words, stderr=words))
+            stack.callback(process.kill)
+
         def wait() -> dict[str, Path]:
             status = process.wait()
             words.seek(0)
@@ -135,10 +161,7 @@ def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Cal
                 raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({said[-500:]})")
             return {path.stem: path for path in map(Path, said.splitlines()) if path.suffix == ".stl"}
 
-        try:
-            yield wait
-        finally:
-            process.kill()
+        yield wait
 
 
 def _figures_table(chip: Chip, runs: list[Simulation]) -> Table:

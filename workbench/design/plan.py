@@ -113,7 +113,7 @@ class Study:
         return self.sample[:, [self.axes.index(axis) for axis in axes]]
 
 
-def read_study(path: Path | str, *, materials: Sequence[Path] = ()) -> Study:
+def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Study:
     """Read and check a study's file and the chip it names; `materials` are further folders of materials.
 
     Raises:

@@ -109,7 +109,7 @@ class Campaign(Brief):
         return tuple(state for state in self.states if state.held_out)
 
 
-def read_campaign(path: Path | str, *, materials: Sequence[Path] = ()) -> Campaign:
+def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Campaign:
     """Read and check a campaign file, its chips and its recordings; `materials` are further folders of materials.
 
     Raises:

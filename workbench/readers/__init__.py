@@ -90,7 +90,7 @@ class Reading(Shown):
         return Reading(spectrum, (*kept, *examine(spectrum)))
 
 
-def detect(path: Path) -> str:
+def detect(path: Path | str) -> str:
     """The name of the file's format, a key of :data:`FORMATS`.
 
     Raises:

@@ -107,7 +107,7 @@ class ColumnMap:
         return self.frequency if self.second_frequency is None else self.second_frequency
 
 
-def read_column_map(path: Path) -> ColumnMap:
+def read_column_map(path: Path | str) -> ColumnMap:
     """A column map from a TOML file: the fields of :class:`ColumnMap`, with ``quantity`` a table of those of Quantity.
 
     ::
@@ -132,7 +132,7 @@ def read_column_map(path: Path) -> ColumnMap:
     Raises:
         InputError: a missing or unknown key, or a value that ColumnMap or Quantity refuse.
     """
-    table = Table.read(path)
+    table = Table.read(Path(path))
     quantity = Table.of(table.content.get("quantity"), source=table.source, field="quantity",
                         expected="a table with kind, form and unit")
     for each, kind in ((table, ColumnMap), (quantity, Quantity)):
