@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -142,17 +142,27 @@ class Chip:
         Raises:
             InputError: unknown name, or the new lengths do not make a chip.
         """
+        return self._changed({name: partial(_resized, value=float(value)) for name, value in values.items()})
+
+    def with_tolerances(self, tolerances: Mapping[str, float | None]) -> Chip:
+        """The same chip with other tolerances (metres, or radians), by the names of :meth:`dimensions`; None for none.
+
+        Raises:
+            InputError: unknown name.
+        """
+        return self._changed({name: partial(replace, tolerance=each) for name, each in tolerances.items()})
+
+    def _changed(self, changes: Mapping[str, Callable[[Dimension], Dimension]]) -> Chip:
+        """The same chip with the dimensions that have a change, by name, changed."""
         known = self.dimensions()
-        for name in values:
+        for name in changes:
             choose(name, known, source=self.file, field="dimension")
 
         def changed(name: str, old: Dimension | None) -> Dimension | None:
             return None if old is None else always(name, old)
 
         def always(name: str, old: Dimension) -> Dimension:
-            if name not in values or values[name] == old.value:
-                return old
-            return replace(old, value=float(values[name]), tolerance=None)
+            return changes[name](old) if name in changes else old
 
         def of_profile(region: str, name: str, old: Dimension) -> Dimension:
             return always(f"{region}.{name}", old)
@@ -183,6 +193,11 @@ class Chip:
             electrodes=replace(self.electrodes, live_disc=live, ground_disc=ground),
             ports=ports,
         )
+
+
+def _resized(old: Dimension, value: float) -> Dimension:
+    """A dimension of another size, which has no tolerance; itself where the size is its own."""
+    return old if value == old.value else replace(old, value=value, tolerance=None)
 
 
 def read_chip(path: Path | str) -> Chip:

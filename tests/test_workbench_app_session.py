@@ -103,7 +103,7 @@ def test_the_spread_is_that_of_differences(session: Session) -> None:
     # A uniform law of 20 um to either side; the other numbers have none, but for what the materials state.
     for each in session.controls:
         if each.name != THICKNESS:
-            session.tolerate(each.name, None)
+            session.tolerate(each.name, 0.0)
     view = session.spectrum()
     assert view.spread is not None
     step = 1e-7
