@@ -16,9 +16,9 @@ from workbench.fitting.prepare import prepare
 from workbench.parameter_names import placed
 from workbench.spectrum import Spectrum
 
-#: Further descents at most, where the recording stays unexplained: a fit that somebody waits for is to end within some
-#: tens of seconds. ``workbench fit`` tries 32.
-TRIES = 4
+#: Further descents at most, where the recording stays unexplained: a fit that somebody waits for is to end within a
+#: minute. A film reaches its third optimum to either side. ``workbench fit`` tries 32.
+TRIES = 12
 #: Standard uncertainties that a constant may go from where it starts, as in `workbench.fitting.parameter`.
 _REACH = 5.0
 
