@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -147,17 +147,32 @@ class Chip:
             InputError: unknown name, a length that is no such part's, or the new lengths do not make a chip.
         """
         known = self.dimensions()
-        for name in values:
+        beyond = [name for name, value in values.items()
+                  if name in known and plausible.moved_beyond(name, known[name].value, value)]
+        return self._changed({name: partial(_resized, value=float(value)) for name, value in values.items()},
+                             unusual=(*unusual, *beyond))
+
+    def with_tolerances(self, tolerances: Mapping[str, float | None]) -> Chip:
+        """The same chip with other tolerances (metres, or radians), by the names of :meth:`dimensions`; None for none.
+
+        Raises:
+            InputError: unknown name.
+        """
+        return self._changed({name: partial(replace, tolerance=each) for name, each in tolerances.items()})
+
+    def _changed(
+        self, changes: Mapping[str, Callable[[Dimension], Dimension]], *, unusual: Collection[str] = ()
+    ) -> Chip:
+        """The same chip with the dimensions that have a change, by name, changed, and further `unusual` ones."""
+        known = self.dimensions()
+        for name in changes:
             choose(name, known, source=self.file, field="dimension")
-        beyond = [name for name, value in values.items() if plausible.moved_beyond(name, known[name].value, value)]
 
         def changed(name: str, old: Dimension | None) -> Dimension | None:
             return None if old is None else always(name, old)
 
         def always(name: str, old: Dimension) -> Dimension:
-            if name not in values or values[name] == old.value:
-                return old
-            return replace(old, value=float(values[name]), tolerance=None)
+            return changes[name](old) if name in changes else old
 
         def of_profile(region: str, name: str, old: Dimension) -> Dimension:
             return always(f"{region}.{name}", old)
@@ -187,8 +202,13 @@ class Chip:
             layers=stacked(layers),
             electrodes=replace(self.electrodes, live_disc=live, ground_disc=ground),
             ports=ports,
-            unusual=tuple(dict.fromkeys((*self.unusual, *unusual, *beyond))),
+            unusual=tuple(dict.fromkeys((*self.unusual, *unusual))),
         )
+
+
+def _resized(old: Dimension, value: float) -> Dimension:
+    """A dimension of another size, which has no tolerance; itself where the size is its own."""
+    return old if value == old.value else replace(old, value=value, tolerance=None)
 
 
 def read_chip(path: Path | str) -> Chip:

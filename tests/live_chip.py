@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from geometry.chip import Chip, read_chip
@@ -55,4 +56,38 @@ def little_chip(folder: Path) -> Chip:
 
 def session(folder: Path, recording: Spectrum | None = None) -> Session:
     return Session(little_chip(folder), None, WANTED, registry=Registry(), points=POINTS, accuracy=COARSE,
+                   recording=recording)
+
+
+#: A disc on gel and a polymer; nobody says how thick the gel is.
+FILM_TEXT = """
+[chip]
+name = "disc on gel"
+band = ["0.9 MHz", "1.1 MHz"]
+[[layers]]
+role = "transducer"
+material = "pic255/plutho"
+thickness = "2 mm"
+radius = "3 mm"
+[[layers]]
+role = "couplant"
+material = "coupling_gel/acevedo_2026"
+thickness = "20 um"
+radius = "3 mm"
+[[layers]]
+role = "substrate"
+material = "pla/acevedo_2026"
+thickness = "0.8 mm"
+radius = "3 mm"
+[states.assembled]
+"""
+GEL = "couplant.thickness"
+#: Its resonances are too sharp for a mesh that is coarser.
+LOOSE = 5e-3
+
+
+def film_session(folder: Path, wanted: Sequence[str] = (GEL,), recording: Spectrum | None = None) -> Session:
+    path = folder / "film.toml"
+    path.write_text(FILM_TEXT)
+    return Session(read_chip(path), None, wanted, registry=Registry(), points=POINTS, accuracy=LOOSE,
                    recording=recording)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from http.cookies import SimpleCookie
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,7 +27,7 @@ pytest.importorskip("trame_vuetify")
 PATIENCE = 60.0
 
 
-def section(found: SectionFields) -> list[LivePicture]:
+def section(found: SectionFields) -> Iterator[LivePicture]:
     return live_pictures(found.fields, found.traps)
 
 

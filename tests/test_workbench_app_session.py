@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import live_chip
 import numpy as np
 import pytest
-from live_chip import PLA
+from live_chip import GEL, PLA
 
 from geometry.chip import read_chip
 from geometry.names import CAVITY
 from workbench.app.background import Background
 from workbench.app.controls import controls
+from workbench.app.entry import typed_number, typed_tolerance
 from workbench.app.growth import Wanted, growing_elsewhere
 from workbench.app.history import History
 from workbench.app.local import along, around, local_model
+from workbench.app.panels import figure_cards, picture
 from workbench.app.plot import HEIGHT, LEFT, RIGHT, Scale, curves, ticks
+from workbench.app.refit import known_to
 from workbench.app.session import NotReady, Session
 from workbench.app.works import Works
 from workbench.cli import main
 from workbench.diagnosis.campaign import read_campaign
 from workbench.files.errors import InputError
+from workbench.fitting.parameter import dimension_parameter, material_parameter
 from workbench.problem import build, fill
 from workbench.ranges import OutOfRange, RangeModel
+from workbench.render.live import LivePicture
 from workbench.simulation import simulate
 from workbench.spectrum import Spectrum
 
@@ -103,7 +110,7 @@ def test_the_spread_is_that_of_differences(session: Session) -> None:
     # A uniform law of 20 um to either side; the other numbers have none, but for what the materials state.
     for each in session.controls:
         if each.name != THICKNESS:
-            session.tolerate(each.name, None)
+            session.tolerate(each.name, 0.0)
     view = session.spectrum()
     assert view.spread is not None
     step = 1e-7
@@ -347,3 +354,151 @@ def test_lines_of_the_spectrum_are_where_the_scale_says() -> None:
     assert [each["text"] for each in marks["y"]] == ["1", "2", "5", "10", "20", "50", "100"]
     assert [each["text"] for each in marks["x"]] == ["1.0", "1.2", "1.4", "1.6", "1.8", "2.0"]
     assert all(0.0 <= each["at"] <= HEIGHT for each in [*marks["y"], *marks["phase"]])
+
+
+def test_a_length_without_a_tolerance_is_known_by_its_role(tmp_path: Path) -> None:
+    session = live_chip.film_session(tmp_path, [GEL, "substrate.thickness", "transducer.thickness"])
+    gel, printed, turned = session.controls
+    # A film to a factor of three, printed layers to 50 um, turned parts to 1 %; the slider reaches as far at least.
+    assert (gel.low, gel.high) == pytest.approx((20e-6 / 3.0, 60e-6))
+    assert (printed.low, printed.high) == pytest.approx((0.75e-3, 0.85e-3))
+    assert (turned.low, turned.high) == pytest.approx((1.9e-3, 2.1e-3))
+    assert [each.told_tolerance for each in session.controls] == ["×3", "0.05", "0.02"]
+    assert all(each.assumed for each in session.controls)
+    assert gel.deviation == pytest.approx(20e-6 * np.log(3.0) / np.sqrt(3.0))
+    assert printed.deviation == pytest.approx(50e-6 / np.sqrt(3.0))
+    # What a fit may find can be shown: it searches a film from a tenth to five times its thickness.
+    assert gel.farthest == pytest.approx((2e-6, 100e-6))
+    session.tolerate(GEL, 15e-6)
+    assert session.control(GEL).told_tolerance == "15"
+    assert session.control(GEL).assumed == ""
+    assert session.control(GEL).deviation == pytest.approx(15e-6 / np.sqrt(3.0))
+    session.tolerate(GEL, None)
+    assert session.control(GEL) == gel
+
+
+def test_a_range_that_cannot_hold_what_is_known_is_told(tmp_path: Path) -> None:
+    # A rim 20 um beside another radius, of printed parts that are known to 50 um.
+    path = tmp_path / "near.toml"
+    path.write_text(live_chip.TEXT.replace('cavity_radius = "1.5 mm"', 'cavity_radius = "2.98 mm"'))
+    chip = read_chip(path)
+    (found,) = controls(chip, build(fill(chip), accuracy=live_chip.COARSE), ["cavity.radius"])
+    assert found.high == pytest.approx(2.998e-3)
+    assert "2.93 to 3.03 mm" in found.narrowed
+
+
+def test_wide_ranges_are_modelled_in_stages(tmp_path: Path) -> None:
+    session = live_chip.film_session(tmp_path, [GEL, "transducer.thickness=1.99mm..2.01mm"])
+    wanted: list[dict[str, tuple[float, float]]] = []
+
+    def growing(asked: Wanted) -> Iterator[RangeModel]:
+        wanted.append(dict(asked.ranges))
+        yield from ()
+
+    session._growing = growing  # type: ignore[assignment]
+    assert list(session.grow()) == []
+    near, whole = wanted
+    assert near[GEL] == pytest.approx((19e-6, 21e-6))
+    assert whole[GEL] == pytest.approx((20e-6 / 3.0, 60e-6))
+    assert near["transducer.thickness"] == whole["transducer.thickness"]
+    # Elsewhere the first stage would answer nothing.
+    session.put({GEL: 35e-6})
+    list(session.grow())
+    assert wanted[2:] == [whole]
+
+
+def test_a_typed_tolerance_is_that_of_the_fit_and_of_a_diagnosis(tmp_path: Path) -> None:
+    session = live_chip.film_session(tmp_path, [GEL, f"{PLA}.shear_modulus"])
+    before = dimension_parameter(session.stated_chip(), GEL)
+    assert before.assumed
+    session.tolerate(GEL, 15e-6)
+    session.tolerate(f"{PLA}.shear_modulus", 0.3e9)
+    found = dimension_parameter(session.present({}).chip, GEL)
+    assert found.prior == pytest.approx(15e-6 / np.sqrt(3.0))
+    # Three tolerances, as far as a mesh can be stretched.
+    assert (found.low, found.high) == pytest.approx((2e-6, 65e-6))
+    assert found.assumed == ""
+    assert session.typed_uncertainties() == {f"{PLA}.shear_modulus": 0.3e9}
+    modulus = material_parameter(session.problem, PLA, "shear_modulus")
+    typed = known_to(modulus, 0.3e9)
+    assert (typed.prior, typed.high) == (0.3e9, pytest.approx(modulus.start + 1.5e9))
+    assert 0.0 < typed.low <= modulus.low
+    assert known_to(modulus, None) is modulus
+    # Radii of one length are known alike.
+    radii = live_chip.film_session(tmp_path, ["transducer.radius"])
+    radii.tolerate("transducer.radius", 1e-5)
+    assert dimension_parameter(radii.stated_chip(), "substrate.radius").prior == pytest.approx(1e-5 / np.sqrt(3.0))
+
+
+@pytest.mark.slow
+def test_the_fit_finds_a_gel_far_from_what_is_stated(tmp_path: Path) -> None:
+    truth = 35e-6
+    plain = live_chip.film_session(tmp_path)
+    with pytest.warns(UserWarning, match="estimated"):
+        recording = simulate(plain.chip.with_dimensions({GEL: truth}), accuracy=live_chip.LOOSE, points=61).spectrum
+    session = live_chip.film_session(tmp_path, recording=recording)
+    session.tolerate(GEL, 15e-6)
+    works = Works(session, tmp_path, None)
+    works.free.add(GEL)
+    said = works.fit(lambda text: None, lambda: False)
+    # Meshes of half a per cent of Z, one stretched from 20 um: 1 % of the gel.
+    assert session.values[GEL] == pytest.approx(truth, rel=0.02), said
+    session.tolerate(GEL, 0.0)
+    with pytest.raises(InputError, match="above zero"):
+        works.fit(lambda text: None, lambda: False)
+    works.close()
+
+
+@pytest.mark.parametrize(("typed", "metres"), [
+    ("20.5", 20.5e-6), ("0.0205 mm", 20.5e-6), (" 21um", 21e-6), (22, 22e-6),
+])
+def test_numbers_are_typed_in_the_unit_shown_or_their_own(tmp_path: Path, typed: object, metres: float) -> None:
+    gel = live_chip.film_session(tmp_path).control(GEL)
+    assert typed_number(typed, gel, GEL) == pytest.approx(metres, rel=1e-12)
+
+
+@pytest.mark.parametrize(("typed", "said"), [
+    ("20,5", r"'20,5'; expected a decimal point, not a comma: 20\.5\?"), ("20,5 um", r"not a comma: 20\.5 um\?"),
+    ("abc", "a number in µm, for example 20"), ("", "a number in µm"), ("nan", "finite"), ("20 mum", "um"),
+    ("1e999", "finite"), (None, "a number in µm"), ([1], "a number in µm"),
+])
+def test_what_is_no_number_is_answered_with_what_is(tmp_path: Path, typed: object, said: str) -> None:
+    gel = live_chip.film_session(tmp_path).control(GEL)
+    with pytest.raises(InputError, match=said):
+        typed_number(typed, gel, GEL)
+
+
+def test_an_empty_tolerance_is_what_is_stated_or_assumed(tmp_path: Path) -> None:
+    gel = live_chip.film_session(tmp_path).control(GEL)
+    assert typed_tolerance(" ", gel) is None
+    assert typed_tolerance(gel.told_tolerance, gel) is None
+    assert typed_tolerance("7.5", gel) == pytest.approx(7.5e-6)
+    with pytest.raises(InputError, match=r"tolerance of couplant\.thickness.*7\.5"):
+        typed_tolerance("7,5", gel)
+
+
+def test_saved_lengths_are_rounded(tmp_path: Path) -> None:
+    session = live_chip.film_session(tmp_path, [GEL, "substrate.thickness"])
+    session.put({GEL: 20.194697870846237e-6, "substrate.thickness": 0.8123456789e-3})
+    session.save(tmp_path / "saved.toml")
+    written = (tmp_path / "saved.toml").read_text()
+    assert 'thickness = "20.1947 um"' in written
+    assert 'thickness = "0.812346 mm"' in written
+
+
+def test_deviations_have_their_unit(session: Session) -> None:
+    cards = {each["id"]: each["note"] for each in figure_cards(session.spectrum())}
+    assert re.match(r"± [\d.]+ (m|k|)Hz by the tolerances", cards["f0"])
+    assert re.match(r"± [\d.]+ (µ|m|)Ω by the tolerances", cards["z_min"])
+
+
+@pytest.mark.parametrize("height", [0.2, 2.0, 8.0, 30.0])
+@pytest.mark.parametrize("tall", [1.0, 2.0])
+def test_letters_at_pictures_keep_their_size(height: float, tall: float) -> None:
+    drawn = LivePicture("pressure", "pressure", b"", (-4.0, 4.0, 0.0, height), 0.0, 1.0, "Pa", "", (), (), tall)
+    shown = picture(drawn)
+    tallest = float(shown["tallest"].removesuffix("px"))
+    scale = min(1.0, tallest / (shown["height"] + shown["strip"]))
+    assert shown["letters"] * scale == pytest.approx(11.0, rel=0.02)
+    places = [each["at"] for each in shown["ticks"]]
+    assert all(after - before >= 3.0 * shown["letters"] for before, after in pairwise(places))

@@ -3,12 +3,12 @@ in."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from geometry.assumed import SHAPE_UNCERTAINTY
+from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, LengthUncertainty, is_film, length_uncertainty
 from geometry.chip import Chip
+from geometry.dimension import Dimension
 from geometry.names import CAVITY
 from geometry.stretch import movable, tied
 from materials.kinds import Fluid, IsotropicSolid
@@ -23,16 +23,18 @@ from workbench.problem import Problem
 #: lengths has about twice as many unknowns.
 REACH = 0.05
 #: Nothing is moved beyond its range to more than this times what the chip's file says, or to less than one over this:
-#: the mesh is stretched, and its elements were made for that length.
+#: the mesh is stretched, and its elements were made for that length. A length may go as far as a fit searches.
 FARTHEST = 2.0
-#: The range in units of a stated tolerance, where that is more.
+#: The range in units of a stated tolerance, where that is more. Of an assumed one it holds the limits.
 TOLERANCES = 2.0
+#: Significant digits of a length in a saved chip file: a nanometre of a millimetre.
+SAVED_DIGITS = 6
 
 #: What a range is written between, as in "substrate.thickness=0.8mm..0.9mm".
 ENDS = ".."
 
 #: Which units the ends of a range may be written in, by the SI unit of what they are of.
-_DIMENSIONS = {"m": "length", "rad": "angle", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless",
+DIMENSIONS = {"m": "length", "rad": "angle", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless",
                "kg/m^3": "density", "m/s": "speed", "m^2/s": "diffusivity"}
 #: Thinner layers than this (m) are told in micrometres.
 _THIN = 2e-4
@@ -44,7 +46,8 @@ class Control:
 
     ``value`` is that of the chip's file, ``low`` and ``high`` the range, ``tolerance`` what the chip's file states of a
     length (limits), or the entry of a material of a constant (standard uncertainty), None where nobody stated one; all
-    SI. It is told in ``unit``, ``factor`` of which are one in SI.
+    SI. A length without a tolerance is known as its role lets assume (`geometry.assumed`). The number is shown in
+    ``unit``, ``factor`` of which are one in SI. ``narrowed`` says in words that the range does not hold the limits.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Control:
     tolerance: float | None
     unit: str
     factor: float
+    narrowed: str = ""
 
     @property
     def label(self) -> str:
@@ -72,21 +76,60 @@ class Control:
         return ParameterName.parse(self.name).is_radius
 
     @property
+    def known(self) -> LengthUncertainty:
+        """How exactly the length is known: by its tolerance, or by its role."""
+        return length_uncertainty(self.name, Dimension(self.value, self.tolerance))
+
+    @property
     def deviation(self) -> float:
-        """Standard deviation (SI) that the tolerance stands for, 0 where there is none; limits as in a fit."""
-        if self.tolerance is None:
-            return 0.0
-        return self.tolerance / math.sqrt(3.0) if self.is_length else self.tolerance
+        """Standard deviation (SI) that the tolerance or the assumption stands for, 0 where there is none."""
+        if self.is_length:
+            return self.known.deviation
+        return self.tolerance or 0.0
+
+    @property
+    def assumed(self) -> str:
+        """In words what is taken to be known of a length without a tolerance; empty where one is stated."""
+        return self.known.assumed if self.is_length else ""
+
+    @property
+    def told_tolerance(self) -> str:
+        """The tolerance as its field shows it, in ``unit``: a film's assumed one as a factor; empty for none."""
+        if self.tolerance is not None:
+            return f"{self.tolerance * self.factor:.4g}"
+        if not self.is_length:
+            return ""
+        if is_film(self.name):
+            return f"\N{MULTIPLICATION SIGN}{FILM_FACTOR:g}"
+        return f"{(self.known.high - self.value) * self.factor:.4g}"
 
     @property
     def farthest(self) -> tuple[float, float]:
         """The ends (SI) that it can be moved to, beyond its range."""
-        ends = sorted((self.value / FARTHEST, self.value * FARTHEST))
-        return min(self.low, ends[0]), max(self.high, ends[1])
+        ends = [self.low, self.high, self.value / FARTHEST, self.value * FARTHEST]
+        if self.is_length:
+            ends += [self.known.lowest, self.known.highest]
+        return min(ends), max(ends)
+
+    def saved(self, length: float) -> float:
+        """A length (m or rad) as a chip file holds it: rounded to :data:`SAVED_DIGITS` digits in its unit."""
+        unit = self.unit.replace("µ", "u")
+        return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", DIMENSIONS[self.si_unit],
+                              source="live view", field=self.name)
+
+    @property
+    def si_unit(self) -> str:
+        """The SI unit of the number."""
+        parsed = ParameterName.parse(self.name)
+        return parsed.dimension_unit if self.is_length else UNITS.get(parsed.coefficient, "1")
+
+    def shown(self, number: float) -> str:
+        """A number (SI) in ``unit``, without it."""
+        return f"{number * self.factor:.6g}"
 
     def told(self, number: float) -> str:
         """A number (SI) with its unit."""
-        return f"{number * self.factor:.6g} {self.unit}".rstrip()
+        return f"{self.shown(number)} {self.unit}".rstrip()
 
     def reaching(self, number: float) -> Control:
         """The same with a range that holds `number` (SI) well within."""
@@ -141,15 +184,21 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
     shown, factor = shown_unit(unit), shown_factor(unit)
     if unit == "m" and value < _THIN:
         shown, factor = "µm", 1e6
+    narrowed = ""
     if ends:
-        low, high = _ends(name, ends, _DIMENSIONS[unit])
+        low, high = _ends(name, ends, DIMENSIONS[unit])
     else:
         reach = max(REACH * abs(value), TOLERANCES * (tolerance or 0.0))
         if parsed.is_shape and tolerance is None:
             reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[parsed.coefficient])
         low, high = value - reach, value + reach
         if parsed.kind is Kind.DIMENSION:
-            low, high = movable(chip, name, low, high)
+            known = length_uncertainty(name, Dimension(value, tolerance))
+            low, high = movable(chip, name, min(low, known.low), max(high, known.high))
+            if low > known.low or high < known.high:
+                narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
+                            f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
+                            "stretched farther")
     if parsed.kind is Kind.DIMENSION and movable(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
         low, high = movable(chip, name, low, high)
@@ -159,7 +208,7 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         raise InputError("command line", f"--vary {name}", ends or f"{low:g}..{high:g}",
                          f"a lower number, then a higher one, with the present {value * factor:.6g} {shown} between "
                          "them")
-    return Control(name, value, low, high, tolerance, shown, factor)
+    return Control(name, value, low, high, tolerance, shown, factor, narrowed)
 
 
 def _uncertainty(problem: Problem, parsed: ParameterName) -> float | None:

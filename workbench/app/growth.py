@@ -13,7 +13,7 @@ from workbench.app.elsewhere import Send, elsewhere
 from workbench.discretisation import Discretisation
 from workbench.operators import assemble
 from workbench.problem import build, fill
-from workbench.ranges import NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
+from workbench.ranges import LIMIT, NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class Wanted:
     points: int
     tolerance: float
     accuracy: float | Discretisation
+    limit: int = LIMIT
 
 
 #: What makes growing models of what is wanted; closing it ends the work.
@@ -42,7 +43,7 @@ def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
     """
     yield from growing_model(
         wanted.chip, wanted.state, wanted.ranges, registry=wanted.registry, band=wanted.band, points=wanted.points,
-        tolerance=wanted.tolerance, accuracy=wanted.accuracy)
+        tolerance=wanted.tolerance, limit=wanted.limit, accuracy=wanted.accuracy)
 
 
 def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:

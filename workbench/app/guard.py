@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 #: The only interface the page is served on.
 HOST = "127.0.0.1"
 
-#: Names under which that may be asked.
-_NAMES = (HOST, "localhost")
-
 #: What the page may load and connect to: its own server, and pictures that are in the page. Vue makes functions of its
 #: templates, hence the two kinds of script; nothing comes from outside.
 _POLICY = ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
@@ -75,11 +72,11 @@ def protect(application: Application, token: str) -> None:
 def refusal(request: Any, token: str) -> str:
     """Why a request is refused; empty where it is not."""
     port = _port(request)
-    hosts = {f"{name}:{port}" for name in _NAMES}
-    if len(request.headers.getall("Host", [])) != 1 or request.headers["Host"].lower() not in hosts:
-        return "a foreign host"
+    host = f"{HOST}:{port}"
+    if len(request.headers.getall("Host", [])) != 1 or request.headers["Host"].lower() != host:
+        return f"a foreign host; open the address that was printed, which begins with http://{host}/"
     origins = request.headers.getall("Origin", [])
-    if any(origin.lower() not in {f"http://{host}" for host in hosts} for origin in origins):
+    if any(origin.lower() != f"http://{host}" for origin in origins):
         return "a foreign origin"
     # A wrong token in the address is not mended by a cookie.
     given = request.query.getall("token", []) or [request.cookies.get(cookie_name(port), "")]

@@ -12,8 +12,8 @@ from workbench.app import plot
 
 _STYLE = """
 html { overflow-y: auto !important; }
-.live { display: grid; grid-template: 36px 1fr / 340px 1fr; gap: 6px 10px; padding: 8px 12px; background: #f4f6f8;
-        min-height: 100vh; font-family: Roboto, sans-serif; color: #1c2733; }
+.live { display: grid; grid-template: 36px 1fr / 340px minmax(0, 1fr); gap: 6px 10px; padding: 8px 12px;
+        background: #f4f6f8; min-height: 100vh; font-family: Roboto, sans-serif; color: #1c2733; }
 .live .bar { grid-column: 1 / 3; display: flex; align-items: center; gap: 8px; height: 36px; }
 .live .bar h1 { font-size: 17px; font-weight: 600; margin: 0 8px 0 0; white-space: nowrap; }
 .live .bar .state { color: #5a6b7b; margin-right: auto; font-size: 13px; white-space: nowrap; overflow: hidden;
@@ -29,6 +29,7 @@ html { overflow-y: auto !important; }
 .live input.number { width: 78px; text-align: right; border: 1px solid #cfd8e0; border-radius: 4px; padding: 0 4px;
         font-size: 12.5px; background: white; }
 .live input.tolerance { width: 48px; }
+.live input.tolerance.assumed { font-style: italic; color: #7a6a1f; background: #fdf8e4; }
 .live .unit { width: 34px; color: #5a6b7b; font-size: 11.5px; }
 .live .row .v-slider { margin: 0 2px; }
 .live .row .tools { display: flex; align-items: center; }
@@ -59,6 +60,20 @@ html { overflow-y: auto !important; }
 .live .works .kind { font-weight: 600; }
 .live .works a { color: #1565c0; }
 .live .error { color: #c0392b; }
+@media (max-width: 1199px) {
+  .live { grid-template: auto / minmax(0, 1fr); }
+  .live .bar { grid-column: 1; flex-wrap: wrap; height: auto; }
+  .live .left { max-height: none; align-self: stretch; }
+  .live .figures { flex-wrap: wrap; }
+  .live .figures .card { flex: 1 0 150px; }
+}
+@media (max-width: 799px) {
+  .live .fields { grid-template-columns: minmax(0, 1fr); }
+  .live .fields .wide { grid-column: 1; }
+  .live #fields_at, .live .title { flex-wrap: wrap; white-space: normal !important; }
+  .live .fields .at { height: auto; flex-wrap: wrap; }
+  .live #spectrum text { font-size: 20px; }
+}
 .live .key { display: inline-block; width: 18px; height: 0; border-top: 2.5px solid; vertical-align: middle;
         margin: 0 4px 0 10px; }
 """
@@ -87,15 +102,18 @@ _BAR = """
 _HEADS = """
 <div class="heads"><span style="flex: 1">fit &nbsp; number</span><span style="width: 60px">value</span>
   <span style="width: 70px; text-align: right">± tolerance</span></div>
+<div class="heads" v-if="rows.some(each => each.assumed)" id="assumed"><span><i>In italics</i>: stated nowhere,
+  assumed by the role of the layer (point at it).</span></div>
 """
 
 #: One number, the one at a place of ``rows``; its value is state of its own, since it is what the slider moves.
 _ROW = """
 <div class="row">
   <div class="names"><span class="what" :class="{out: rows[I].outside}" :title="rows[I].name">{{ rows[I].label }}</span>
-    <input class="number" id="number_I" :value="x_I" @change="x_I = Number($event.target.value)" />
+    <input class="number" id="number_I" :value="x_I" @change="trigger('enter', [rows[I].name, $event.target.value])" />
     <span class="unit">{{ rows[I].unit }}</span>
-    <input class="number tolerance" id="tolerance_I" :value="rows[I].tolerance"
+    <input class="number tolerance" :class="{assumed: rows[I].assumed}" id="tolerance_I" :value="rows[I].tolerance"
+           :title="rows[I].assumed ? 'assumed: ' + rows[I].assumed : 'stated; empty this field to go back'"
            @change="trigger('tolerate', [rows[I].name, $event.target.value])" />
   </div>
   <div class="tools">
@@ -181,16 +199,17 @@ _FIELDS = """
     <div class="title"><span class="words"><b>{{ each.title }}</b> {{ each.note }}</span>
       <span class="legends">{{ each.low }} <span class="legend" :style="{background: each.colours}"></span>
       {{ each.high }} {{ each.unit }}</span></div>
-    <svg :id="'picture_' + each.name" :viewBox="'0 0 ' + each.width + ' ' + (each.height + 16)"
-         style="display: block; width: 100%" :style="{maxHeight: each.wide ? '196px' : '118px'}">
+    <svg :id="'picture_' + each.name" :viewBox="'0 0 ' + each.width + ' ' + (each.height + each.strip)"
+         style="display: block; width: 100%" :style="{maxHeight: each.tallest}">
       <image :href="each.png" x="0" y="0" :width="each.width" :height="each.height" preserveAspectRatio="none"></image>
       <path :d="each.outline" fill="none" stroke="#303030" stroke-width="0.4"></path>
       <g v-for="mark in each.marks" :key="mark.x + ',' + mark.y"><title>{{ mark.text }}</title>
         <path :d="'M' + (mark.x - 5) + ' ' + (mark.y - 5) + 'l10 10m-10 0l10 -10'" stroke="white"
               stroke-width="2"></path></g>
-      <g v-for="t in each.ticks" :key="t.at"><line :x1="t.at" :x2="t.at" :y1="each.height" :y2="each.height + 3"
-         stroke="#43525f"></line>
-      <text :x="t.at" :y="each.height + 13" :text-anchor="t.anchor" style="font-size: 10px">{{ t.text }}</text></g>
+      <g v-for="t in each.ticks" :key="t.at"><line :x1="t.at" :x2="t.at" :y1="each.height"
+         :y2="each.height + 0.2 * each.strip" stroke="#43525f"></line>
+      <text class="tick" :x="t.at" :y="each.height + 0.8 * each.strip" :text-anchor="t.anchor"
+            :style="{fontSize: each.letters + 'px'}">{{ t.text }}</text></g>
     </svg>
   </div></template>
 </div>

@@ -11,6 +11,12 @@ from workbench.app import plot
 from workbench.app.section_fields import SectionFields
 from workbench.app.spectrum_view import SpectrumView
 
+#: Prefixes of units and what brings a number into the unit with it, smallest unit first.
+_PREFIXES = (("µ", 1e6), ("m", 1e3), ("", 1.0), ("k", 1e-3), ("M", 1e-6))
+#: Heights (pixels of the page) that a wide picture and one of half the width are shown in at most, the size of the
+#: letters at its axis, and of the strip below the picture that they stand in.
+TALLEST, LETTERS, STRIP = (196.0, 118.0), 11.0, 17.0
+
 
 class Drawn(Protocol):
     """A picture of a field, see `workbench.render.live.LivePicture`."""
@@ -51,12 +57,13 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
     """The figures of merit, and how sure they are."""
     measured = {row.metric: row for row in view.comparison.rows} if view.comparison is not None else {}
 
-    def card(name: str, metric: str, words: str, unit: str, digits: str, factor: float = 1.0) -> dict[str, str]:
+    def card(name: str, metric: str, words: str, unit: str, digits: str, factor: float = 1.0,
+             si_unit: str = "") -> dict[str, str]:
         deviation = view.deviations.get(name)
-        notes = [] if deviation is None else [f"± {deviation * factor:.2g} by the tolerances"]
+        notes = [] if deviation is None else [f"± {_told(deviation, si_unit)} by the tolerances"]
         row = measured.get(metric)
         if row is not None:
-            notes.append(f"recorded {row.measured * factor:.5g}")
+            notes.append(f"recorded {row.measured * factor:.5g} {unit}".rstrip())
         return {"id": name, "name": words, "value": f"{view.figures[name] * factor:{digits}} {unit}",
                 "note": ", ".join(notes)}
 
@@ -64,8 +71,9 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
     if view.no_resonance:
         found.append({"id": "f0", "name": "resonance", "value": "none", "note": view.no_resonance})
     else:
-        found += [card("f0", "f0", "resonance f0", "MHz", ".5f", 1e-6),
-                  card("z_min", "Z_min", "smallest |Z|", "Ω", ".4g"), card("q", "Q", "quality factor Q", "", ".4g")]
+        found += [card("f0", "f0", "resonance f0", "MHz", ".5f", 1e-6, "Hz"),
+                  card("z_min", "Z_min", "smallest |Z|", "Ω", ".4g", si_unit="Ω"),
+                  card("q", "Q", "quality factor Q", "", ".4g")]
     if view.comparison is not None:
         found.append({"id": "mape", "name": "off the recording", "value": f"{view.comparison.mape_percent:.3g} %",
                       "note": "mean of |Z|"})
@@ -73,6 +81,14 @@ def figure_cards(view: SpectrumView) -> list[dict[str, str]]:
     found.append({"id": "model_error", "name": "model's error, estimated bound",
                   "value": f"≤ {100.0 * view.estimate:.2g} %", "note": checked})
     return found
+
+
+def _told(number: float, unit: str) -> str:
+    """A deviation with its unit, with the prefix that leaves one to three digits before the point."""
+    if not unit or not np.isfinite(number) or number == 0.0:
+        return f"{number:.2g} {unit}".rstrip()
+    prefix, factor = next(((name, size) for name, size in _PREFIXES if number < 999.5 / size), _PREFIXES[-1])
+    return f"{float(f'{number * factor:.2g}'):g} {prefix}{unit}"
 
 
 def described(section: SectionFields, *, stated: bool) -> str:
@@ -108,11 +124,16 @@ def picture(drawn: Drawn) -> dict[str, Any]:
     def y(z: float) -> float:
         return round((top - z) * dots * drawn.tall, 1)
 
-    step = next(each for each in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if right / each <= 5.0)
+    # Letters keep their size where the picture is shown smaller than its box.
+    wide = drawn.tall == 1.0
+    tallest = TALLEST[0 if wide else 1]
+    shrunk = max(1.0, height / (tallest - STRIP))
+    step = next((each for each in (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0) if dots * each >= 3.5 * LETTERS * shrunk), 50.0)
     count = int(right / step)
     ticks = [{"at": x(k * step), "text": f"{abs(k * step):g}" + (" mm" if k == 0 else ""), "anchor": "middle"}
              for k in range(-count, count + 1)]
-    return {"name": drawn.name, "title": drawn.title, "png": embedded(drawn.png), "wide": drawn.tall == 1.0,
+    return {"name": drawn.name, "title": drawn.title, "png": embedded(drawn.png), "wide": wide,
+            "letters": round(LETTERS * shrunk, 1), "strip": round(STRIP * shrunk, 1), "tallest": f"{tallest:g}px",
             "width": width, "height": round(height, 1), "low": f"{drawn.low:.3g}", "high": f"{drawn.high:.3g}",
             "unit": drawn.unit, "colours": drawn.colours, "ticks": ticks,
             "note": "" if drawn.tall == 1.0 else f"heights × {drawn.tall:g}",

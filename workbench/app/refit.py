@@ -11,13 +11,16 @@ from workbench.app.elsewhere import Send
 from workbench.app.session import Present
 from workbench.fitting import joint
 from workbench.fitting.objective import Recording
+from workbench.fitting.parameter import Parameter
 from workbench.fitting.prepare import prepare
 from workbench.parameter_names import placed
 from workbench.spectrum import Spectrum
 
-#: Further descents at most, where the recording stays unexplained: a fit that somebody waits for is to end within some
-#: tens of seconds. ``workbench fit`` tries 32.
-TRIES = 4
+#: Further descents at most, where the recording stays unexplained: a fit that somebody waits for is to end within a
+#: minute. A film reaches its third optimum to either side. ``workbench fit`` tries 32.
+TRIES = 12
+#: Standard uncertainties that a constant may go from where it starts, as in `workbench.fitting.parameter`.
+_REACH = 5.0
 
 
 @dataclass(frozen=True)
@@ -32,11 +35,15 @@ class Refit:
     findings: tuple[str, ...]
 
 
-def refit(send: Send, present: Present, values: Mapping[str, float], measured: Spectrum, name: str) -> None:
+def refit(
+    send: Send, present: Present, values: Mapping[str, float], uncertainties: Mapping[str, float], measured: Spectrum,
+    name: str,
+) -> None:
     """Fit the numbers of which `values` (SI) are the present ones to a recording of that `name`, from these and from
     the chip's own; send what is being done, in words, and at last a :class:`Refit`.
 
-    What was known before of a free number is what the `present` chip and its materials say.
+    What was known before of a free length is the tolerance in the `present` chip, or what its role lets assume; of a
+    free constant the standard one among `uncertainties` (SI), or what its material states.
 
     Raises:
         InputError: too few points in the band, or a recording that cannot be of this device.
@@ -44,16 +51,34 @@ def refit(send: Send, present: Present, values: Mapping[str, float], measured: S
     """
     prepared = prepare(present.chip, present.registry, kind="pzt", name=name, measured=measured, state=present.state,
                        free=tuple(values), band=present.band, accuracy=present.accuracy)
+    free = tuple(known_to(each, uncertainties.get(each.name)) for each in prepared.parameters)
 
     def holding(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
         return tuple(replace(each, problem=each.problem.with_values(placed(each.problem.values, present.constants)))
                      for each in recordings)
 
-    start = np.array([min(max(values[each.name], each.low), each.high) for each in prepared.parameters])
-    found = joint.fit(holding(prepared.recordings), prepared.parameters, coarse=holding(prepared.coarse),
+    # What all points of the recording share is free beside what was asked for, and no answer.
+    start = np.array([min(max(values.get(each.name, each.start), each.low), each.high) for each in free])
+    found = joint.fit(holding(prepared.recordings), free, coarse=holding(prepared.coarse),
                       starts={"live view": start}, tries=TRIES, bands=0,
                       progress=lambda text, share: send(f"{text}, {100.0 * share:.0f} %"))
     (match,) = found.recordings
-    send(Refit({each.parameter.name: each.value for each in found.estimates},
-               {each.parameter.name: each.standard_error for each in found.estimates},
+    asked = [each for each in found.estimates if each.parameter.name in values]
+    send(Refit({each.parameter.name: each.value for each in asked},
+               {each.parameter.name: each.standard_error for each in asked},
                match.before.mape_percent, match.after.mape_percent, found.findings))
+
+
+def known_to(parameter: Parameter, uncertainty: float | None) -> Parameter:
+    """A material's `parameter` that is known to a standard `uncertainty` (SI), and may go to five of them; itself
+    where that is None.
+
+    A loss keeps its bounds, and so does what may not change its sign.
+    """
+    if uncertainty is None:
+        return parameter
+    start, low, high = parameter.start, parameter.low, parameter.high
+    if not parameter.is_loss:
+        least = min(start, low) if low > 0.0 else -np.inf
+        low, high = max(least, min(low, start - _REACH * uncertainty)), max(high, start + _REACH * uncertainty)
+    return replace(parameter, prior=uncertainty, low=low, high=high)

@@ -1,7 +1,8 @@
 """The live view on the page: what is asked there goes to the session, what it answers goes there.
 
-Answers are worked out in threads, one spectrum and one picture at a time; while one is, the newest question waits and
-older ones are dropped. So the page follows a slider as fast as the model answers, and never queues up.
+Answers are worked out in two threads. One answers with spectra: while it does, the newest question waits and older ones
+are dropped, so that the page follows a slider as fast as the model answers. The other draws fields, and makes what the
+next answers are faster with, when nothing was moved for :data:`PAUSE`; it gives up what it has begun at the next move.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,17 +20,22 @@ import numpy as np
 
 from workbench.app import guard, plot
 from workbench.app.background import FAILURES, Background
+from workbench.app.entry import typed_number, typed_tolerance
 from workbench.app.page import lay_out
 from workbench.app.panels import Drawn, curve, described, embedded, figure_cards, picture
 from workbench.app.section_fields import SectionFields
 from workbench.app.session import NotReady, Session
 from workbench.app.spectrum_view import SpectrumView
 from workbench.app.works import KINDS, REPORT, Works
-from workbench.files.errors import InputError, choose
+from workbench.files.errors import InputError
 from workbench.ranges import OutOfRange
 
 #: Seconds after which a number that was moved is taken to rest: it is then one step that can be undone.
 RESTS = 0.5
+
+#: Seconds without a move after which fields are drawn. Doubled, fields come that much later; at zero, each spectrum of
+#: a slider that is dragged waits for its share of the processor.
+PAUSE = 0.1
 
 #: Steps of a slider.
 _STEPS = 200
@@ -37,9 +43,10 @@ _STEPS = 200
 
 @dataclass(frozen=True)
 class Drawing:
-    """How fields are drawn: their ``section``, and the chip cut open in ``space`` (PNG)."""
+    """How fields are drawn: their ``section``, one picture after the other, and the chip cut open in ``space`` (PNG).
+    """
 
-    section: Callable[[SectionFields], Sequence[Drawn]]
+    section: Callable[[SectionFields], Iterable[Drawn]]
     space: Callable[[SectionFields], bytes]
 
 
@@ -60,9 +67,10 @@ class LiveView:
         self._view: SpectrumView | None = None
         self._dots: tuple[Mapping[str, float], list[tuple[float, complex]]] = ({}, [])
         self._saved: set[Path] = set()
-        # What is to be answered: the spectrum, then the fields, then what makes the next answer faster.
-        self._asked = asyncio.Event()
+        # What is to be answered: the spectrum; later the fields, then what makes the next answer faster.
+        self._asked, self._later = asyncio.Event(), asyncio.Event()
         self._moved = self._picked = self._idle = False
+        self._moved_at = 0.0
         self._rest: asyncio.TimerHandle | None = None
         self._grow_again, self._waiting = False, ""
         # Its own options are none of the command's.
@@ -86,7 +94,7 @@ class LiveView:
             OSError: the port is taken.
         """
         self._loop = asyncio.get_running_loop()
-        answers = ThreadPoolExecutor(1)
+        answers, drawings = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
         self._server.controller.on_server_bind.add(self._bind)
 
         def started(**_state: object) -> None:
@@ -97,20 +105,22 @@ class LiveView:
         served = self._server.start(port=port, host=guard.HOST, timeout=0, open_browser=False, exec_mode="coroutine",
                                     show_connection_info=False, disable_logging=True)
         serving = asyncio.ensure_future(served)
-        answering = asyncio.ensure_future(self._answering(answers))
+        answering = [asyncio.ensure_future(self._answering(answers)), asyncio.ensure_future(self._drawing(drawings))]
         self._grow()
         try:
             await asyncio.shield(serving)
         finally:
             if self._rest is not None:
                 self._rest.cancel()
-            answering.cancel()
-            await asyncio.gather(answering, return_exceptions=True)
+            for each in answering:
+                each.cancel()
+            await asyncio.gather(*answering, return_exceptions=True)
             await self._server.stop()
             await serving
             self.works.close()
             await asyncio.to_thread(self._background.close)
             answers.shutdown()
+            drawings.shutdown()
 
     def _bind(self, wslink: Any) -> None:
         from aiohttp import web
@@ -121,16 +131,21 @@ class LiveView:
                 raise web.HTTPNotFound
             return web.FileResponse(path)
 
+        async def launched(request: web.Request) -> web.StreamResponse:
+            return web.json_response({"sessionURL": f"ws://{request.host}/ws"})
+
         guard.protect(wslink.app, self.token)
         wslink.app.router.add_get(f"/{REPORT}", report)
+        # Where trame's page first asks for its websocket.
+        wslink.app.router.add_post("/paraview/", launched)
 
     # ----------------------------------------------------------------------------------------------------------------
     # What the page says.
 
     def _listen(self) -> None:
-        for name, act in {"undo": self._undo, "redo": self._redo, "reset": self._reset, "tolerate": self._tolerate,
-                          "free": self._free, "pick": self._pick, "follow": self._follow, "save": self._save,
-                          "space": self._space}.items():
+        for name, act in {"undo": self._undo, "redo": self._redo, "reset": self._reset, "enter": self._enter,
+                          "tolerate": self._tolerate, "free": self._free, "pick": self._pick, "follow": self._follow,
+                          "save": self._save, "space": self._space}.items():
             self._server.trigger(name)(act)
         for kind in ("full", "fit", "diagnose"):
             self._server.trigger(kind)(lambda kind=kind: self._start_or_stop(kind))
@@ -138,15 +153,29 @@ class LiveView:
             self._state.change(f"x_{index}")(lambda index=index, **_state: self._move(index))
 
     def _move(self, index: int) -> None:
+        """A slider was moved."""
         control, told = self.session.controls[index], self._state[f"x_{index}"]
         try:
             if told == _rounded(self.session.values[control.name] * control.factor):
                 return
-            self.session.move(control.name, float(told) / control.factor)
-        except (InputError, TypeError, ValueError) as error:
+            self.session.move(control.name, typed_number(told, control, control.name))
+        except InputError as error:
             self._complain(error)
             self._show_numbers()
             return
+        self._follow_move()
+
+    def _enter(self, name: str, text: str) -> None:
+        """A number was typed."""
+        try:
+            self.session.move(name, typed_number(text, self.session.control(name), name))
+        except InputError as error:
+            self._complain(error)
+            return
+        self._show_numbers()
+        self._follow_move()
+
+    def _follow_move(self) -> None:
         self._say("")
         self._touch()
         if self._rest is not None:
@@ -158,10 +187,10 @@ class LiveView:
         self.session.settle()
         with self._state:
             names = self.session.widen()
-            if names:
+            if names or not (self.session.is_covered() or "model" in self._background.running()):
                 self._grow()
             self._show_rows()
-        if not names:
+        if self.session.is_covered():
             self._background.start("check", lambda say, stopped: self.works.check(self._shown()))
 
     def _undo(self) -> None:
@@ -178,11 +207,11 @@ class LiveView:
 
     def _tolerate(self, name: str, text: str) -> None:
         try:
-            known = {each.name: each.factor for each in self.session.controls}
-            factor = known[choose(name, known, source="live view", field="tolerance")]
-            self.session.tolerate(name, float(text) / factor if str(text).strip() else None)
-        except ValueError as error:
+            self.session.tolerate(name, typed_tolerance(text, self.session.control(name, "tolerance")))
+        except InputError as error:
             self._complain(error)
+        else:
+            self._say("")
         self._changed()
 
     def _free(self, name: str, wanted: bool) -> None:
@@ -192,20 +221,17 @@ class LiveView:
     def _pick(self, share: float) -> None:
         self._frequency = self._scale().frequency_at(float(share))
         self._show_frequency()
-        self._picked = True
-        self._asked.set()
+        self._draw()
 
     def _follow(self) -> None:
         self._frequency = None
         self._show_frequency()
-        self._picked = True
-        self._asked.set()
+        self._draw()
 
     def _space(self) -> None:
         self._state.in_space = not self._state.in_space
         self._state.space = ""
-        self._picked = True
-        self._asked.set()
+        self._draw()
 
     def _save(self, name: str) -> None:
         """Save the chip under a plain name in the folder; nothing that was there before is overwritten."""
@@ -286,12 +312,21 @@ class LiveView:
                       "curve": {"magnitude": "", "phase": "", "tolerance": "", "ticks": {"x": [], "y": [], "phase": []},
                                 "read": {"frequency": [], "magnitude": [], "phase": []}}})
         state.client_only("pointed")
+        narrowed = [f"{each.label} {each.narrowed}" for each in session.controls if each.narrowed]
+        if narrowed:
+            state.works = {"ranges": {"name": "Ranges", "text": "; ".join(narrowed), "running": False, "report": ""}}
         self._show_rows()
         self._show_numbers()
 
     def _touch(self) -> None:
-        self._moved = True
+        """Ask for a spectrum."""
+        self._moved, self._moved_at = True, self._loop.time()
         self._asked.set()
+
+    def _draw(self) -> None:
+        """Ask for the fields."""
+        self._picked = True
+        self._later.set()
 
     def _changed(self) -> None:
         """Numbers are others than the page shows."""
@@ -299,7 +334,7 @@ class LiveView:
             self._show_rows()
             self._show_numbers()
         self._touch()
-        if self.session.outside():
+        if self.session.outside() or not self.session.is_covered():
             self._rested()
 
     def _show_numbers(self) -> None:
@@ -311,11 +346,10 @@ class LiveView:
         outside, rows = self.session.outside(), []
         for index, each in enumerate(self.session.controls):
             low, high = each.low * each.factor, each.high * each.factor
-            tolerance = "" if each.tolerance is None else f"{each.tolerance * each.factor:.4g}"
             rows.append({"index": index, "name": each.name, "label": each.label, "unit": each.unit, "low": low,
                          "high": high, "step": (high - low) / _STEPS, "value": each.told(each.value),
-                         "tolerance": tolerance, "free": each.name in self.works.free,
-                         "outside": each.name in outside})
+                         "tolerance": each.told_tolerance, "assumed": each.assumed,
+                         "free": each.name in self.works.free, "outside": each.name in outside})
         self._state.rows = rows
         self._state.can_undo, self._state.can_redo = self.session.can_undo, self.session.can_redo
 
@@ -325,8 +359,10 @@ class LiveView:
     def _complain(self, error: Exception) -> None:
         self._say(str(error), error=True)
 
-    def _scale(self) -> plot.Scale:
-        shown = [] if self._view is None else [self._view.spectrum.magnitude]
+    def _scale(self, view: SpectrumView | None = None) -> plot.Scale:
+        """The scale of what is shown, or of `view`."""
+        view = self._view if view is None else view
+        shown = [] if view is None else [view.spectrum.magnitude]
         if self.session.recording is not None:
             shown.append(self.session.recording.magnitude)
         return plot.Scale.of(self.session.band, shown or [np.array([1.0, 1e3])])
@@ -353,74 +389,108 @@ class LiveView:
         self._state.full_dots = plot.dots(self._scale(), frequency.real, impedance) if found else []
 
     async def _answering(self, pool: ThreadPoolExecutor) -> None:
-        """Answer what is asked, in one thread of its own, whatever is most urgent first."""
+        """Answer with the newest spectrum that is asked for."""
         while True:
             await self._asked.wait()
-            try:
-                if self._moved:
-                    self._moved = False
-                    await self._answer_spectrum(pool)
-                elif self._picked:
-                    self._picked = False
-                    await self._answer_fields(pool)
-                elif self._idle:
-                    # Until there is nothing left to make ready.
-                    self._idle = await self._loop.run_in_executor(pool, self.session.prepare, self._is_moved)
-                else:
-                    self._asked.clear()
-            except (NotReady, OutOfRange) as waiting:
-                self._waiting = str(waiting)
-                with self._state:
-                    # What was refused stays to be read.
-                    if not self._state.message_is_error:
-                        self._say(self._waiting)
-            except FAILURES as error:
-                with self._state:
-                    self._complain(error)
+            self._asked.clear()
+            await self._told(self._answer_spectrum(pool))
+            # What was moved in the meantime is still to be answered.
+            self._moved = self._asked.is_set()
+            self._later.set()
+
+    async def _drawing(self, pool: ThreadPoolExecutor) -> None:
+        """Draw the fields, and then make ready what the next answers are faster with, while nothing is moved."""
+        while True:
+            await self._later.wait()
+            pause = self._moved_at + PAUSE - self._loop.time()
+            if self._moved:
+                # The spectrum comes first, and rouses this again.
+                self._later.clear()
+            elif pause > 0.0:
+                await asyncio.sleep(pause)
+            elif self._picked:
+                self._picked = False
+                await self._told(self._answer_fields(pool))
+            elif self._idle:
+                self._idle = False
+                await self._told(self._prepare(pool))
+            else:
+                self._later.clear()
+
+    async def _told(self, answer: Awaitable[None]) -> None:
+        """Wait for an answer; what it fails with is told on the page."""
+        try:
+            await answer
+        except (NotReady, OutOfRange) as waiting:
+            self._waiting = str(waiting)
+            with self._state:
+                # What was refused stays to be read.
+                if not self._state.message_is_error:
+                    self._say(self._waiting)
+        except FAILURES as error:
+            with self._state:
+                self._complain(error)
 
     def _is_moved(self) -> bool:
         return self._moved
 
     async def _answer_spectrum(self, pool: ThreadPoolExecutor) -> None:
-        view = await self._loop.run_in_executor(pool, self.session.spectrum)
+        view, scale, shown, cards = await self._loop.run_in_executor(pool, self._spectrum)
         self._view = view
-        shown, cards = await self._loop.run_in_executor(pool, _shown, view, self._scale())
         with self._state:
             if self._state.message == self._waiting:
                 self._say("")
             self._state.curve, self._state.figures = shown, cards
             self._state.can_undo, self._state.can_redo = self.session.can_undo, self.session.can_redo
-            self._show_recording()
+            self._show_recording(scale)
             self._show_frequency()
             self._show_dots()
         self._picked = self._idle = True
 
-    async def _answer_fields(self, pool: ThreadPoolExecutor) -> None:
-        found = await self._loop.run_in_executor(pool, self._drawn, self._shown(), self._state.in_space)
-        with self._state:
-            for name, shown in found.items():
-                self._state[name] = shown
+    def _spectrum(self) -> tuple[SpectrumView, plot.Scale, dict[str, Any], list[dict[str, str]]]:
+        """The spectrum as it is, and as the page shows it: lines, and cards of figures."""
+        view = self.session.spectrum()
+        scale = self._scale(view)
+        return view, scale, curve(view, scale), figure_cards(view)
 
-    def _show_recording(self) -> None:
+    async def _answer_fields(self, pool: ThreadPoolExecutor) -> None:
+        """Draw the fields; given up at the next move, after which they are asked for again."""
+        section = await self._loop.run_in_executor(pool, self.session.section, self._shown())
+        told: dict[str, Any] = {"fields_at": described(section, stated=self.session.particle_stated)}
+        if self._moved:
+            return
+        if self._state.in_space:
+            drawn = await self._loop.run_in_executor(pool, self.drawing.space, section)
+            told |= {"space": embedded(drawn)}
+        else:
+            pictures: list[dict[str, Any]] = []
+            drawing = iter(self.drawing.section(section))
+            while (found := await self._loop.run_in_executor(pool, _next_picture, drawing)) is not None:
+                pictures.append(found)
+                if self._moved:
+                    return
+            told |= {"pictures": pictures}
+        with self._state:
+            self._state.update(told)
+
+    async def _prepare(self, pool: ThreadPoolExecutor) -> None:
+        """Make one thing ready; until there is nothing left, or a move."""
+        self._idle = await self._loop.run_in_executor(pool, self.session.prepare, self._is_moved)
+
+    def _show_recording(self, scale: plot.Scale) -> None:
         recording = self.session.recording
         if recording is None:
             return
         low, high = self.session.band
         with contextlib.suppress(ValueError):
             inside = recording.restricted(low, high)
-            self._state.recorded = {**plot.curves(self._scale(), inside), "name": self.session.recording_name}
-
-    def _drawn(self, frequency: float, in_space: bool) -> dict[str, Any]:
-        section = self.session.section(frequency)
-        told: dict[str, Any] = {"fields_at": described(section, stated=self.session.particle_stated)}
-        if in_space:
-            return told | {"space": embedded(self.drawing.space(section))}
-        return told | {"pictures": [picture(each) for each in self.drawing.section(section)]}
+            self._state.recorded = {**plot.curves(scale, inside), "name": self.session.recording_name}
 
 
-def _shown(view: SpectrumView, scale: plot.Scale) -> tuple[dict[str, Any], list[dict[str, str]]]:
-    """A spectrum as the page shows it: lines, and cards of figures."""
-    return curve(view, scale), figure_cards(view)
+def _next_picture(drawing: Iterator[Drawn]) -> dict[str, Any] | None:
+    """The next picture as the page shows it; None behind the last one."""
+    drawn = next(drawing, None)
+    return None if drawn is None else picture(drawn)
 
 
 def _rounded(number: float) -> float:

@@ -22,10 +22,10 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from geometry.names import TRANSDUCER
-from geometry.stretch import movable
+from geometry.stretch import movable, moving_together
 from materials.kinds import IsotropicSolid
 from materials.registry import Registry
-from workbench.app.controls import Control, controls
+from workbench.app.controls import REACH, Control, controls
 from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
 from workbench.app.local import LocalModel, along, around, local_model
@@ -33,12 +33,12 @@ from workbench.app.section_fields import SectionFields, moved_chip, section_fiel
 from workbench.app.spectrum_view import SpectrumView, spectrum_view
 from workbench.discretisation import ACCURACY, Discretisation
 from workbench.drive import Drive, VoltageDrive
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, choose
 from workbench.operators import assemble
 from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import build, fill
-from workbench.ranges import NotCovered, OutOfRange, RangeModel
+from workbench.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
 from workbench.solve import sweep
 from workbench.spectrum import Spectrum
 
@@ -46,6 +46,15 @@ from workbench.spectrum import Spectrum
 POINTS = 121
 #: Relative error of the impedance that the models are made for: less than the width of the line it is drawn with.
 TOLERANCE = 1e-2
+#: A range whose upper end is more than this times the lower one is modelled in stages: first for `REACH` to either side
+#: of the file's number, which takes as long as without such a range, then whole. Doubled, a film known to a factor of
+#: 1.7 would have no first stage.
+WIDE = 1.5
+#: Most full solves of a model of a whole wide range; what it is off by then is said. Doubled, the model of a large chip
+#: takes some five minutes.
+WIDE_LIMIT = 150
+#: Stages of models, in words.
+NEAR, WHOLE = "near the numbers of the file", "all ranges"
 
 #: The particle whose potential is drawn where the chip's state names none: a material, and its radius (m).
 BEAD = ("polystyrene", 5e-6)
@@ -118,6 +127,7 @@ class Session:
         self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
         self._lock = RLock()
         self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}
+        self._stated = {name: each.tolerance for name, each in self._controls.items()}
         self._values = {name: each.value for name, each in self._controls.items()}
         self._history = History(dict(self._values))
         self._last_moved = ""
@@ -199,17 +209,42 @@ class Session:
             self.put({each.name: each.value for each in self.controls if name in (None, each.name)})
 
     def tolerate(self, name: str, tolerance: float | None) -> None:
-        """Set the tolerance (SI) of one number; None for none.
+        """Set the tolerance (SI) of one number; None for what its file states or its role lets assume, 0 for exact.
 
         Raises:
             InputError: no such number, or a tolerance below zero.
         """
         with self._lock:
-            if name not in self._controls:
-                raise InputError("live view", "tolerance", name, f"one of {', '.join(self._controls)}")
-            if tolerance is not None and not 0.0 <= tolerance < np.inf:
-                raise InputError("live view", f"tolerance of {name}", tolerance, "a number that is not below zero")
-            self._controls[name] = replace(self._controls[name], tolerance=tolerance)
+            control = self.control(name, "tolerance")
+            if tolerance is None:
+                tolerance = self._stated[name]
+            elif not 0.0 <= tolerance < np.inf:
+                raise InputError("live view", f"tolerance of {name}", control.told(tolerance),
+                                 "a number that is not below zero")
+            self._controls[name] = replace(control, tolerance=tolerance)
+
+    def control(self, name: str, field: str = "number") -> Control:
+        """The control of that name; `field` is named in errors.
+
+        Raises:
+            InputError: no such number.
+        """
+        with self._lock:
+            return self._controls[choose(name, self._controls, source="live view", field=field)]
+
+    def stated_chip(self) -> Chip:
+        """The chip of the file with the tolerances that were typed; radii of one length share theirs."""
+        with self._lock:
+            typed = {name: each.tolerance for name, each in self._controls.items()
+                     if each.is_length and each.tolerance != self._stated[name]}
+        return self.chip.with_tolerances({
+            other: tolerance for name, tolerance in typed.items() for other in moving_together(self.chip, name)})
+
+    def typed_uncertainties(self) -> dict[str, float]:
+        """Standard uncertainties (SI) of constants that were typed, by name."""
+        with self._lock:
+            return {name: each.tolerance for name, each in self._controls.items()
+                    if not each.is_length and each.tolerance is not None and each.tolerance != self._stated[name]}
 
     def present_chip(self) -> Chip:
         """The chip with its present lengths."""
@@ -222,13 +257,15 @@ class Session:
                     if not each.is_length and self._values[name] != each.value}
 
     def save(self, path: Path) -> None:
-        """Write the chip with its present lengths as a chip file; constants that were moved are told in its
-        description, since they belong to the materials.
+        """Write the chip with its present lengths, rounded (`Control.saved`), as a chip file; constants that were moved
+        are told in its description, since they belong to the materials.
 
         Raises:
             OSError: it cannot be written.
         """
-        chip, constants = self.present_chip(), self.moved_constants()
+        values = {name: number if number == each.value or not each.is_length else each.saved(number)
+                  for name, number in self.values.items() for each in (self.control(name),)}
+        chip, constants = moved_chip(self.chip, values), self.moved_constants()
         if constants:
             told = ", ".join(f"{name} = {self._controls[name].told(number)}" for name, number in constants.items())
             words = f"{chip.description.rstrip()}\nConstants moved in the live view, not part of this file: {told}.\n"
@@ -237,11 +274,9 @@ class Session:
 
     def _check(self, values: Mapping[str, float]) -> None:
         for name, number in values.items():
-            if name not in self._controls:
-                raise InputError("live view", "number", name, f"one of {', '.join(self._controls)}")
+            control = self.control(name)
             if not np.isfinite(number):
-                raise InputError("live view", name, number, "a finite number")
-            control = self._controls[name]
+                raise InputError("live view", name, number, f"a finite number in {control.unit or 'no unit'}")
             low, high = control.farthest
             if control.is_length:
                 low, high = movable(self.chip, name, low, high)
@@ -275,14 +310,58 @@ class Session:
     def grow(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[str]:
         """Make models of the present ranges, each larger than the last, until one is within the tolerance.
 
-        Yields what is known of each as soon as it answers, in words; ends before the next one once `stopped`.
+        Ranges that are :data:`WIDE` are first taken near the numbers of the file, then each whole by itself, then all
+        whole, as far as that is needed: a stage that does not hold the present numbers, or that a model holds already,
+        is left out or given up, and all are whole only where no other stage will do. Yields what is known of each
+        model as soon as it answers, in words; ends before the next one once `stopped`.
 
         Raises:
             InputError: a range that no chip can have.
         """
-        ranges = {each.name: (each.low, each.high) for each in self.controls}
+        stages = self._stages()
+        for title, ranges in stages.items():
+            values, others = self.values, [each for name, each in stages.items() if name not in (title, NEAR)]
+            if self._has(ranges) or not _inside(ranges, values) or (
+                    title == WHOLE and any(_inside(each, values) for each in others)):
+                continue
+            for told in self._grown(ranges, lambda ranges=ranges: stopped() or not _inside(ranges, self.values),
+                                    LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
+                yield told if len(stages) == 1 else f"{title}: {told}"
+            if stopped():
+                return
+
+    def _stages(self) -> dict[str, Ranges]:
+        """The ranges that models are made of, by what they are in words, in the order in which they are made."""
+        whole, near, wide = self._whole(), {}, []
+        for each in self.controls:
+            low, high = whole[each.name]
+            if 0.0 < low * WIDE < high:
+                wide.append(each)
+                low, high = max(low, (1.0 - REACH) * each.value), min(high, (1.0 + REACH) * each.value)
+            near[each.name] = (low, high)
+        if not wide:
+            return {WHOLE: whole}
+        alone = {f"{each.label} {each.shown(each.low)} to {each.told(each.high)}": near | {each.name: whole[each.name]}
+                 for each in wide}
+        return {NEAR: near, **alone, **({WHOLE: whole} if len(wide) > 1 else {})}
+
+    def _whole(self) -> dict[str, tuple[float, float]]:
+        return {each.name: (each.low, each.high) for each in self.controls}
+
+    def is_covered(self) -> bool:
+        """Whether a model answers for the present numbers."""
+        with self._lock:
+            return any(_inside(each.ranges, self._values) for each in self._models)
+
+    def _has(self, ranges: Ranges) -> bool:
+        """Whether there is a model within the tolerance that holds these ranges."""
+        with self._lock:
+            return any(each.error <= each.tolerance and _wraps(each.ranges, ranges) for each in self._models)
+
+    def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
+        """Models of `ranges` from at most `limit` full solves, in words."""
         wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
-                        self.accuracy)
+                        self.accuracy, limit)
         models = self._growing(wanted)
         try:
             for model in models:
@@ -303,7 +382,7 @@ class Session:
         with self._lock:
             # One of narrower ranges answers there until this one has been found to be as good.
             kept = [each for each in self._models if each.ranges != model.ranges
-                    and not (_covers(model, each) and model.error <= each.error)]
+                    and not (_wraps(model.ranges, each.ranges) and model.error <= each.error)]
             self._models = (*kept, model)
 
     def _best(self, values: Mapping[str, float]) -> RangeModel:
@@ -315,11 +394,11 @@ class Session:
         """
         if not self._models:
             raise NotReady("the first model is being made")
-        fit = [each for each in self._models if _holds(each, values)]
+        fit = [each for each in self._models if _inside(each.ranges, values)]
         if not fit:
             wide = self._models[-1]
             beyond = [name for name, (low, high) in wide.ranges.items() if not low <= values[name] <= high]
-            raise OutOfRange(f"{', '.join(beyond)}: outside the ranges; a model of wider ones is needed")
+            raise OutOfRange(f"{', '.join(beyond)}: beyond the present model; one of wider ranges is being made")
         return min(reversed(fit), key=lambda each: each.error)
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -357,7 +436,7 @@ class Session:
         """
         with self._lock:
             values, name = self.values, self._last_moved
-            if not self._models or self.outside():
+            if not self.is_covered():
                 return False
             model = self._best(values)
             known = [each for each in self._local if each.holds(model, values)]
@@ -389,7 +468,8 @@ class Session:
         with self._lock:
             held = self.values if values is None else values
             constants = {name: number for name, number in held.items() if not self._controls[name].is_length}
-            return Present(moved_chip(self.chip, held), self.state, constants, self.registry, self.band, self.accuracy)
+            chip = moved_chip(self.stated_chip(), held)
+            return Present(chip, self.state, constants, self.registry, self.band, self.accuracy)
 
 
 def _bead(registry: Registry) -> Particle:
@@ -399,15 +479,15 @@ def _bead(registry: Registry) -> Particle:
     return particle_from(material, BEAD[1])
 
 
-def _holds(model: RangeModel, values: Mapping[str, float]) -> bool:
+def _inside(ranges: Ranges, values: Mapping[str, float]) -> bool:
+    """Whether `values` lie in `ranges`, but for rounding."""
     return all(low - 1e-9 * abs(low) <= values[name] <= high + 1e-9 * abs(high)
-               for name, (low, high) in model.ranges.items())
+               for name, (low, high) in ranges.items())
 
 
-def _covers(one: RangeModel, other: RangeModel) -> bool:
-    """Whether the ranges of `one` hold those of `other`."""
-    return all(one.ranges[name][0] <= low and high <= one.ranges[name][1]
-               for name, (low, high) in other.ranges.items())
+def _wraps(one: Ranges, other: Ranges) -> bool:
+    """Whether the ranges `one` hold the `other` ones."""
+    return all(one[name][0] <= low and high <= one[name][1] for name, (low, high) in other.items())
 
 
 def _told(model: RangeModel) -> str:

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from workbench.comparison import Comparison, compare
-from workbench.merit import NoResonance, figures
+from workbench.merit import Figures, NoResonance, figures
 from workbench.ranges import Response
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-#: Share of a standard deviation that figures are moved by to find their slopes: a thousand times their rounding.
-_SHARE = 1e-3
-
 
 @dataclass(frozen=True, eq=False)
 class SpectrumView:
@@ -56,31 +53,47 @@ def spectrum_view(
     (SI, by name), independent of each other."""
     names = tuple(name for name, each in deviations.items() if each > 0.0)
     changes = response.gradient(names) * np.array([deviations[name] for name in names]) if names else None
-    merit, reason = _figures(response.spectrum)
-    return SpectrumView(response, merit, {} if changes is None else _deviations(response.spectrum, changes, merit),
-                        reason, _spread(response.impedance, changes), error, _compared(recording, response.spectrum))
-
-
-def _figures(spectrum: Spectrum) -> tuple[dict[str, float], str]:
-    """f0 (Hz), Z_min (ohm) and Q by name, or why there are none."""
+    merit: dict[str, float] = {}
+    moved: dict[str, float] = {}
+    reason = ""
     try:
-        found = figures(spectrum)
+        found = figures(response.spectrum)
     except NoResonance as missing:
-        return {}, missing.reason
-    return {"f0": found.f0, "z_min": found.z_min, "q": found.q}, ""
+        reason = missing.reason
+    else:
+        merit = {"f0": found.f0, "z_min": found.z_min, "q": found.q}
+        moved = {} if changes is None else deviations_of_figures(response.spectrum, changes, found)
+    return SpectrumView(response, merit, moved, reason, _spread(response.impedance, changes), error,
+                        _compared(recording, response.spectrum))
 
 
-def _deviations(spectrum: Spectrum, changes: Complex, merit: Mapping[str, float]) -> dict[str, float]:
+def deviations_of_figures(spectrum: Spectrum, changes: Complex, merit: Figures) -> dict[str, float]:
     """Standard deviations of the figures `merit` of a spectrum, whose impedance (n,) changes by `changes` (n, k) with
-    one standard deviation of each of k independent numbers; to first order, by central differences."""
-    slopes: list[list[float]] = []
-    for change in changes.T:
-        ends = [_figures(replace(spectrum, impedance=spectrum.impedance + sign * _SHARE * change))[0]
-                for sign in (1.0, -1.0)]
-        # A resonance that such a change makes or loses is at the edge of being one.
-        there = all(end.keys() == merit.keys() for end in ends)
-        slopes.append([(ends[0][name] - ends[1][name]) / (2.0 * _SHARE) if there else np.nan for name in merit])
-    return dict(zip(merit, map(float, np.linalg.norm(np.array(slopes), axis=0)), strict=True))
+    one standard deviation of each of k independent numbers, to first order.
+
+    f0 is where the slope of ln |Z| is zero, and the half-power frequencies are where ln |Z| is ln sqrt(2) above its
+    value there: each moves so that this stays true. Between points, Z and its changes are splines of the reflection
+    coefficient, as in `Spectrum.interpolant`.
+    """
+    z0 = float(np.exp(np.mean(np.log(spectrum.magnitude))))
+    if np.min(np.abs(spectrum.impedance - z0)) > np.min(np.abs(spectrum.impedance + z0)):
+        z0 = -z0
+    reflection = (spectrum.impedance - z0) / (spectrum.impedance + z0)
+    moved = 2.0 * z0 * changes / (spectrum.impedance + z0)[:, None] ** 2
+    spline = CubicSpline(spectrum.frequency, np.concatenate([reflection[:, None], moved], axis=1))
+    at = np.array([merit.f0, merit.f1, merit.f2])
+    (g, dg), (g_f, dg_f), (g_ff, _) = ((each[:, 0], each[:, 1:]) for each in (spline(at, k) for k in range(3)))
+    # Z = z0 (1 + g) / (1 - g), so that d ln Z = 2 dg / (1 - g^2).
+    inner = 1.0 - g**2
+    slope = (2.0 * g_f / inner).real
+    bend = (2.0 * g_ff / inner + 4.0 * g * g_f**2 / inner**2).real
+    change = (2.0 * dg / inner[:, None]).real
+    change_of_slope = (2.0 * dg_f / inner[:, None] + (4.0 * g * g_f / inner**2)[:, None] * dg).real
+    f0 = -change_of_slope[0] / bend[0]
+    f1, f2 = ((change[0] - change[k]) / slope[k] for k in (1, 2))
+    q = merit.q * (f0 / merit.f0 - (f2 - f1) / (merit.f2 - merit.f1))
+    return {name: float(np.linalg.norm(each)) for name, each in (("f0", f0), ("z_min", merit.z_min * change[0]),
+                                                                  ("q", q))}
 
 
 def _spread(impedance: Complex, changes: Complex | None) -> Real | None:

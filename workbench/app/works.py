@@ -12,7 +12,7 @@ import numpy as np
 from geometry.chip_file import write_chip
 from workbench.app.background import Say, Stopped, lines_of, run_command
 from workbench.app.elsewhere import Send, elsewhere, stand_back
-from workbench.app.refit import Refit, refit
+from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
 from workbench.diagnosis.campaign import NAMED
 from workbench.diagnosis.numbers import DIMENSIONS
@@ -49,8 +49,8 @@ class Works:
 
     def model(self, say: Say, stopped: Stopped) -> str:
         """Models of the present ranges, until one is good enough."""
-        last = "the first model is being made"
-        say(last)
+        last = "the model is there"
+        say("a model is being made")
         for last in self._session.grow(stopped):
             say(last)
         return last
@@ -90,22 +90,31 @@ class Works:
         recording, free = session.recording, [each.name for each in session.controls if each.name in self.free]
         if recording is None or not free:
             raise InputError("live view", "fit", "nothing free", "a recording, and the numbers ticked that may move")
+        for each in session.controls:
+            if each.name in free and each.tolerance == 0.0:
+                raise InputError("live view", f"tolerance of {each.name}", "0, so that it is exact",
+                                 "a tolerance above zero, or none, of a number that is fitted")
         told = ", ".join(free)
         say(told)
         values, found = session.values, None
         held = {name: number for name, number in values.items() if name not in free}
-        for found in elsewhere(refit, session.present(held), {name: values[name] for name in free}, recording,
-                               session.recording_name, stopped=stopped):
+        for found in elsewhere(refit, session.present(held), {name: values[name] for name in free},
+                               session.typed_uncertainties(), recording, session.recording_name, stopped=stopped):
             if isinstance(found, str):
                 say(f"{told}: {found}")
         if not isinstance(found, Refit):
             return "stopped"
-        session.put(found.values)
         by_name = {each.name: each for each in session.controls}
         told = ", ".join(f"{by_name[name].label} {by_name[name].told(number)} ± "
                          f"{by_name[name].told(found.errors[name])}" for name, number in found.values.items())
         off = f"off by {found.before:.3g} % before, {found.after:.3g} % now"
-        return f"{off}: {told}. {' '.join(found.findings)}".strip()
+        told = f"{off}: {told}. {' '.join(found.findings)}".strip()
+        try:
+            session.put(found.values)
+        except InputError as refused:
+            # What took a minute to find is told all the same.
+            return f"{told} Not shown, since the sliders cannot follow: {refused}"
+        return told
 
     def diagnose(self, say: Say, stopped: Stopped) -> str:
         """``workbench diagnose`` as a process: of the campaign, or of the one recording."""
@@ -131,11 +140,14 @@ class Works:
             raise InputError("live view", "diagnose", None, "a recording, or a campaign (--campaign)")
         chip = write_chip(session.present_chip(), folder / "chip.toml")
         write_csv(session.recording, folder / "recording.csv")
-        names = [each.name for each in session.controls if not self.free or each.name in self.free]
+        names = [each.name for each in session.controls
+                 if (not self.free or each.name in self.free) and each.tolerance != 0.0]
         # What is not ticked is exact, whatever its file says; the bench is not the chip's.
         lines = ["[campaign]", f'known = "{NAMED}"', "", "[states.recorded]", f'chip = "{chip.name}"',
                  f'state = "{session.state}"', 'recording = "recording.csv"', "", "[known]"]
-        for parameter in parameters(session.problem, session.chip, session.transducer, names):
+        typed = session.typed_uncertainties()
+        for each in parameters(session.problem, session.stated_chip(), session.transducer, names):
+            parameter = known_to(each, typed.get(each.name))
             if parameter.prior is not None:
                 unit = next(name for name, factor in UNITS[DIMENSIONS[parameter.unit]].items() if factor == 1.0)
                 lines.append(f'"{parameter.name}" = "{parameter.prior!r} {unit}"')

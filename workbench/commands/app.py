@@ -21,7 +21,7 @@ from workbench.commands.terminal import print_line
 from workbench.files.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator
 
     from rich.console import Console
 
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     return 0
 
 
-def _section(found: SectionFields) -> Sequence[LivePicture]:
+def _section(found: SectionFields) -> Iterator[LivePicture]:
     from workbench.render.live import live_pictures
 
     return live_pictures(found.fields, found.traps)

@@ -4,6 +4,7 @@ a second."""
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -46,15 +47,16 @@ class LivePicture:
     tall: float = 1.0
 
 
-def live_pictures(fields: Fields, traps: TrapReport | None) -> list[LivePicture]:
-    """u_z in the solids and, where there is a fluid in the cavity, its pressure and the potential with its traps."""
+def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePicture]:
+    """u_z in the solids and, where there is a fluid in the cavity, its pressure and the potential with its traps; each
+    is drawn when it is asked for."""
     mesh = fields.mesh
-    found = [_signed("displacement", "axial displacement u_z", mesh, fields.displacement[:, 1], "m", tall=1.0)]
+    yield _signed("displacement", "axial displacement u_z", mesh, fields.displacement[:, 1], "m", tall=1.0)
     if CAVITY in fields.fluid_regions:
         pressure = np.full_like(fields.pressure, np.nan)
         nodes = mesh.nodes_of([CAVITY])
         pressure[nodes] = fields.pressure[nodes]
-        found.append(_signed("pressure", "pressure", mesh, pressure, "Pa", tall=2.0))
+        yield _signed("pressure", "pressure", mesh, pressure, "Pa", tall=2.0)
     if traps is not None:
         forces = traps.forces
         factor, unit = prefixed(float(np.nanmax(np.abs(forces.potential))), "J")
@@ -62,9 +64,8 @@ def live_pictures(fields: Fields, traps: TrapReport | None) -> list[LivePicture]
         marks = tuple((sign * trap.radius * 1e3, trap.height * 1e3, str(trap)) for trap in traps.traps
                       for sign in ((-1.0, 1.0) if trap.radius > 0.0 else (1.0,)))
         title = f"Gor'kov potential, {2e6 * forces.particle.radius:.3g} µm {forces.particle.name.split('/')[0]}"
-        found.append(_picture("potential", title, forces.mesh, values, unit, PLAIN_COLOURS,
-                              (float(values.min()), float(values.max())), marks, tall=2.0))
-    return found
+        yield _picture("potential", title, forces.mesh, values, unit, PLAIN_COLOURS,
+                       (float(values.min()), float(values.max())), marks, tall=2.0)
 
 
 def _signed(

@@ -1,0 +1,50 @@
+"""Numbers as they are typed on the page: in the unit shown beside the field, or with a unit of their own."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from workbench.app.controls import DIMENSIONS, Control
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
+
+#: A number with the decimal comma of many languages, and what stands behind it.
+_COMMA = re.compile(r"\s*([+-]?\d*),(\d+)(\s*[^\d,.\s].*)?\s*")
+
+
+def typed_number(text: object, control: Control, field: str) -> float:
+    """The number (SI) that was typed for a `control`: "20.5" in its unit, or "0.0205 mm"; `field` is named in errors.
+
+    Raises:
+        InputError: no finite number, a decimal comma, or an unknown unit.
+    """
+    typed, unit = str(text).strip(), control.unit or "no unit"
+    comma = _COMMA.fullmatch(typed)
+    if comma is not None:
+        point = f"{comma[1] or 0}.{comma[2]}{comma[3] or ''}"
+        raise InputError("live view", field, typed, f"a decimal point, not a comma: {point}?")
+    try:
+        number = float(typed)
+    except ValueError:
+        dimension = DIMENSIONS[control.si_unit]
+        if typed[:1].isdigit() or typed[:1] in ("+", "-", "."):
+            return parse_quantity(typed, dimension, source="live view", field=field)
+        raise InputError("live view", field, typed, f"a number in {unit}, for example {control.shown(control.value)}"
+                         ) from None
+    if not math.isfinite(number):
+        raise InputError("live view", field, typed, f"a finite number in {unit}")
+    return number / control.factor
+
+
+def typed_tolerance(text: object, control: Control) -> float | None:
+    """The tolerance (SI) that was typed for a `control`; None, for what its file states or its role lets assume, where
+    nothing was typed or the assumed one stands.
+
+    Raises:
+        InputError: as for :func:`typed_number`.
+    """
+    typed = str(text).strip()
+    if not typed or (control.tolerance is None and typed == control.told_tolerance):
+        return None
+    return typed_number(typed, control, f"tolerance of {control.name}")
