@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
-from workbench.diagnosis.decision import VERDICTS
+from workbench.diagnosis.decision import NOT_FINISHED, VERDICTS
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.hypothesis import Effect
@@ -27,6 +28,10 @@ from workbench.notebook import Shown, Summary
 
 if TYPE_CHECKING:
     import xarray
+
+
+#: So many of what was not looked at are named.
+NAMED = 6
 
 
 class Estimate(NamedTuple):
@@ -95,7 +100,8 @@ class Diagnosis(Shown):
     Of all states, those held out last: ``stated`` as they are stated, ``base`` with the known parameters fitted,
     ``best`` with what is ``established`` (the base itself if nothing is). ``location`` best first; ``known`` the known
     parameters, but for those that effects release; ``scores`` of all hypotheses; ``next_options`` what may be measured
-    to tell apart what is ``alive``, best first.
+    to tell apart what is ``alive``, best first. ``provisional`` is what a search that was cut short would come to by
+    what it looked at; None of one that was not.
     """
 
     model: Model
@@ -113,6 +119,7 @@ class Diagnosis(Shown):
     alive: tuple[str, ...]
     next_options: tuple[Option, ...]
     seconds: float
+    provisional: Diagnosis | None = None
 
     @property
     def campaign(self) -> Campaign:
@@ -121,6 +128,11 @@ class Diagnosis(Shown):
     @property
     def verdict(self) -> str:
         return self.conclusion.decision.verdict
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether somebody stopped the search."""
+        return self.found.interrupted
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -184,13 +196,32 @@ class Diagnosis(Shown):
                 name, odds = self._likeliest()
                 text = (f"something may be missing, {name} most likely, at odds of {odds:.2g}: not enough to name a "
                         "cause")
+            case "not_finished":
+                text = f"not finished: {self._not_looked_at()}"
             case "unexplained":
                 name = self._likeliest()[0] if decision.chosen.outside else ""
-                text = (f"nothing in the catalogue explains what is left: {_left_in_words(left)}"
+                which = "that could be tried " if self.found.not_tried else ""
+                text = (f"nothing in the catalogue {which}explains what is left: {_left_in_words(left)}"
                         + (f"; it looks like {name}" if name else ""))
             case _:
                 raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
         return f"{text[0].upper()}{text[1:]}."
+
+    def _not_looked_at(self) -> str:
+        """What a search that was cut short has still to look at."""
+        undone = Counter(self.found.undone)
+        told = [name if count == 1 else f"{name} ({count} times)" for name, count in undone.items()]
+        listed = _listed([*told[:NAMED], *([f"{len(told) - NAMED} more"] if len(told) > NAMED else [])])
+        if not self.tried:
+            return f"none of the {len(self.model.effects)} hypotheses has been tried; still to be looked at: {listed}"
+        return f"still to be looked at: {listed}"
+
+    @property
+    def tried(self) -> tuple[str, ...]:
+        """Names of the hypotheses of the catalogue that were fitted to the recordings, best first."""
+        every = [*(each.explanation.hypothesis for each in self.found.final),
+                 *(each.hypothesis for each in self.found.candidates)]
+        return tuple(dict.fromkeys(each.name for each in every if each.effects))
 
     def _likeliest(self) -> tuple[str, float]:
         """The hypothesis that something is wrong with the best odds against nothing, and these."""
@@ -202,7 +233,9 @@ class Diagnosis(Shown):
     @property
     def findings(self) -> tuple[str, ...]:
         """What else is to be said, one sentence each."""
-        decision, result = self.conclusion.decision, []
+        decision, result = self.conclusion.decision, list[str]()
+        if self.provisional is not None:
+            result += self._so_far(self.provisional)
         if self.established:
             result.append(f"Beside that, {_left_in_words(self.left)}"
                           + (f"; it looks like something in the {self.left.region}." if self.left.region else "."))
@@ -222,12 +255,27 @@ class Diagnosis(Shown):
                    for before, after in zip(self.base[count:], self.best[count:], strict=True)]
         result += [f"{name} stands for {' and '.join(others)} too, which are as long."
                    for name, others in self.campaign.tied.items() if name in self.campaign.known]
-        result += [f"Not looked at: {text}." for text in (*self.model.others, *self.found.undone)]
+        result += [f"Not looked at: {text}." for text in self.model.others]
+        result += [f"Not tried: {each.name}, because {each.reason}." for each in self.found.not_tried]
         return (*result, *refused_steps(self.model.fitted.refusals))
+
+    def _so_far(self, found: Diagnosis) -> Iterator[str]:
+        """Of a search that was cut short: what it found so far, which the rest may overturn."""
+        yield (f"Provisional: with the known parameters alone, {100.0 * self.left.rms:.2g} % of Z is left so far (rms; "
+               f"noise is {100.0 * self.left.noise:.2g} %).")
+        if found.established:
+            told = "; ".join(_in_words(each) for each in found.established)
+            yield (f"Provisional: of what was tried ({', '.join(self.tried)}), best so far is {told}. What was not "
+                   "looked at may explain as much, or more.")
+        elif self.tried:
+            yield f"Provisional: of what was tried ({', '.join(self.tried)}), nothing explains it so far."
+        yield f"This took {self.seconds:.0f} s; run it again with more time for a verdict."
 
     @property
     def next_measurement(self) -> str:
-        """What to measure next and what it is expected to tell; empty where nothing is open."""
+        """What to measure next and what it is expected to tell; empty where nothing is open, or not all looked at."""
+        if self.verdict == NOT_FINISHED:
+            return ""
         return in_words(self.next_options, self.alive, self.criteria.rival)
 
     def summary(self) -> Summary:
