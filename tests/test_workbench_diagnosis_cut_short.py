@@ -33,7 +33,8 @@ SMALL, LARGE = (Effect(name, "bench", "bench", "", (Parameter(name, 0.0, -1.0, 1
 PARAMETERS = (*SMALL.parameters, *LARGE.parameters)
 MODEL: Any = SimpleNamespace(
     effects=(SMALL, LARGE), parameters=PARAMETERS, known=0, hypotheses=4, index=[p.name for p in PARAMETERS].index,
-    campaign=SimpleNamespace(fitted=(SimpleNamespace(noise=np.ones(20)),)), held_out=None, free=lambda _effects: ([0, 1], []),
+    campaign=SimpleNamespace(fitted=(SimpleNamespace(noise=np.ones(20)),)), held_out=None,
+    free=lambda _effects: ([0, 1], []),
     bounds=lambda indices: (-np.ones(len(indices)), np.ones(len(indices))))
 #: Models of a neighbourhood are never asked for.
 NEIGHBOURHOODS: Any = SimpleNamespace(places=(), wide=SimpleNamespace(predictors=()))
@@ -47,7 +48,8 @@ WORTH = {"nothing": (-100.0, 10.0), "small": (-99.5, 9.9), "large": (-20.0, 0.1)
 
 
 class Made(Search):
-    """A search that ends where it is told, and whose time is over after `tasks`, or in which the next one `stops`; some methods `fail`."""
+    """A search that ends where it is told, whose time is over after `tasks`, or that is interrupted there where it
+    `stops`; some methods `fail`, by their names and those of hypotheses."""
 
     tasks: float = math.inf
     stops = False

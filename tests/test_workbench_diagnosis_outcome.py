@@ -138,7 +138,8 @@ def test_the_headline_of_every_other_verdict() -> None:
 
 def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at() -> None:
     glass = Evidence("shear modulus of glass", 8.0, (GLASS.name,))
-    found = diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,), not_tried=(NotTried("pairs", "none is left"),), known=(
+    found = diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,), not_tried=(
+        NotTried("pairs", "none is left"),), known=(
         estimate("pla.density", 1180.0, "kg/m^3", 1150.0, -3.6), estimate("bond.thickness", 9e-6, "m", 1e-5, 3.4)),
         established=(replace(TOLD, admissible=False),), left=Left(0.004, 0.0028, 0.001, 0.0015, "bond"))
     text = "\n".join(found.findings)
@@ -161,8 +162,8 @@ def test_nothing_is_said_of_a_mismatch_by_a_search_that_was_cut_short(
     undone = ("leads of any size", *[f"thickness {k}" for k in range(7)], "thickness 0")
     so_far = diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",)), undone=undone)
     found = diagnosis("not_finished", undone=undone, provisional=so_far)
-    assert found.headline == ("Not finished: still to be looked at: leads of any size, thickness 0 (2 times), thickness "
-                              "1, thickness 2, thickness 3, thickness 4 and 2 more.")
+    assert found.headline == ("Not finished: still to be looked at: leads of any size, thickness 0 (2 times), "
+                              "thickness 1, thickness 2, thickness 3, thickness 4 and 2 more.")
     page = diagnosis_report.write_diagnosis_report(found, [], tmp_path).read_text()
     said = record(found)
     diagnosis_report.print_diagnosis(found)

@@ -71,7 +71,7 @@ class Campaign:
     """A device, its states, and what is known of it.
 
     ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
-    names of what one state adds (``bench.gain@filled``); ``fixed`` names what may not move. Radii that coincide in a
+    names of what one state adds (``bench.gain[filled]``); ``fixed`` names what may not move. Radii that coincide in a
     chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
     ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``model_accuracy`` is the
     standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,

@@ -1,0 +1,135 @@
+"""Diagnoses cut short at ten times, of three campaigns: does any say what the whole run contradicts?
+
+    .venv/bin/python tests/benchmarks/cut_short.py FOLDER [--jobs 1] [--accuracy "0.2 %"]
+
+Every run is one command, ``workbench diagnose --minutes``, with its record in FOLDER; what is there is not done again,
+so the command may be stopped and given again. The whole run of a campaign comes first; the budgets are shares of its
+time.
+The campaigns are the one in examples/small_campaign (water 3 K warmer than stated), and the same chip with a gel of
+35 um that is stated as 20, and with both losses of its PLA doubled. Times are of the wall clock.
+
+A run that was not finished contradicts whatever claims anything of the recordings as its verdict; a finished one whose
+verdict, or effects, are not those of the whole run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT)]
+
+from geometry.chip import Chip, read_chip  # noqa: E402
+from materials.registry import Registry  # noqa: E402
+from workbench.operators import assemble  # noqa: E402
+from workbench.problem import build, fill, with_boundary_layers  # noqa: E402
+from workbench.readers import read_recording  # noqa: E402
+from workbench.reduction import reduce  # noqa: E402
+from workbench.spectrum import Spectrum, write_csv  # noqa: E402
+
+EXAMPLE = ROOT / "examples" / "small_campaign"
+
+#: Budgets, as shares of the time that the whole run takes.
+SHARES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)
+
+#: Relative standard deviation of a point that is simulated, as the campaign states it.
+NOISE = 0.005
+
+#: What is said of recordings that are explained, or of a cause: never by a run that was not finished.
+CLAIMS = ("explains the recordings", "explain the recordings", "of the mismatch", "nothing in the catalogue",
+          "most likely")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--accuracy", default="0.2 %")
+    options = parser.parse_args()
+    contradicted = 0
+    for name, campaign in campaigns(options.folder).items():
+        whole = run(campaign, options.folder / name / "whole", options, None)
+        print(f"\n{name}: whole run {whole['wall_seconds']:.0f} s, {told(whole)}\n  {whole['headline']}")
+        for share in SHARES:
+            minutes = share * whole["wall_seconds"] / 60.0
+            found = run(campaign, options.folder / name / f"{share:g}", options, minutes)
+            wrong = contradicts(found, whole)
+            contradicted += wrong
+            print(f"  {minutes:5.2f} min {found['wall_seconds']:5.0f} s  {told(found):28} "
+                  f"{'CONTRADICTED' if wrong else 'right'}  {found['headline'][:150]}", flush=True)
+    print(f"\n{contradicted} of {3 * len(SHARES)} contradicted by the whole run")
+    return 1 if contradicted else 0
+
+
+def told(found: Mapping[str, Any]) -> str:
+    return " ".join([found["verdict"], *(effect["name"] for effect in found["effects"])])
+
+
+def contradicts(found: Mapping[str, Any], whole: Mapping[str, Any]) -> bool:
+    """Whether a run says what the whole one does not."""
+    if found["verdict"] == "not_finished":
+        said = [found["headline"], *(text for text in found["findings"] if not text.startswith("Provisional: "))]
+        return bool(found["effects"]) or any(claim in text for text in said for claim in CLAIMS)
+    return told(found) != told(whole)
+
+
+def run(campaign: Path, folder: Path, options: argparse.Namespace, minutes: float | None) -> dict[str, Any]:
+    """The record of one run, made unless it is there."""
+    kept = folder / "kept.json"
+    if not kept.exists():
+        command = [sys.executable, "-P", "-m", "workbench.cli", "diagnose", str(campaign), "-o", str(folder), "--jobs",
+                   str(options.jobs), "--accuracy", options.accuracy]
+        command += [] if minutes is None else ["--minutes", f"{minutes:.4f}"]
+        started = time.perf_counter()
+        ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        taken = time.perf_counter() - started
+        if ended.returncode not in (0, 3):
+            raise SystemExit(f"{' '.join(command)}: status {ended.returncode}\n{ended.stderr[-2000:]}")
+        found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+        kept.write_text(json.dumps({**found, "wall_seconds": taken, "status": ended.returncode}), encoding="utf-8")
+    return dict(json.loads(kept.read_text(encoding="utf-8")))
+
+
+def campaigns(folder: Path) -> dict[str, Path]:
+    """The campaign files by name, made unless they are there."""
+    found = {"example": EXAMPLE / "campaign.toml"}
+    pla = "pla/acevedo_2026"
+    losses = {f"{pla}.shear_modulus": 2.0, f"{pla}.bulk_modulus": 2.0}
+    for name, gel, factors in (("thick gel", 35e-6, {}), ("lossy PLA", None, losses)):
+        own = folder / name / "campaign"
+        found[name] = own / "campaign.toml"
+        if not found[name].exists():
+            own.mkdir(parents=True, exist_ok=True)
+            chip = read_chip(EXAMPLE / "chip.toml")
+            record(chip if gel is None else chip.with_dimensions({"couplant.thickness": gel}), factors, own)
+            shutil.copy(EXAMPLE / "chip.toml", own)
+            shutil.copy(EXAMPLE / "campaign.toml", own)
+    return found
+
+
+def record(chip: Chip, factors: Mapping[str, float], folder: Path) -> None:
+    """Recordings of all states of a chip, whose materials lose more by `factors`."""
+    random = np.random.default_rng(1)
+    for state in ("empty", "filled"):
+        frequency = read_recording(EXAMPLE / f"{state}.csv").spectrum.frequency
+        problem = with_boundary_layers(build(fill(chip, state, Registry())))
+        values = {**problem.values, **{key: complex(problem.values[key].real, factor * problem.values[key].imag)
+                                       for key, factor in factors.items()}}
+        solved = reduce(assemble(problem.mesh, problem.terms), frequency, values).solve(frequency, values)
+        noise = random.standard_normal((2, frequency.size))
+        seen = np.conj(solved.impedance) * (1.0 + NOISE * (noise[0] + 1j * noise[1]))
+        write_csv(Spectrum(frequency, seen), folder / f"{state}.csv")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
