@@ -254,9 +254,12 @@ def test_the_accuracy_of_the_model(folder: Path, text: str, accuracy: float | No
     ('[known]\n"bench.gain[disc]" = "1 %"', "known.bench.gain[disc]", "bench.gain[disc]",
      '"bench.gain" in the table [states.disc.known]'),
     ('[fixed]\nnames = ["bench.gain[disc]"]', "fixed.names", "bench.gain[disc]", "a state has"),
+    ('[between]\n"bench.gain" = "0.5"', "between.bench.gain", "0.5", '"0.5 %" or "50 %"?'),
+    ('[known]\n"bench.clock" = 5e-6', "known.bench.clock", "5e-06", '"5e-06 %" or "0.0005 %"?'),
+    ('[model]\naccuracy = "0.002"', "model.accuracy", "0.002", '"0.002 %" or "0.2 %"?'),
     ('[model]\naccuracy = "-1 %"', "model.accuracy", "-1 %", "from 0"),
     ('[model]\naccuracy = "2"', "model.accuracy", "2", "0.2 %"),
-    ('[model]\naccuracy = "1 mm"', "model.accuracy", "1 mm", "dimensionless"),
+    ('[model]\naccuracy = "1 mm"', "model.accuracy", "1 mm", "a share in one of %"),
     ('[model]\nacuracy = "1 %"', "model.acuracy", "acuracy", "'accuracy'"),
 ])
 def test_a_mistake_is_named(folder: Path, tables: str, field: str, value: str, said: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from threading import Thread
 import pytest
 
 from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
 from workbench.files.writing import replacing, write_atomic
 
@@ -145,3 +147,20 @@ def test_a_mistake_in_a_table_is_named(
     error = caught.value
     assert (error.source, error.field, error.value) == (table.source, field, value)
     assert expected in str(error)
+
+
+@pytest.mark.parametrize(("text", "value"), [("0.5 %", 0.005), ("0.5%", 0.005), ("5 ppm", 5e-6), ("0.005 1", 0.005),
+                                             ("0", 0.0), (0, 0.0), ("1e-3 %", 1e-5)])
+def test_a_share_has_its_sign(text: object, value: float) -> None:
+    assert parse_quantity(text, "share", source="file", field="noise") == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(("text", "asked"), [("0.5", ': "0.5 %" or "50 %"?'), (0.5, ': "0.5 %" or "50 %"?'),
+                                             (5, ': "5 %"?'), ("200", 'such as "0.2 %"'), (-0.5, 'such as "0.2 %"')])
+def test_a_share_without_its_sign_is_asked_about(text: object, asked: str) -> None:
+    """Half a per cent, or a half? What it proposes can be read."""
+    with pytest.raises(InputError) as caught:
+        parse_quantity(text, "share", source="file", field="noise")
+    assert str(caught.value).endswith(asked)
+    for proposed in re.findall(r'"([^"]* %)"', str(caught.value)):
+        assert 0.0 < parse_quantity(proposed, "share", source="file", field="noise") < 1.0

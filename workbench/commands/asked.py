@@ -60,7 +60,7 @@ def asked_accuracy(options: argparse.Namespace) -> float:
     Raises:
         InputError: no number or per cent, or an accuracy there is no mesh for.
     """
-    accuracy = parse_quantity(options.accuracy, "dimensionless", source="command line", field="--accuracy")
+    accuracy = parse_quantity(options.accuracy, "share", source="command line", field="--accuracy")
     try:
         discretisation(accuracy)
     except InputError as error:

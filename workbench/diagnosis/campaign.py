@@ -155,7 +155,7 @@ def _states(table: Table, folder: Path, registry: Registry) -> Iterator[DeviceSt
 def _accuracy(table: Table) -> float | None:
     """The accuracy of the model, relative; None where nobody says."""
     model = table.table("model", expected="a table [model]").only(("accuracy",))
-    found = model.optional_quantity("accuracy", "dimensionless")
+    found = model.optional_quantity("accuracy", "share")
     if found is not None and not 0.0 <= found < 1.0:
         raise model.error("accuracy", 'a relative deviation from 0 to below 1, such as "0.2 %"')
     return found

@@ -153,8 +153,9 @@ def _uncertainty(
     """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
     entry, unit = table.content[written], unit_of(name, numbers.states)
     share = isinstance(entry, str) and entry.strip().endswith("%")
-    found = parse_quantity(entry, "dimensionless" if share else DIMENSIONS[unit], source=table.source,
-                           field=table.at(written))
+    # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
+    own = "share" if unit == "1" and ParameterName.parse(name).kind is Kind.BENCH else DIMENSIONS[unit]
+    found = parse_quantity(entry, "dimensionless" if share else own, source=table.source, field=table.at(written))
     if share:
         having = numbers.having(name)
         size = abs(numbers.value(name, next(state for state in states if state in having)))
