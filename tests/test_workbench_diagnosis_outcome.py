@@ -112,8 +112,8 @@ def test_the_headline_says_what_is_established_in_shown_units_and_its_share() ->
 
 def test_the_headline_of_every_other_verdict() -> None:
     leads, glass = Evidence("leads", 9.0, ("leads",)), Evidence("shear modulus of glass", 8.0, (GLASS.name,))
-    left = ("0.3 % of Z is left (rms); noise is 0.28 %, and changes of 0.1 % within parts, the accuracy of the model, "
-            "may make 0.15 %")
+    left = ("0.3 % of Z is left (rms of both parts); a noise of 0.2 % leaves 0.28 %, and changes of 0.1 % within "
+            "parts, the accuracy of the model, may make 0.15 %")
     said = {
         "ambiguous": diagnosis("ambiguous", leads, (glass,)),
         "no_mismatch": diagnosis("no_mismatch"), "parameters_explain": diagnosis("parameters_explain"),
@@ -126,7 +126,7 @@ def test_the_headline_of_every_other_verdict() -> None:
                      "mismatch, but shear modulus of glass would too.",
         "no_mismatch": f"The model as stated explains the recordings: {left}.",
         "parameters_explain": f"The known parameters, within what is known of them, explain the recordings: {left}; "
-                              "pla.density moves most, by +2.5 standard uncertainties.",
+                              "the density of pla moves most, by +2.5 standard uncertainties.",
         "below_detection": "Something may be missing, leads most likely, at odds of 5: not enough to name a cause.",
         "unexplained": f"Nothing in the catalogue explains what is left: {left}; it looks like something in the bond.",
     }
@@ -198,6 +198,50 @@ def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
     limits = {"glass.shear_modulus": Admissible(26e9, 30e9, "Pa", "this glass")}
     outside = replace(GLASS, admissible=limits)
     assert not established(model(), Found(base, (base,), ()), explanation(outside))[0].admissible
+
+
+def test_two_losses_of_one_material_have_one_share() -> None:
+    """Which of them takes how much depends on which is asked first."""
+    shear, bulk = (Effect(f"{each} loss of pla/acevedo_2026", "substrate", "loss", "", (
+        Parameter(f"pla/acevedo_2026.{each}.loss", -5e7, -1e9, 0.0, None, "Pa"),)) for each in (
+            "shear_modulus", "bulk_modulus"))
+    every = (Established(shear, (estimate(shear.names[0], -1e8, "Pa", -5e7),), True, 0.947),
+             Established(bulk, (estimate(bulk.names[0], -6e7, "Pa", -3e7),), True, 0.05))
+    found = diagnosis("missing_physics", Evidence("both", 9.0, ("a", "b")), established=every)
+    assert found.headline == ("Shear modulus loss of pla: shear modulus loss -0.1 GPa (stated: -0.05); bulk modulus "
+                              "loss of pla: bulk modulus loss -0.06 GPa (stated: -0.03); this explains 99.7 % of the "
+                              "mismatch.")
+    assert not [text for text in found.findings if "take" in text]
+    rows = diagnosis_report.established_table(found).rows
+    assert [row[:2] for row in rows] == [("shear modulus loss of pla", "99.7 %, together"),
+                                         ("bulk modulus loss of pla", "")]
+    # An effect on another thing has a share of its own.
+    found = replace(found, established=(*every, replace(TOLD, share=0.002)))
+    assert [share for _, share in found.shares] == [pytest.approx(0.997), 0.002]
+    assert ("Shear modulus loss of pla and bulk modulus loss of pla together take 99.7 % of the mismatch."
+            in found.findings)
+
+
+def test_a_material_is_marked_wherever_it_is() -> None:
+    loss = Effect("shear_modulus loss of pla/acevedo_2026", "substrate", "loss", "", (
+        Parameter("pla/acevedo_2026.shear_modulus.loss", -5e7, -1e9, 0.0, None, "Pa"),))
+    found = diagnosis("missing_physics", Evidence("loss", 9.0, ("loss",)),
+                      established=(Established(loss, (), True, 0.9),))
+    pla, glass = SimpleNamespace(name="pla/acevedo_2026"), SimpleNamespace(name="glass/maker")
+    states: Any = found.states
+    for each in states:
+        each.materials = {"substrate": pla, "sidewall": pla, "superstrate": glass}
+    assert found.where == ("substrate", "sidewall")
+    # A term acts in its own regions only.
+    term: Any = SimpleNamespace(region="sidewall")
+    found = replace(found, established=(Established(replace(loss, terms={"empty": (term,)}), (), True, 0.9),))
+    assert found.where == ("sidewall",)
+    assert replace(found, established=(TOLD,)).where == ("bench",)
+
+
+def test_a_factor_of_what_is_stated_is_told_as_one() -> None:
+    found = Estimate("water/iapws_2011.sound_speed", 1.0052, 1.0046, 1.0058, "1", 1.0, None, True)
+    assert found.in_words == "+0.52 % (+0.46 % to +0.58 %) of what is stated"
 
 
 def test_what_known_parameters_had_to_leave_is_a_mismatch() -> None:

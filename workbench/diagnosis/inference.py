@@ -153,7 +153,7 @@ class Search:
             if settled[plain].explanation.accuracy <= INCONSPICUOUS:
                 return self.concluded(plain, settled, [plain])
         self.progress("what is outside the catalogue", 0.2)
-        found: list[Candidate] = self.work([("what is outside the catalogue", "outside", (plain,))])[0] or []
+        found: list[Candidate] = [*(self.work([("what is outside the catalogue", "outside", (plain,))])[0] or ())]
         searches = [("hypotheses by their scores", lambda: self.by_score(plain, ends, settled)),
                     ("hypotheses of any size", lambda: self.by_size(plain))]
         # No tangent counts where more is left than the points were allowed to deviate by.
