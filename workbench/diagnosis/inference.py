@@ -55,7 +55,7 @@ TRIED, SHARE = 3, 0.3
 #: Of all hypotheses in any size, so many are tried.
 SWEPT = 4
 
-#: Of the single hypotheses that are as good as the best, so many are looked at with a second effect.
+#: Of the single hypotheses that are not far behind the best, so many are looked at with a second effect.
 ALIKE = 2
 
 #: Descents begin in so many basins.
@@ -126,11 +126,6 @@ class Search:
     def least(self) -> float:
         """Log evidence below which a hypothesis is not worth a look: its odds of being true would be too small."""
         return math.log(self.criteria.looked_at * self.model.hypotheses)
-
-    @property
-    def alike(self) -> float:
-        """Difference of log evidences up to which the recordings cannot tell two hypotheses apart."""
-        return math.log(self.criteria.rival)
 
     @property
     def is_over(self) -> bool:
@@ -335,9 +330,11 @@ class Search:
             hypothesis = best.explanation.hypothesis
             if len(hypothesis.effects) > 1 or hypothesis.is_outside or self.leaves_a_trace(base, best):
                 break
-            # Of hypotheses that are about as good alone, another one may be better with a second effect.
-            alike = [each for each in found.values() if len(each.explanation.hypothesis.effects) == 1
-                     and not each.explanation.hypothesis.is_outside and _worth(each) < _worth(best) + self.alike]
+            # Where the best alone leaves more than noise, its evidence rests on an inaccuracy: another one that is not
+            # far behind may be better with a second effect.
+            alike = [each for each in found.values() if best.explanation.accuracy > INCONSPICUOUS
+                     and len(each.explanation.hypothesis.effects) == 1 and not each.explanation.hypothesis.is_outside
+                     and _worth(each) < _worth(best) + CLOSE]
             tasks = {task[0]: task for each in dict.fromkeys([best, *alike[:ALIKE]]) for task in self.further(each)}
             for each in self.work([task for name, task in tasks.items() if name not in found]):
                 if each is not None:
