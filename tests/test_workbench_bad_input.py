@@ -260,7 +260,7 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
                      ["--accuracy", "0.001 %", f"{100 * min(ROWS):g} %), the finest there is"]),
     "accuracy of nothing": (["diagnose", "chip.toml", "--accuracy", "0", "-o", "out"],
                             ["--accuracy", "'0'", "the finest there is"]),
-    "accuracy in hertz": (["mesh", "chip.toml", "--accuracy", "5 Hz"], ["--accuracy", "5 Hz", "1, %"]),
+    "accuracy in hertz": (["mesh", "chip.toml", "--accuracy", "5 Hz"], ["--accuracy", "5 Hz", "%, ppm, 1"]),
     "tolerance of nothing": (["simulate", "chip.toml", "--tolerance", "0", "-o", "out", "--no-cad"],
                              ["tolerance", "0.0", "between 0 and 1"]),
     "unknown field": (["render", "chip.toml", "--at", "400 kHz", "--field", "presure", "-o", "out"],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from threading import Thread
 import pytest
 
 from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
 from workbench.files.writing import MARK, remedy, replacing, settled, writable_folder, write_atomic
 
@@ -217,3 +219,20 @@ def test_a_folder_is_marked_until_its_results_are_complete(tmp_path: Path) -> No
     assert sorted(path.name for path in folder.iterdir()) == [MARK, "spectrum.csv"]
     settled(folder, complete=True)
     assert [path.name for path in folder.iterdir()] == ["spectrum.csv"]
+
+
+@pytest.mark.parametrize(("text", "value"), [("0.5 %", 0.005), ("0.5%", 0.005), ("5 ppm", 5e-6), ("0.005 1", 0.005),
+                                             ("0", 0.0), (0, 0.0), ("1e-3 %", 1e-5)])
+def test_a_share_has_its_sign(text: object, value: float) -> None:
+    assert parse_quantity(text, "share", source="file", field="noise") == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(("text", "asked"), [("0.5", ': "0.5 %" or "50 %"?'), (0.5, ': "0.5 %" or "50 %"?'),
+                                             (5, ': "5 %"?'), ("200", 'such as "0.2 %"'), (-0.5, 'such as "0.2 %"')])
+def test_a_share_without_its_sign_is_asked_about(text: object, asked: str) -> None:
+    """Half a per cent, or a half? What it proposes can be read."""
+    with pytest.raises(InputError) as caught:
+        parse_quantity(text, "share", source="file", field="noise")
+    assert str(caught.value).endswith(asked)
+    for proposed in re.findall(r'"([^"]* %)"', str(caught.value)):
+        assert 0.0 < parse_quantity(proposed, "share", source="file", field="noise") < 1.0

@@ -1,7 +1,8 @@
 """The ``workbench`` command.
 
 Exit status: 0 done, 1 the computation failed or a check found something, 2 a mistake in the command or in a file,
-130 interrupted (it says what is on disk). A defect of the program itself ends in Python's traceback, status 1.
+3 not finished in the time it was given (`diagnose --minutes`), 130 interrupted (it says what is on disk). A defect of
+the program itself ends in Python's traceback, status 1.
 """
 
 from __future__ import annotations

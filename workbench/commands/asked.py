@@ -68,7 +68,7 @@ def asked_accuracy(options: argparse.Namespace) -> float:
     Raises:
         InputError: no number or per cent, or an accuracy there is no mesh for.
     """
-    accuracy = parse_quantity(options.accuracy, "dimensionless", source="command line", field="--accuracy")
+    accuracy = parse_quantity(options.accuracy, "share", source="command line", field="--accuracy")
     try:
         discretisation(accuracy)
     except InputError as error:
@@ -132,8 +132,20 @@ def say_read_as(read_as: str, name: str, console: Console) -> None:
 
 
 def saving_folder(folders: Sequence[Path]) -> Path:
-    """Where materials are saved: the last of the `folders` that the options name, or else the user's own."""
-    return folders[-1] if folders else user_folder()
+    """Where materials are saved: the last of the `folders` that the options name, made if need be, or else the user's
+    own.
+
+    Raises:
+        InputError: a file is where the folder should be.
+    """
+    if not folders:
+        return user_folder()
+    try:
+        folders[-1].mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError("command line", "--materials", str(folders[-1]), "a folder to save materials in; a file is in "
+                         "the way") from None
+    return folders[-1]
 
 
 def output_folder(path: Path, *, room: float = ROOM) -> Path:

@@ -92,7 +92,7 @@ def _waveforms(options: argparse.Namespace, total: Path, reference: Path) -> tup
 
 def _resistor(options: argparse.Namespace) -> tuple[float | None, float]:
     """Resistance (ohm) or None, and its limits as a fraction."""
-    tolerance = parse_quantity(options.tolerance, "dimensionless", source="command line", field="--tolerance")
+    tolerance = parse_quantity(options.tolerance, "share", source="command line", field="--tolerance")
     if not 0.0 <= tolerance < 1.0:
         raise InputError("command line", "--tolerance", options.tolerance, 'from "0 %" to less than "100 %"')
     if options.resistance is None:

@@ -299,7 +299,7 @@ def _robust(table: Table) -> Robust:
 
 def _search(table: Table) -> Search:
     table.only(Search.__dataclass_fields__)
-    reach, tolerance = (table.quantity(key, "dimensionless", getattr(Search, key)) for key in ("reach", "tolerance"))
+    reach, tolerance = (table.quantity(key, "share", getattr(Search, key)) for key in ("reach", "tolerance"))
     if not 0.0 < reach < 1.0:
         raise table.error("reach", "a share of a length between 0 and 100 %")
     if not 1e-5 <= tolerance <= 0.1:

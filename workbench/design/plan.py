@@ -174,14 +174,14 @@ def _frequency(head: Table, band: tuple[float, float]) -> float | None:
 
 
 def _share(head: Table, key: str, default: float) -> float:
-    value = head.quantity(key, "dimensionless", default)
+    value = head.quantity(key, "share", default)
     if not 0.0 < value < 1.0:
         raise head.error(key, 'a relative error between 0 and 1, such as "0.1 %"')
     return value
 
 
 def _accuracy(head: Table) -> float:
-    value = head.quantity("accuracy", "dimensionless", ACCURACY)
+    value = head.quantity("accuracy", "share", ACCURACY)
     try:
         discretisation(value)
     except InputError as error:

@@ -72,7 +72,7 @@ class Campaign(Brief):
     """A device, its states, and what is known of it.
 
     ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
-    names of what one state adds (``bench.gain@filled``); ``fixed`` names what may not move. Radii that coincide in a
+    names of what one state adds (``bench.gain[filled]``); ``fixed`` names what may not move. Radii that coincide in a
     chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
     ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``model_accuracy`` is the
     standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
@@ -156,7 +156,7 @@ def _states(table: Table, folder: Path, registry: Registry) -> Iterator[DeviceSt
 def _accuracy(table: Table) -> float | None:
     """The accuracy of the model, relative; None where nobody says."""
     model = table.table("model", expected="a table [model]").only(("accuracy",))
-    found = model.optional_quantity("accuracy", "dimensionless")
+    found = model.optional_quantity("accuracy", "share")
     if found is not None and not 0.0 <= found < 1.0:
         raise model.error("accuracy", 'a relative deviation from 0 to below 1, such as "0.2 %"')
     return found

@@ -42,15 +42,26 @@ class Settled:
     anything: Patterns
 
 
+@dataclass(frozen=True)
+class NotTried:
+    """What of a search could not be done, by its ``name``, and the ``reason``."""
+
+    name: str
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """What a search found.
 
     ``base`` that nothing is wrong; ``final`` all explanations at their own places, best first, the base among them;
-    ``candidates`` how far the others came; ``undone`` what there was no time for.
+    ``candidates`` how far the others came; ``undone`` what there was no time for, ``not_tried`` what could not be done;
+    ``interrupted`` whether somebody stopped it.
     """
 
     base: Settled
     final: tuple[Settled, ...]
     candidates: tuple[Candidate, ...]
     undone: tuple[str, ...] = ()
+    not_tried: tuple[NotTried, ...] = ()
+    interrupted: bool = False

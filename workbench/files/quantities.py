@@ -46,6 +46,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "memory": {"B": 1.0, "MB": 1e6, "GB": 1e9, "TB": 1e12},
     "thermal resistance": {"K/W": 1.0},
     "dimensionless": {"1": 1.0, "%": 1e-2},
+    # A part of a whole: how noisy, how accurate, how exact. Without its sign nobody knows which of the two is meant.
+    "share": {"%": 1e-2, "ppm": 1e-6, "1": 1.0},
 }
 
 #: Characters that a text in the unit asked for first may be longer than in another (:func:`format_quantity`). Doubled,
@@ -65,7 +67,7 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     """The SI value of a text such as ``"2.02 mm"``. `dimension` is a key of :data:`UNITS`.
 
     A bare number is refused unless the dimension is dimensionless: a length without its unit is the commonest
-    mistake in a chip file. Temperatures in degC are returned in kelvin.
+    mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin.
 
     Raises:
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
@@ -77,6 +79,8 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
         if not math.isfinite(text):
             raise InputError(source, field, text, "a finite number")
         return float(text)
+    if dimension == "share" and isinstance(text, int | float) and not isinstance(text, bool):
+        return _bare_share(text, float(text), source, field)
     if isinstance(text, bool) or not isinstance(text, str):
         raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
     if _COMMA.match(text):
@@ -85,6 +89,8 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     match = _NUMBER.match(text)
     if match is None:
         raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
+    if dimension == "share" and not match.group(2):
+        return _bare_share(text, float(match.group(1)), source, field)
     number, unit = float(match.group(1)), match.group(2) or ("1" if dimension == "dimensionless" else "")
     if unit not in units:
         expected = f"{named} in one of {', '.join(units)}"
@@ -92,6 +98,15 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     if not math.isfinite(number):
         raise InputError(source, field, text, "a finite number")
     return number + 273.15 if unit == "degC" else number * units[unit]
+
+
+def _bare_share(text: object, number: float, source: str, field: str) -> float:
+    """A share that is written without its sign: none at all, or a question."""
+    if number == 0.0:
+        return 0.0
+    # Both that it may mean, but for more than all.
+    meant = " or ".join(f'"{each:g} %"' for each in (number, 100.0 * number) if 0.0 < each < 100.0)
+    raise InputError(source, field, text, 'a share with its sign, such as "0.2 %"' + (f": {meant}?" if meant else ""))
 
 
 def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:
