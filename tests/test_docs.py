@@ -210,7 +210,7 @@ def test_every_key_of_bench_and_campaign_is_explained() -> None:
     assert keys.bench_keys()["`[compensation]`"].keys() == compensation >= {"open", "short", "load", "load_tolerance"}
     assert keys.bench_keys()["`[acquisition]`"].keys() == {field.name for field in dataclasses.fields(Acquisition)}
     assert keys.campaign_keys()["`[states.NAME]`"].keys() == set(STATE_KEYS)
-    assert "| `step` | text with a unit: Hz, kHz, MHz | `500 Hz` |" in keys.bench_page()
+    assert "| `step` | text with a unit: Hz, kHz, MHz, GHz | `500 Hz` |" in keys.bench_page()
     assert "| `known` | one of `stated`, `named` | `stated` |" in keys.campaign_page()
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from materials import PassivityWarning
 from workbench.spectrum import Origin
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -84,8 +83,7 @@ def test_folders_and_files_to_write_may_be_named_by_text(tmp_path: Path) -> None
         registry = wb.Registry(folders)
         assert registry.folders == (folder,)
         assert "tap_water/own_2024" in registry.names()
-    with pytest.warns(PassivityWarning):
-        study = wb.read_study(str(ROOT / "examples/small_study/study.toml"), materials=[str(folder)])
+    study = wb.read_study(str(ROOT / "examples/small_study/study.toml"), materials=[str(folder)])
     assert folder in study.registry.folders
     with wb.SimulatedBench(lambda frequency: 50.0 + 0.0j, folder=str(tmp_path / "ports")) as bench:
         assert bench is not None

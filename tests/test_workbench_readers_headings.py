@@ -16,6 +16,8 @@ from workbench.merit import bvd_impedance
 from workbench.readers import ColumnMap, Quantity, read_column_map, read_recording
 from workbench.readers.headings import Heading, understand
 
+ROOT = Path(__file__).resolve().parents[1]
+
 FREQUENCY = np.linspace(0.9e6, 1.1e6, 21)
 IMPEDANCE = bvd_impedance(FREQUENCY, motional_resistance=5.9, motional_inductance=152e-6,
                           motional_capacitance=168.6e-12, static_capacitance=792e-12)
@@ -364,11 +366,12 @@ def test_the_command_line_refuses_with_the_map_whole(
     """No line of the map is wrapped, and what follows it is nothing."""
     head, columns, _, _ = REFUSED["phase without unit"]
     path = table(tmp_path / "table.csv", head, *columns)
-    assert main(["compare", str(path), "chip.toml", "-o", str(tmp_path / "out")]) == 2
+    chip = str(ROOT / "geometry" / "chips" / "disc_20x2.toml")
+    assert main(["compare", str(path), chip, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     (tmp_path / "MAP.toml").write_text(proposed(said))
     assert read_column_map(tmp_path / "MAP.toml").quantity == Quantity("impedance", "polar", "ohm", "deg")
-    assert main(["compare", str(path), "chip.toml", "--columns", "MAP.toml", "--format", "table", "-o",
+    assert main(["compare", str(path), chip, "--columns", "MAP.toml", "--format", "table", "-o",
                  str(tmp_path / "out")]) == 2
     assert "--columns or --format, not both" in capsys.readouterr().err
 

@@ -252,10 +252,9 @@ def reduced(
     Full solves are added where the estimate is largest, until it is within the tolerance everywhere. A full solve at
     the worst frequency then confirms it, unless `confirmed` is unset: the estimate is believed. With `start`, a model
     made for other parameter values is extended for these. The basis also holds what the parameters in `tangents` change
-    the states by when they move by so much, so that it keeps serving then. Each factorisation gives `depth` vectors,
-    tangents apart. `worst` is the frequency (Hz) at which `start` is known to be off most, if it is. With
-    `skip_singular` a frequency at which a full solve does not converge is left out, as long as it does beside it; so is
-    one at which reduced and full model keep apart.
+    the states by when they move by so much. Each factorisation gives `depth` vectors, tangents apart. `worst` is the
+    frequency (Hz) at which `start` is off most, if that is known. With `skip_singular` a frequency is left out at which
+    a full solve does not converge but does beside it, or at which reduced and full model keep apart.
 
     Returns:
         the model, and what it gives at all frequencies but those left out.
@@ -269,13 +268,11 @@ def reduced(
     wanted = np.zeros(0) if worst is None else np.array([worst])
     if start is None:
         wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]]
-    model, spent, unneeded = start, 0, smallest(tolerance)
-    tried: set[float] = set()
+    model, spent, unneeded, tried = start, 0, smallest(tolerance), set[float]()
 
     def report() -> None:
-        # How many solves it takes is not known beforehand; most models are done after six or seven.
         if progress is not None:
-            progress(1.0 - 0.7**spent)
+            progress(1.0 - 0.7**spent)  # most models are done after six or seven solves
 
     with one_thread():
         system = System(operators, values)

@@ -200,8 +200,7 @@ def simulate(
         tolerance: relative error of the reduced model's impedance.
         drive: how the device is driven; 10 Vpp at the electrodes if not given.
         accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
-        assumed_losses: give a ceramic whose entry states no loss that of `materials.assumed`; a finding says so.
-            Without it the ceramic is simulated lossless.
+        assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding says so.
         on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
 
     A frequency at which the solve does not converge is left out of the spectrum, and a finding names it.
@@ -252,15 +251,14 @@ def simulate(
     check_mesh(problem, frequency)
     progress("fields", 0.0)
     shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
-    static = capacitance(operators, problem.values)
     lap("fields")
     progress("fields", 1.0)
     left_out = tuple(float(f) for f in np.setdiff1d(asked, frequencies))
     return Simulation(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
-        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, capacitance=static,
-        seconds=seconds, left_out=left_out,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
+        capacitance=capacitance(operators, problem.values), left_out=left_out,
         findings=(*_left_out(device, left_out, asked.size), *shot.findings),
     )
 

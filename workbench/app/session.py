@@ -324,8 +324,11 @@ class Session:
             if self._has(ranges) or not _inside(ranges, values) or (
                     title == WHOLE and any(_inside(each, values) for each in others)):
                 continue
-            for told in self._grown(ranges, lambda ranges=ranges: stopped() or not _inside(ranges, self.values),
-                                    LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
+
+            def ended(ranges: Ranges = ranges) -> bool:
+                return stopped() or not _inside(ranges, self.values)
+
+            for told in self._grown(ranges, ended, LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
                 yield told if len(stages) == 1 else f"{title}: {told}"
             if stopped():
                 return
