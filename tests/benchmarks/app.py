@@ -2,10 +2,10 @@
 
     .venv/bin/python tests/benchmarks/app.py [--chip FILE] [--vary NAME ...] [--moves 18] [--rest 5] [--json FILE]
 
-Starts ``workbench app``, waits for its models, and presses a key on one slider after the other: resting between, so that
-the fields are there and nothing works beside; and then :data:`SOON` after each new spectrum, when fields are being drawn
-or models made ready. Prints the milliseconds from the key to the first frame with the new spectrum, to the first new
-picture of a field, and the load of the machine, on which all of this depends.
+Starts ``workbench app``, waits for its models, and presses a key on one slider after the other: resting between, so
+that the fields are there and nothing works beside; and then :data:`SOON` after each new spectrum, when fields are being
+drawn or models made ready. Prints the milliseconds from the key to the first frame with the new spectrum, to the first
+new picture of a field, and the load of the machine, on which all of this depends.
 """
 
 from __future__ import annotations

@@ -167,6 +167,7 @@ class LiveView:
 
     def _enter(self, name: str, text: str) -> None:
         """A number was typed."""
+        self._state.entries += 1
         try:
             self.session.move(name, typed_number(text, self.session.control(name), name))
         except InputError as error:
@@ -206,6 +207,8 @@ class LiveView:
         self._changed()
 
     def _tolerate(self, name: str, text: str) -> None:
+        """A tolerance was typed."""
+        self._state.entries += 1
         try:
             self.session.tolerate(name, typed_tolerance(text, self.session.control(name, "tolerance")))
         except InputError as error:
@@ -308,7 +311,8 @@ class LiveView:
         state.file = f"{Path(session.chip.file).stem}_moved.toml"
         state.update({"can_undo": False, "can_redo": False, "message": "", "message_is_error": False, "works": {},
                       "figures": [], "full_dots": [], "pictures": [], "space": "", "in_space": False, "fields_at": "",
-                      "pointed": "", "shown": {"x": 0.0, "text": "", "follows": True}, "recorded": {"magnitude": ""},
+                      "pointed": "", "entries": 0, "shown": {"x": 0.0, "text": "", "follows": True},
+                      "recorded": {"magnitude": ""},
                       "curve": {"magnitude": "", "phase": "", "tolerance": "", "ticks": {"x": [], "y": [], "phase": []},
                                 "read": {"frequency": [], "magnitude": [], "phase": []}}})
         state.client_only("pointed")
