@@ -47,6 +47,7 @@ class Live:
     folder: Path
     chip: Path
     asked: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
 
     def value(self, selector: str) -> str:
         return str(self.page.locator(selector).inner_text()).strip()
@@ -100,6 +101,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         found = Live(page, address, folder / "out", chip)
         page.on("request", lambda request: found.asked.append(request.url))
+        page.on("console", lambda message: found.complaints.append(message.text) if message.type == "error" else None)
         page.on("websocket", lambda socket: found.asked.append(socket.url))
         page.goto(address)
         page.wait_for_selector("#picture_potential image", timeout=PATIENCE)
@@ -189,8 +191,9 @@ def test_full_solves_are_laid_over(live: Live) -> None:
 
 
 def test_a_tolerance_draws_a_band(live: Live) -> None:
-    live.page.fill("#tolerance_0", "")
-    live.page.locator("#tolerance_0").press("Enter")
+    for index in range(3):
+        live.page.fill(f"#tolerance_{index}", "0")
+        live.page.locator(f"#tolerance_{index}").press("Enter")
     live.until("() => document.querySelector('#f0 + .note').innerText === '' || "
                "!document.querySelector('#f0 + .note').innerText.includes('tolerances')")
     live.page.fill("#tolerance_0", "0.05")
@@ -208,9 +211,47 @@ def test_outside_the_ranges_the_model_grows(live: Live) -> None:
     live.page.click("#undo")
 
 
+def test_a_decimal_comma_is_answered_with_a_point(live: Live) -> None:
+    before = live.page.input_value("#number_0")
+    live.page.fill("#number_0", "0,805")
+    live.page.locator("#number_0").press("Enter")
+    live.until("() => document.querySelector('#message')?.innerText.includes('not a comma: 0.805?')")
+    live.until("before => document.querySelector('#number_0').value === before", before)
+
+
+def test_what_is_assumed_is_marked(live: Live) -> None:
+    # The file states the substrate's tolerance and none of the cavity's radius; an emptied field goes back to that.
+    live.page.fill("#tolerance_0", "")
+    live.page.locator("#tolerance_0").press("Enter")
+    live.until("() => document.querySelector('#tolerance_0').value === '0.02'")
+    assert "assumed" not in str(live.page.get_attribute("#tolerance_0", "class"))
+    live.page.fill("#tolerance_1", "")
+    live.page.locator("#tolerance_1").press("Enter")
+    live.until("() => document.querySelector('#tolerance_1').classList.contains('assumed')")
+    assert live.page.input_value("#tolerance_1") == "0.05"
+    assert "a printed length is known to 50 um" in str(live.page.get_attribute("#tolerance_1", "title"))
+
+
+@pytest.mark.parametrize("width", [1280, 1000, 700])
+def test_no_page_is_cut_and_letters_can_be_read(live: Live, width: int) -> None:
+    live.page.set_viewport_size({"width": width, "height": 800})
+    try:
+        assert live.page.evaluate("() => document.documentElement.scrollWidth") <= width
+        ends = "() => Math.max(...Array.from(document.querySelectorAll('.live button, .live svg, .live .card'))" \
+               ".map(each => each.getBoundingClientRect().right))"
+        assert live.page.evaluate(ends) <= width
+        heights = live.page.evaluate("() => Array.from(document.querySelectorAll('.fields text.tick'))"
+                                     ".map(each => each.getBoundingClientRect().height)")
+        # The box of letters is a fifth higher than their size: 9 px at least.
+        assert min(heights) > 10.5
+    finally:
+        live.page.set_viewport_size({"width": 1280, "height": 800})
+
+
 def test_nothing_comes_from_outside(live: Live) -> None:
     # After all that the tests above did.
     asked = [url for url in live.asked if not url.startswith("data:")]
     assert any("/ws" in url for url in asked)
     assert any(url.endswith(".woff2?v=7.4.47") or ".woff2" in url for url in asked)
     assert {re.sub(r":\d+/.*", "", url) for url in asked} == {"http://127.0.0.1", "ws://127.0.0.1"}
+    assert live.complaints == []

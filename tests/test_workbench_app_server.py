@@ -116,6 +116,7 @@ def headers(view: LiveView) -> dict[str, dict[str, str]]:
     number = port(view)
     return {
         "rebound name": {"Host": f"attacker.example:{number}"}, "no port": {"Host": "127.0.0.1"},
+        "another name": {"Host": f"localhost:{number}"},
         "other port": {"Host": f"127.0.0.1:{number + 1}"}, "lookalike": {"Host": f"127.0.0.1.example:{number}"},
         "foreign page": {"Origin": "http://attacker.example"}, "foreign port": {"Origin": "http://127.0.0.1:1"},
         "hidden page": {"Origin": "null"}, "secure page": {"Origin": f"https://127.0.0.1:{number}"},
@@ -243,7 +244,9 @@ def test_nonsense_from_a_page_is_told_and_changes_nothing(tmp_path: Path) -> Non
                 await page.call("trame.state.update", [{"key": "x_0", "value": value}])
                 assert view.session.values == before, value
                 assert view._state.message_is_error, value
-            for call in (["tolerate", ["no such", "1"]], ["tolerate", ["substrate.thickness", "x"]],
+            for call in (["enter", ["no such", "1"]], ["enter", ["substrate.thickness", "0,81"]],
+                         ["enter", ["substrate.thickness", None]], ["tolerate", ["substrate.thickness", "0,81"]],
+                         ["tolerate", ["no such", "1"]], ["tolerate", ["substrate.thickness", "x"]],
                          ["tolerate", ["substrate.thickness", "-1"]]):
                 await page.call("trame.trigger", *call, {})
                 assert view._state.message_is_error, call

@@ -106,13 +106,17 @@ _HEADS = """
   assumed by the role of the layer (point at it).</span></div>
 """
 
-#: One number, the one at a place of ``rows``; its value is state of its own, since it is what the slider moves.
+#: One number, the one at a place of ``rows``; its value is state of its own, since it is what the slider moves. A field
+#: is a new one whenever its number is another or something was entered in its row, so that what was refused is gone;
+#: while somebody types nothing writes into it.
 _ROW = """
 <div class="row">
   <div class="names"><span class="what" :class="{out: rows[I].outside}" :title="rows[I].name">{{ rows[I].label }}</span>
-    <input class="number" id="number_I" :value="x_I" @change="trigger('enter', [rows[I].name, $event.target.value])" />
+    <input class="number" id="number_I" :key="'n' + x_I + '/' + rows[I].entries" :value.attr="x_I"
+           @change="trigger('enter', [rows[I].name, $event.target.value])" />
     <span class="unit">{{ rows[I].unit }}</span>
-    <input class="number tolerance" :class="{assumed: rows[I].assumed}" id="tolerance_I" :value="rows[I].tolerance"
+    <input class="number tolerance" :class="{assumed: rows[I].assumed}" id="tolerance_I"
+           :key="'t' + rows[I].tolerance + '/' + rows[I].entries" :value.attr="rows[I].tolerance"
            :title="rows[I].assumed ? 'assumed: ' + rows[I].assumed : 'stated; empty this field to go back'"
            @change="trigger('tolerate', [rows[I].name, $event.target.value])" />
   </div>

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -63,6 +64,7 @@ class LiveView:
         self.works = Works(session, folder, campaign)
         self._background = Background(self._heard)
         self._names = [each.name for each in session.controls]
+        self._entries = Counter[str]()
         self._frequency: float | None = None
         self._view: SpectrumView | None = None
         self._dots: tuple[Mapping[str, float], list[tuple[float, complex]]] = ({}, [])
@@ -167,12 +169,15 @@ class LiveView:
 
     def _enter(self, name: str, text: str) -> None:
         """A number was typed."""
+        self._entries[str(name)] += 1
         try:
             self.session.move(name, typed_number(text, self.session.control(name), name))
         except InputError as error:
             self._complain(error)
+            self._show_rows()
             return
         self._show_numbers()
+        self._show_rows()
         self._follow_move()
 
     def _follow_move(self) -> None:
@@ -206,6 +211,8 @@ class LiveView:
         self._changed()
 
     def _tolerate(self, name: str, text: str) -> None:
+        """A tolerance was typed."""
+        self._entries[str(name)] += 1
         try:
             self.session.tolerate(name, typed_tolerance(text, self.session.control(name, "tolerance")))
         except InputError as error:
@@ -308,7 +315,8 @@ class LiveView:
         state.file = f"{Path(session.chip.file).stem}_moved.toml"
         state.update({"can_undo": False, "can_redo": False, "message": "", "message_is_error": False, "works": {},
                       "figures": [], "full_dots": [], "pictures": [], "space": "", "in_space": False, "fields_at": "",
-                      "pointed": "", "shown": {"x": 0.0, "text": "", "follows": True}, "recorded": {"magnitude": ""},
+                      "pointed": "", "shown": {"x": 0.0, "text": "", "follows": True},
+                      "recorded": {"magnitude": ""},
                       "curve": {"magnitude": "", "phase": "", "tolerance": "", "ticks": {"x": [], "y": [], "phase": []},
                                 "read": {"frequency": [], "magnitude": [], "phase": []}}})
         state.client_only("pointed")
@@ -348,7 +356,7 @@ class LiveView:
             low, high = each.low * each.factor, each.high * each.factor
             rows.append({"index": index, "name": each.name, "label": each.label, "unit": each.unit, "low": low,
                          "high": high, "step": (high - low) / _STEPS, "value": each.told(each.value),
-                         "tolerance": each.told_tolerance, "assumed": each.assumed,
+                         "tolerance": each.told_tolerance, "assumed": each.assumed, "entries": self._entries[each.name],
                          "free": each.name in self.works.free, "outside": each.name in outside})
         self._state.rows = rows
         self._state.can_undo, self._state.can_redo = self.session.can_undo, self.session.can_redo
