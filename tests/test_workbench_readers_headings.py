@@ -371,7 +371,7 @@ def test_the_command_line_refuses_with_the_map_whole(
     said = capsys.readouterr().err
     (tmp_path / "MAP.toml").write_text(proposed(said))
     assert read_column_map(tmp_path / "MAP.toml").quantity == Quantity("impedance", "polar", "ohm", "deg")
-    assert main(["compare", str(path), chip, "--columns", "MAP.toml", "--format", "table", "-o",
+    assert main(["compare", str(path), chip, "--columns", str(tmp_path / "MAP.toml"), "--format", "table", "-o",
                  str(tmp_path / "out")]) == 2
     assert "--columns or --format, not both" in capsys.readouterr().err
 

@@ -264,8 +264,7 @@ def reduced(
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    looked_at = watched(frequencies)
-    wanted = np.zeros(0) if worst is None else np.array([worst])
+    looked_at, wanted = watched(frequencies), np.zeros(0) if worst is None else np.array([worst])
     if start is None:
         wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]]
     model, spent, unneeded, tried = start, 0, smallest(tolerance), set[float]()
@@ -303,24 +302,32 @@ def reduced(
             if believed:
                 spent += 1
                 report()
-                try:
-                    states, residual = system.krylov(worst, 1)
-                except NotConverged:
-                    if not skip_singular:
-                        raise
-                    frequencies, wanted = frequencies[frequencies != worst], np.zeros(0)
-                    looked_at = watched(frequencies)
-                    continue
-                off = abs(solution.charge[index] / system.charge(worst, states[:, 0]) - 1.0)
-                model = counted(model, residual)
+                model, off = _confirmed(model, system, solution, index, skip_singular)
                 if off <= tolerance:
                     break
-                if skip_singular and worst in tried:
+                if skip_singular and (worst in tried or np.isinf(off)):
                     frequencies, wanted = frequencies[frequencies != worst], np.zeros(0)
                     looked_at = watched(frequencies)
                     continue
             wanted = np.array([worst])
     return model, solution
+
+
+def _confirmed(
+    model: ReducedModel, system: System, solution: Solution, index: int, skip_singular: bool
+) -> tuple[ReducedModel, float]:
+    """The model with one more full solve counted, and how far (relative) it is off that solve's charge.
+
+    Infinite where the full solve does not converge and that is to be skipped.
+    """
+    frequency = float(solution.frequency[index])
+    try:
+        states, residual = system.krylov(frequency, 1)
+    except NotConverged:
+        if not skip_singular:
+            raise
+        return model, np.inf
+    return counted(model, residual), float(abs(solution.charge[index] / system.charge(frequency, states[:, 0]) - 1.0))
 
 
 def smallest(tolerance: float) -> float:

@@ -171,6 +171,19 @@ def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]
     return band
 
 
+class Laps:
+    """Seconds spent on one step after the other, by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._started = time.perf_counter()
+
+    def __call__(self, name: str) -> None:
+        """The step called `name` ends now."""
+        now = time.perf_counter()
+        self.seconds[name], self._started = now - self._started, now
+
+
 def simulate(
     chip: Chip,
     state: str | None = None,
@@ -210,14 +223,7 @@ def simulate(
         NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
         NotEnriched: the reduced model did not reach its tolerance.
     """
-    started = time.perf_counter()
-    seconds: dict[str, float] = {}
-
-    def lap(name: str) -> None:
-        nonlocal started
-        now = time.perf_counter()
-        seconds[name], started = now - started, now
-
+    lap = Laps()
     device = fill(chip, state, _assuming(registry, assumed_losses))
     _check_tolerance(tolerance)
     frequencies = frequency_grid(band_of(chip, band), points)
@@ -227,24 +233,22 @@ def simulate(
     lap("mesh")
     operators = assemble(problem.mesh, problem.terms)
     lap("assembly")
-    asked = frequencies
+    error, of_mesh = 0.0, None
     if full:
-        frequencies, impedance, solves, residual = _full_spectrum(
+        solved, impedance, solves, residual = _full_spectrum(
             operators, frequencies, problem, known or {}, on_point, progress)
-        error, of_mesh = 0.0, None
         lap("spectrum")
     else:
         model, solution = reduced(operators, frequencies, problem.values, tolerance=tolerance, skip_singular=True,
                                   progress=lambda fraction: progress("reduced model", fraction))
-        frequencies, impedance = solution.frequency, solution.impedance
-        solves, residual = model.solves, model.residual
+        solved, impedance, solves, residual = solution.frequency, solution.impedance, model.solves, model.residual
         error = float(model.error(solution).max())
         lap("spectrum")
-        on_spectrum(Spectrum.from_solver(frequencies, impedance, origin=_origin(device, _reduced_to(error))))
-        of_mesh = _mesh_error(model, frequencies, problem, accuracy, progress)
+        on_spectrum(Spectrum.from_solver(solved, impedance, origin=_origin(device, _reduced_to(error))))
+        of_mesh = _mesh_error(model, solved, problem, accuracy, progress)
         lap("error of the mesh")
     method = "full solves" if of_mesh is None else f"{_reduced_to(error)}, of its mesh {of_mesh.rms:.1e} rms"
-    spectrum = Spectrum.from_solver(frequencies, impedance, origin=_origin(device, method))
+    spectrum = Spectrum.from_solver(solved, impedance, origin=_origin(device, method))
     on_spectrum(spectrum)
     merit, reason = _merit(spectrum)
     frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
@@ -253,13 +257,13 @@ def simulate(
     shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
     lap("fields")
     progress("fields", 1.0)
-    left_out = tuple(float(f) for f in np.setdiff1d(asked, frequencies))
+    left_out = tuple(map(float, np.setdiff1d(frequencies, solved)))
     return Simulation(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
-        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=seconds,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=lap.seconds,
         capacitance=capacitance(operators, problem.values), left_out=left_out,
-        findings=(*_left_out(device, left_out, asked.size), *shot.findings),
+        findings=(*_left_out(device, left_out, frequencies.size), *shot.findings),
     )
 
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,20 +27,18 @@ from workbench.diagnosis.descent import (
     smoothed,
 )
 from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.evidence import WrongEvidence
-from workbench.diagnosis.findings import Begun, Found, NotTried, Settled
+from workbench.diagnosis.findings import Begun, Found, NotTried, Settled, leading_of, promise, weakness
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
 from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
 from workbench.diagnosis.ranking import Score, ranked
+from workbench.diagnosis.refusal import EXPECTED, Refusal
 from workbench.diagnosis.starts import start, starts_of
 from workbench.diagnosis.sweep import corners, swept
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import Discretisation
 from workbench.fitting.search import NO_END
-
-T = TypeVar("T")
 
 Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -70,22 +68,6 @@ GO_ON = (8, 4)
 
 #: Rounds and steps of a fit that is far behind.
 HURRIED = {"rounds": 2, "limit": 8}
-
-#: What a hypothesis may be refused by without ending the others: nothing can be predicted or is admissible where it
-#: leads, a matrix of it is singular, or its evidence is none. Anything else is a defect of the program, and ends all.
-EXPECTED: tuple[type[Exception], ...] = (*NO_END, np.linalg.LinAlgError, ArithmeticError)
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """The expected error that ended a task, in place of what the task returns."""
-
-    error: Exception
-
-    @property
-    def reason(self) -> str:
-        text = str(self.error).rstrip(".") or type(self.error).__name__
-        return f"its evidence could not be computed: {text}" if isinstance(self.error, WrongEvidence) else text
 
 
 @dataclass(eq=False)
@@ -284,7 +266,8 @@ class Search:
             (effect.name, "explain", (effect.name, at, own)) for effect, own in starts if len(own)])
             if each is not None]
         further = [each for each in self.work([
-            (f"{each.hypothesis.name}, further", "onward", (each, at)) for each in _best(little, GO_ON[0], _promise)])
+            (f"{each.hypothesis.name}, further", "onward", (each, at))
+            for each in leading_of(little, GO_ON[0], promise)])
             if each is not None]
         for candidate in further:
             self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence,
@@ -294,9 +277,9 @@ class Search:
     def settle(self, plain: Candidate, found: Sequence[Candidate], settled: dict[Candidate, Settled]) -> None:
         """Add the best of what was found at its own place to what is settled, and nothing being wrong."""
         # What may be anything follows the recordings at once; the catalogue has to find its place first.
-        leading = _best([plain, *(each for each in found if not each.hypothesis.is_outside)], GO_ON[1], _promise)
-        leading += _best([each for each in found if each.hypothesis.is_outside and each.log_evidence
-                          > leading[0].log_evidence - CLOSE], 1, _promise)
+        leading = leading_of([plain, *(each for each in found if not each.hypothesis.is_outside)], GO_ON[1], promise)
+        leading += leading_of([each for each in found if each.hypothesis.is_outside and each.log_evidence
+                          > leading[0].log_evidence - CLOSE], 1, promise)
         new = [each for each in dict.fromkeys([leading[0], plain, *leading]) if each not in settled]
         # What is said needs nothing being wrong, whatever the time.
         new.sort(key=lambda each: each is not plain)
@@ -307,7 +290,7 @@ class Search:
     def explained(self, base: Settled, settled: Iterable[Settled]) -> bool:
         """Whether the best explanation that the catalogue has leaves no more than an accuracy that models have, or a
         trace."""
-        best = min((each for each in settled if not each.explanation.hypothesis.is_outside), key=_worth)
+        best = min((each for each in settled if not each.explanation.hypothesis.is_outside), key=weakness)
         return best.explanation.accuracy <= INACCURATE or self.takes_most(base, best)
 
     def leaves_a_trace(self, base: Settled, best: Settled) -> bool:
@@ -322,10 +305,10 @@ class Search:
     def concluded(self, plain: Candidate, settled: dict[Candidate, Settled], candidates: Sequence[Candidate]) -> Found:
         """What was found, with what promises most beside the best that is one effect."""
         base, found = settled[plain], dict[str, Settled]()
-        for each in sorted(settled.values(), key=_worth):
+        for each in sorted(settled.values(), key=weakness):
             found.setdefault(each.explanation.hypothesis.name, each)
         best: Settled | None = None
-        while best is not (leader := min(found.values(), key=_worth)):
+        while best is not (leader := min(found.values(), key=weakness)):
             best = leader
             hypothesis = best.explanation.hypothesis
             if len(hypothesis.effects) > 1 or hypothesis.is_outside or self.leaves_a_trace(base, best):
@@ -334,12 +317,12 @@ class Search:
             # far behind may be better with a second effect.
             alike = [each for each in found.values() if best.explanation.accuracy > INCONSPICUOUS
                      and len(each.explanation.hypothesis.effects) == 1 and not each.explanation.hypothesis.is_outside
-                     and _worth(each) < _worth(best) + CLOSE]
+                     and weakness(each) < weakness(best) + CLOSE]
             tasks = {task[0]: task for each in dict.fromkeys([best, *alike[:ALIKE]]) for task in self.further(each)}
             for each in self.work([task for name, task in tasks.items() if name not in found]):
                 if each is not None:
                     found[each.explanation.hypothesis.name] = each
-        return Found(base, tuple(sorted(found.values(), key=_worth)), tuple(candidates), tuple(self.undone),
+        return Found(base, tuple(sorted(found.values(), key=weakness)), tuple(candidates), tuple(self.undone),
                      tuple(dict.fromkeys(self.not_tried)), self.interrupted)
 
     def work(self, tasks: Sequence[Named], *, must: int = 0) -> list[Any]:
@@ -512,17 +495,3 @@ class Search:
             tasks += [(each.name, "settled", (Candidate(each, (best.weighed,)),))
                       for each, worth in settled.beside[:TRIED] if worth - best.log_evidence > self.least]
         return tasks
-
-
-def _promise(candidate: Candidate) -> float:
-    return candidate.log_evidence
-
-
-def _worth(settled: Settled) -> float:
-    return -settled.explanation.log_evidence
-
-
-def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:
-    """At most so many, best first, of a worth within `odds.CLOSE` of the best."""
-    ordered = sorted(found, key=lambda each: -worth(each))
-    return [each for each in ordered if worth(each) > worth(ordered[0]) - CLOSE][:most]
