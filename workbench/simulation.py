@@ -202,7 +202,7 @@ def simulate(
     progress: Progress = quiet,
     assumed_losses: bool = True,
 ) -> Simulation:
-    """Simulate a chip in one of its states.
+    """Simulate a chip in one of its states; frequencies at which no solve converges are left out, and a finding says so.
 
     Args:
         state: name of the state; the last one of the file if not given.
@@ -212,11 +212,9 @@ def simulate(
             impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
         tolerance: relative error of the reduced model's impedance.
         drive: how the device is driven; 10 Vpp at the electrodes if not given.
-        accuracy: relative error of Z that the mesh is made for, or a discretisation of your own.
+        accuracy: relative error of Z that the mesh is made for, or a discretisation.
         assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding says so.
         on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
-
-    A frequency at which the solve does not converge is left out of the spectrum, and a finding names it.
 
     Raises:
         InputError: something in the chip, its materials or the arguments; a model there is no memory for.
@@ -256,8 +254,8 @@ def simulate(
     progress("fields", 0.0)
     shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
     lap("fields")
-    progress("fields", 1.0)
     left_out = tuple(map(float, np.setdiff1d(frequencies, solved)))
+    progress("fields", 1.0)
     return Simulation(
         chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
