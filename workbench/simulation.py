@@ -202,7 +202,7 @@ def simulate(
     progress: Progress = quiet,
     assumed_losses: bool = True,
 ) -> Simulation:
-    """Simulate a chip in one of its states; frequencies at which no solve converges are left out, and a finding says so.
+    """Simulate a chip in one of its states. Frequencies at which no solve converges are left out; a finding names them.
 
     Args:
         state: name of the state; the last one of the file if not given.
