@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from workbench.cli import main
+from workbench.commands import diagnose as command
 from workbench.diagnosis.conclusion import conclude
 from workbench.diagnosis.conclusion import not_finished as cut_short
 from workbench.diagnosis.decision import MISSING
@@ -39,6 +43,7 @@ MODEL: Any = SimpleNamespace(
 #: Models of a neighbourhood are never asked for.
 NEIGHBOURHOODS: Any = SimpleNamespace(places=(), wide=SimpleNamespace(predictors=()))
 PLACE = np.zeros(2)
+SMALL_CAMPAIGN = Path(__file__).parents[1] / "examples" / "small_campaign" / "campaign.toml"
 
 #: Tasks before the one that settles that nothing is wrong.
 FITTED = 7
@@ -218,3 +223,33 @@ def test_what_was_not_tried_is_told_once() -> None:
     found, _ = searched(fail={("explain", "small"): ValueError("no"), ("explain", "large"): ValueError("no")})
     assert [each.name for each in found.not_tried] == ["small", "large"]
     assert [each.explanation.hypothesis.name for each in found.final] == ["nothing"]
+
+
+def _ended(*_given: object, **_named: object) -> Any:
+    raise KeyboardInterrupt
+
+
+def test_a_diagnosis_that_is_stopped_at_once_leaves_what_it_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "diagnose", _ended)
+    assert main(["diagnose", str(SMALL_CAMPAIGN), "-o", str(tmp_path / "out")]) == 130
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert (said["verdict"], said["effects"], said["undone"]) == ("not_finished", [], ["everything"])
+    assert said["headline"].startswith("Not finished: it was stopped before its first result")
+    assert said["read"]["filled"]["points"] == 121
+    assert {each["name"] for each in said["taken"]} >= {"couplant.thickness", "bench.gain[filled]"}
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<h1>Diagnosis, not finished: small chip</h1>" in page
+    assert "explain" not in page
+
+
+@pytest.mark.parametrize(("interrupted", "status"), [(False, 3), (True, 130)])
+def test_the_status_says_that_it_is_no_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interrupted: bool, status: int
+) -> None:
+    found = SimpleNamespace(provisional=object(), interrupted=interrupted)
+    monkeypatch.setattr(command, "diagnose", lambda *_given, **_named: found)
+    for name in ("record", "contributions", "write_diagnosis_report", "print_diagnosis"):
+        monkeypatch.setattr(command, name, lambda *_given: {})
+    assert main(["diagnose", str(SMALL_CAMPAIGN), "-o", str(tmp_path / "out")]) == status

@@ -173,6 +173,7 @@ def test_nothing_is_said_of_a_mismatch_by_a_search_that_was_cut_short(
     assert "<h1>Diagnosis, not finished: device</h1>" in page
     assert "Verdict: not finished." in page
     assert page.index(found.headline) < page.index("<h2>Provisional</h2>")
+    assert "Not looked at: leads of any size, thickness 0, thickness 1, " in printed
     for text in (page, printed, json.dumps(said)):
         assert "Provisional: of what was tried (leads), best so far is leads: series resistance 0.15 ohm" in text
         assert "explains 97 %" not in text

@@ -43,6 +43,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     except KeyboardInterrupt:
         write_stopped(campaign, folder, time.perf_counter() - started)
         raise
+    # Whatever ends what follows, the result is kept.
+    write_json(folder / "diagnosis.json", {**record(found), "known_physics": []})
     known = contributions(found)
     write_json(folder / "diagnosis.json", {**record(found), "known_physics": [row._asdict() for row in known]})
     write_diagnosis_report(found, known, folder)

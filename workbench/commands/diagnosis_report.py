@@ -107,7 +107,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
 
 
 def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
-    """``diagnosis.json`` and ``report.html`` of a diagnosis that was stopped before it knew anything: what was read."""
+    """``diagnosis.json`` and ``report.html`` of a diagnosis that was stopped before its first result: what was read."""
     said = stopped_record(campaign, seconds)
     write_json(folder / "diagnosis.json", said)
     states = Table(("state", "points", "from (MHz)", "to (MHz)", "held out"), tuple(

@@ -303,6 +303,9 @@ class Diagnosis(Shown):
                    "looked at may explain as much, or more.")
         elif self.tried:
             yield f"Provisional: of what was tried ({tried}), nothing explains it so far."
+        every = dict.fromkeys(map(in_plain_words, self.found.undone))
+        if len(every) > NAMED:
+            yield f"Not looked at: {', '.join(every)}."
         yield f"This took {self.seconds:.0f} s; run it again with more time for a verdict."
 
     @property

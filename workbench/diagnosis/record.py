@@ -111,12 +111,11 @@ def record(found: Diagnosis) -> dict[str, Any]:
 
 
 def stopped_record(campaign: Campaign, seconds: float) -> dict[str, Any]:
-    """The content of ``diagnosis.json`` where a diagnosis was stopped after so many `seconds`, before it knew anything.
+    """The content of ``diagnosis.json`` where a diagnosis was stopped after so many `seconds`, before its first result.
     """
     return {
         "campaign": campaign.name, "verdict": NOT_FINISHED,
-        "headline": "Not finished: it was stopped before the device as stated was fitted, and no hypothesis has been "
-                    "tried.",
+        "headline": "Not finished: it was stopped before its first result, and nothing can be said of any hypothesis.",
         "effects": [], "rivals": [], "provisional": None, "undone": ["everything"], "not_tried": [], "findings": [],
         "read": {state.name: {"recording": state.measured.origin.source,
                               "points": int(state.measured.frequency.size), "held_out": state.held_out}
