@@ -19,7 +19,7 @@ PACKAGES = ("geometry", "materials", "workbench")
 ALLOWED = {"files": {"files"}, "materials": {"files", "materials"}, "geometry": {"files", "geometry"},
            "workbench": {"files", "materials", "geometry", "workbench"}}
 #: Seconds to load, or a window or a port needed: only inside the function that uses them.
-HEAVY = {"cadquery", "OCP", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib", "skrf", "serial", "rich", "trame",
+HEAVY = {"cadquery", "OCP", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib", "serial", "rich", "trame",
          "wslink", "aiohttp", "playwright"}
 
 
