@@ -200,10 +200,6 @@ GOOD = ("300000,5,-500", "310000,5,-490", "320000,5,-480")
 RECORDING_MISTAKES: dict[str, tuple[str, list[str]]] = {
     "NaN": (rows(GOOD[0], "310000,nan,-490", GOOD[2]), ["line 3, column 2", "'nan'", "a finite number"]),
     "words": (rows(GOOD[0], "310000,five,-490"), ["line 3, column 2", "'five'", "a number"]),
-    "unsorted": (rows(GOOD[1], GOOD[0], GOOD[2]),
-                 ["line 3, column 1", "300000.0", "more than the 310000 Hz before it"]),
-    "downward": (rows(*GOOD[::-1]), ["line 3", "the sweep runs downwards"]),
-    "duplicate": (rows(GOOD[0], GOOD[0], GOOD[2]), ["line 3, column 1", "300000.0", "line 2 has the same"]),
     "cut short": (rows(*GOOD[:2]) + "320000,5", ["line 4", "'320000,5'", "3 columns; this row has 2"]),
     "only names": (rows(), ["0 rows of numbers", "cut short"]),
     "empty": ("", ["0 bytes", "this file is empty"]),

@@ -80,6 +80,7 @@ def test_a_file_in_the_way_of_a_folder_of_materials_is_told(
     monkeypatch.chdir(tmp_path)
     Path("mine").write_text("")
     Path("disc.toml").write_text(DISC.format("pzt4"))
-    fit = ["fit", "pzt", "none.csv", "--chip", "disc.toml", "--materials", "mine", "--save", "a/b", "-o", "x"]
+    Path("disc.csv").write_text("frequency_hz,z_real_ohm,z_imag_ohm\n1e6,1,-1\n2e6,1,-2\n")
+    fit = ["fit", "pzt", "disc.csv", "--chip", "disc.toml", "--materials", "mine", "--save", "a/b", "-o", "x"]
     assert main(fit) == 2
     assert "a folder to save materials in; a file is in the way" in capsys.readouterr().err

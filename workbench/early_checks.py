@@ -4,6 +4,7 @@ mistakes in them. Whoever mistypes a name is told at once."""
 from __future__ import annotations
 
 import argparse
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,7 +17,7 @@ FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "
 #: Options that hold a quantity, as the command line spells them, and its dimension.
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "low": ("--from", "frequency"), "high": ("--to", "frequency"), "at": ("--at", "frequency"),
-    "accuracy": ("--accuracy", "dimensionless"),
+    "accuracy": ("--accuracy", "share"),
 }
 
 
@@ -39,8 +40,30 @@ def check_early(options: argparse.Namespace) -> None:
         text = getattr(options, key, None)
         if isinstance(text, str):
             parse_quantity(text, dimension, source="command line", field=field)
-    chip = getattr(options, "chip", None)
+    chip, recording = getattr(options, "chip", None), getattr(options, "recording", None)
+    if isinstance(chip, Path) and isinstance(recording, Path):
+        check_order(recording, chip)
     if isinstance(chip, Path):
         from geometry.chip import read_chip
 
         read_chip(chip)
+
+
+def check_order(recording: Path, chip: Path) -> None:
+    """See that a recording and a chip file do not stand in each other's place on the command line.
+
+    Raises:
+        InputError: the recording is a TOML file, as chip files are.
+    """
+    def is_toml(path: Path) -> bool:
+        try:
+            return bool(tomllib.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError):  # of decoding and of TOML as well
+            return False
+
+    if is_toml(recording) and chip.is_file() and not is_toml(chip):
+        raise InputError("command line", "recording", str(recording), f"a recording of impedance; it is swapped with "
+                         f"the chip file: {chip} is the recording, {recording} the chip file")
+    if is_toml(recording):
+        raise InputError("command line", "recording", str(recording),
+                         "a recording of impedance; this is a TOML file, as chip files are")

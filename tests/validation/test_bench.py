@@ -22,9 +22,9 @@ _SPEC.loader.exec_module(campaign)
 
 #: What cannot be read as a waveform or a spectrum, and what its refusal says.
 REFUSED = {
-    **dict.fromkeys(("MokuGo_47R_100R_shunt.csv", "RohdeSchwarz_47R_100R_shunt.csv", "F0001TEK.SET", "resonanz.txt",
+    **dict.fromkeys(("MokuGo_47R_100R_shunt.csv", "RohdeSchwarz_47R_100R_shunt.csv", "F0001TEK.SET",
                      "circuitoParametriConcentrati.txt"), "--columns MAP.toml"),
-    "data1.isf": "envelope",
+    "resonanz.txt": "No column map helps", "data1.isf": "envelope",
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,26 +86,6 @@ def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     if "band" not in chip.unusual:
         check_band(chip.layers, band, "command line", "--from, --to")
     return band
-
-
-def check_order(recording: Path, chip: Path) -> None:
-    """See that a recording and a chip file do not stand in each other's place on the command line.
-
-    Raises:
-        InputError: the recording is a TOML file, as chip files are.
-    """
-    def is_toml(path: Path) -> bool:
-        try:
-            return bool(tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError):  # of decoding and of TOML as well
-            return False
-
-    if is_toml(recording) and chip.is_file() and not is_toml(chip):
-        raise InputError("command line", "recording", str(recording), f"a recording of impedance; it is swapped with "
-                         f"the chip file: {chip} is the recording, {recording} the chip file")
-    if is_toml(recording):
-        raise InputError("command line", "recording", str(recording),
-                         "a recording of impedance; this is a TOML file, as chip files are")
 
 
 def asked_reading(options: argparse.Namespace, recording: Path, console: Console) -> Reading:

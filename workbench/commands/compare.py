@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
-from workbench.commands.asked import asked_model, asked_reading, check_order, output_folder
+from workbench.commands.asked import asked_model, asked_reading, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.tables import model_table, origin_table
 from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
@@ -39,7 +39,6 @@ def run(options: argparse.Namespace, console: Console) -> int:
     from workbench.comparison import compare as compare_spectra
     from workbench.render import plots
 
-    check_order(options.recording, options.chip)
     reading = asked_reading(options, options.recording, console)
     measured = reading.spectrum
     chip = read_chip(options.chip)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.commands.asked import asked_accuracy, check_order, output_folder, saving_folder, say_read_as
+from workbench.commands.asked import asked_accuracy, output_folder, saving_folder, say_read_as
 from workbench.commands.fit_job import (
     Done,
     derived_table,
@@ -57,7 +57,6 @@ def run(options: argparse.Namespace, console: Console) -> int:
     if options.kind == "batch":
         return _batch(options, console, settings)
     settings = dataclasses.replace(settings, gel_thicknesses=_thicknesses(options.gel_study))
-    check_order(options.recording, options.chip)
     job = Job(options.recording.stem, (_member(options),), save=options.save)
     folder = output_folder(options.output)
     if job.save is not None:

@@ -147,19 +147,21 @@ def multistart(
             # What helped once may help again.
             again = sorted(offsets(search, best.x), key=lambda offset: offset[0] != label)
             waiting = [*again, *(each for each in waiting if each[0].startswith(SAMPLE_LABEL))]
-    return best, _from_film_to_film(search, refine, refined, progress), tried
+    return best, _from_film_to_film(search, refine, refined, tries - len(tried), progress), tried
 
 
 def _from_film_to_film(
-    search: Search, refine: Refine, best: Refined, progress: Callable[[str], None]
+    search: Search, refine: Refine, best: Refined, tries: int, progress: Callable[[str], None]
 ) -> Refined:
-    """The best that films moved to their next optima lead to on the mesh asked for, from there on as long as it helps.
+    """The best that films moved to their next optima lead to on the mesh asked for, from there on as long as it helps,
+    with at most so many `tries`.
 
     The error of a mesh for the search may hide the valley of a thin film: such a film is moved here once more.
     """
     waiting = film_offsets(search, best.minimum.x)
-    while waiting and not best.explained:
+    while waiting and tries > 0 and not best.explained:
         label, begin = waiting.pop(0)
+        tries -= 1
         progress(f"{label}, refined")
         try:
             other = refine(search.inside(begin))
