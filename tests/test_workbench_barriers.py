@@ -213,8 +213,8 @@ def test_barriers_of_the_shipped_small_chip_are_those_of_a_flood() -> None:
             continue
         here = (trap.radius, trap.height)
         found = flooded(report.forces, here, [place for place in places if place != here])
-        # Both rasters miss a pass by half a step; the place itself is rounded to one, and a corner is two or three. Of a
-        # trap that is a small share of what the potential spans that is more of its barrier: 8 % at 6 % of the span.
+        # Both rasters miss a pass by half a step; the place itself is rounded to one, and a corner is two or three. Of
+        # a trap that is a small share of what the potential spans that is more of its barrier: 8 % at 6 % of the span.
         span = float(np.ptp(report.forces.potential[np.isfinite(report.forces.potential)]))
         coarse = 0.03 if trap.barrier > 0.1 * span else 0.1
         assert trap.barrier == pytest.approx(found, rel=coarse, abs=0.0), str(trap)
