@@ -108,10 +108,10 @@ def what_next(comparison: Comparison, chip: Path, recording: Path) -> str:
     if comparison.reduced_chi_square is not None and comparison.reduced_chi_square < AGREES:
         return ("The simulation agrees with the recording within their uncertainties: there is nothing here to fit or "
                 "to diagnose.")
-    return (f"Next: `workbench sensitivity {chip}` ranks the numbers that move this spectrum. To find which of them "
-            f"explain the difference, name {recording}, the state and what is known of the device in a campaign file "
-            "(docs/diagnosis.md has one) and run `workbench diagnose CAMPAIGN.toml`; of a bare transducer or a polymer "
-            "on one, `workbench fit` finds the material.")
+    return (f"Next: `workbench sensitivity {chip} -o out/sensitivity` ranks the numbers that move this spectrum. To "
+            f"find which of them explain the difference, name {recording}, the state and what is known of the device "
+            "in a campaign file (docs/diagnosis.md has one) and run `workbench diagnose CAMPAIGN.toml`; of a bare "
+            "transducer or a polymer on one, `workbench fit` finds the material.")
 
 
 def _common_band(

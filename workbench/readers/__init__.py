@@ -100,13 +100,14 @@ def detect(path: Path | str) -> str:
 
 
 def read_recording(
-    path: Path | str, *, columns: ColumnMap | None = None, format: str | None = None, correction: str | None = None
+    path: Path | str, *, columns: ColumnMap | Path | str | None = None, format: str | None = None,
+    correction: str | None = None,
 ) -> Reading:
     """Read a recording of impedance.
 
-    `format` (a key of :data:`FORMATS`) skips the detection; `columns` reads any other table; `correction` ("negate"
-    or "conjugate") is applied as :meth:`Reading.corrected` does. What a table's columns were taken for is said in
-    :attr:`Reading.read_as`.
+    `format` (a key of :data:`FORMATS`) skips the detection; `columns`, a map or its file, reads any other table;
+    `correction` ("negate" or "conjugate") is applied as :meth:`Reading.corrected` does. What a table's columns were
+    taken for is said in :attr:`Reading.read_as`.
 
     Raises:
         InputError: the file is not a spectrum that can be trusted; the message gives line and column.
@@ -114,6 +115,8 @@ def read_recording(
     """
     if columns is not None and format is not None:
         raise ValueError("give columns or format, not both")
+    if isinstance(columns, str | Path):
+        columns = read_column_map(Path(columns))
     text = load(Path(path))
     refuse_waveform(text)
     if columns is not None:
