@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import geometry
+from geometry import plausible
 from geometry.names import ROLES
 from workbench.files.quantities import UNITS
 
@@ -29,6 +30,8 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "description": "what it is, in words",
         "source": "where the description comes from",
         "band": 'the frequencies it is meant for, such as `["0.91 MHz", "1.155 MHz"]`',
+        "unusual": "names of sizes that are meant although no such part has them, such as `[\"couplant.thickness\"]`; "
+                   "see below",
     },
     "`[cavity]`": {
         "ports": "inlet and outlet of the cavity",
@@ -40,7 +43,9 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "density": "of a part that was weighed, in place of its material's",
         "thickness": "of the layer",
         "radius": "of the layer; it may differ from layer to layer",
+        "diameter": "twice the radius, in place of it",
         "cavity_radius": "a hole that belongs to the cavity; holes are in neighbouring layers",
+        "cavity_diameter": "twice that radius, in place of it",
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
@@ -55,6 +60,10 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "live_inner_radius": "where it begins, if it is a ring",
         "ground_radius": "the same of the ground electrode",
         "ground_inner_radius": "the same of the ground electrode",
+        "live_diameter": "twice `live_radius`, in place of it",
+        "live_inner_diameter": "twice `live_inner_radius`, in place of it",
+        "ground_diameter": "twice `ground_radius`, in place of it",
+        "ground_inner_diameter": "twice `ground_inner_radius`, in place of it",
     },
     "`profile`, of a layer": {
         "points": "the outline: three or more points, each `[\"r\", \"z\"]` or a table, see below",
@@ -64,6 +73,11 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "part": "the name of the solid in it",
         "scale": "how long one is that the STEP file counts; `1 mm` if not given",
         "parameters": "sizes by name, lengths or angles, that points or the function use; dimensions of the chip",
+        "axis": "the direction in a script or file that points up through the chip, about which the solid turns: `x`, "
+                "`y`, `z` (if not given), `-x`, `-y`, `-z`, or three numbers",
+        "origin": "the point x, y, z on that axis from which heights are counted; that of the file if not given",
+        "sector": "the angle within which the solid is, where it is a part of a body that turns: `180 deg` for one "
+                  "half, as models with a plane of symmetry have it",
         "asymmetry": "share of the solid's volume that may differ from its section turned about the axis; 1e-6 if not "
                      "given",
     },
@@ -85,6 +99,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "materials": "materials of single regions in this state, by the region's name",
         "particle": "the material of a particle, for potential and traps",
         "particle_radius": "its radius; both or neither",
+        "particle_diameter": "twice that radius, in place of it",
         "reported": "figures that somebody reported, for comparison: `[[states.NAME.reported]]`",
     },
     "`[[states.NAME.reported]]`": {
@@ -105,14 +120,17 @@ READ_BY: Mapping[str, str] = {"text": "text", "dimension": "a length", "dimensio
 #: What is read in a way of its own.
 TAKES: Mapping[str, str] = {
     "chip": "a table", "layers": "a list of tables", "cavity": "a table", "states": "a table", "role": "text",
-    "band": "a list of two frequencies",
+    "band": "a list of two frequencies", "unusual": "a list of names",
     **dict.fromkeys(("value", "tolerance"), "text with a unit: " + ", ".join(
         f"{', '.join(dict.fromkeys(UNITS[kind]))} ({kind})" for kind in ("length", "angle"))),
     "profile": "a table", "points": "a list of points",
     **dict.fromkeys(("script", "function", "step", "part"), "text"), "through": "a list of points",
     **dict.fromkeys(("at", "arc"), "a point"), "fillet": "a length, or the name of one",
     "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
-    **{f"{face}_{name}radius": "a length" for face in ("live", "ground") for name in ("", "inner_")},
+    **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
+       for size in ("radius", "diameter")},
+    **{f"{name}{size}": "a length" for name in ("", "cavity_", "particle_") for size in ("radius", "diameter")},
+    "axis": "text, or a list of numbers", "origin": "a list of three lengths", "sector": "an angle",
 }
 
 
@@ -160,6 +178,23 @@ def tables() -> list[dict[str, str]]:
                     takes = dict(_readings(function, keys))
                     found.append({key: takes.get(key) or TAKES[key] for key in keys})
     return found
+
+
+def plausible_page() -> str:
+    """The sizes that parts of a chip have, as a table, from `geometry.plausible`."""
+    rows = [*((f"thickness of a layer with role `{role}`", each, "length")
+              for role, each in plausible.THICKNESSES.items()),
+            ("radius of a layer", plausible.RADIUS, "length"),
+            ("radius of a cavity", plausible.CAVITY_RADIUS, "length"),
+            ("radius of an electrode", plausible.ELECTRODE_RADIUS, "length"),
+            ("diameter and height of ports", plausible.PORT, "length"),
+            ("radius of a particle", plausible.PARTICLE_RADIUS, "length"),
+            ("density of a layer that was weighed", plausible.DENSITY, "density"),
+            ("temperature of a state", plausible.TEMPERATURE, "temperature")]
+    lines = ["| what | from | to |", "| --- | --- | --- |"]
+    lines += [f"| {name} | {plausible.as_text(each.low, kind)} | {plausible.as_text(each.high, kind)} |"
+              for name, each, kind in rows]
+    return "\n".join(lines) + "\n"
 
 
 def page() -> str:

@@ -76,6 +76,7 @@ def _generate(_app: object) -> None:
     (made / "bench_keys.md").write_text(file_keys.bench_page(), encoding="utf-8")
     (made / "campaign_keys.md").write_text(file_keys.campaign_page(), encoding="utf-8")
     (made / "material_table.md").write_text(material_table.page(), encoding="utf-8")
+    (made / "plausible.md").write_text(chip_keys.plausible_page(), encoding="utf-8")
     (made / "api.rst").write_text(api.page(), encoding="utf-8")
     architecture.draw(made / "architecture.png")
 

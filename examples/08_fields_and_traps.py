@@ -18,8 +18,7 @@ chip = wb.read_chip(CHIPS / "acevedo_2026_chip.toml")
 for drive in ("10 Vpp", "10 Vpp @ 50 ohm"):
     shot = wb.snapshot(chip, "filled", 1.0305e6, drive=wb.parse_drive(drive), accuracy=5e-3)
     trap = shot.traps.traps[0]
-    print(f"{drive:16} trap at r {1e3 * trap.radius:.2f} mm, z {1e3 * trap.height:.3f} mm, {trap.depth:.3g} J deep; "
-          f"{shot.traps.excitation}")
+    print(f"{drive:16} trap at {trap}; {shot.traps.excitation}")
 
 total = sum(shot.losses.values())
 print(*(f"{place}: {100 * power / total:.0f} % of the power" for place, power in shot.losses.items()), sep="\n")

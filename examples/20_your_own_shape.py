@@ -26,8 +26,7 @@ print(f"cavity {1e9 * run.problem.mesh.section.volume('cavity'):.2f} mm^3, f0 {r
 flatter = wb.snapshot(chip.with_dimensions({"superstrate.hollow": 0.05e-3}), "filled", run.figures.f0, accuracy=5e-3)
 for name, shot in (("0.10 mm", run), ("0.05 mm", flatter)):
     trap = shot.traps.traps[0]
-    print(f"dome of {name}: deepest trap at r {1e3 * trap.radius:.2f} mm, z {1e3 * trap.height:.2f} mm, "
-          f"{trap.depth:.2g} J deep")
+    print(f"dome of {name}: deepest trap at {trap}")
 
 out = Path("out") / "your_own_shape"
 out.mkdir(parents=True, exist_ok=True)

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geometry.curves import Arc, Curve
 from geometry.kernel import MILLIMETRES, cadquery_module
-from geometry.profile import Outline, Profile, Script, Size, StepPart, called
-from workbench.files.errors import InputError, nearest_names
+from geometry.limits import ONE_DISC
+from geometry.profile import AXES, Outline, Placement, Profile, Script, Size, StepPart, called
+from geometry.revolution import CLOSE, cut
+from geometry.step_file import step_part
+from workbench.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cadquery import Face, Solid
+    from cadquery import Face
 
-#: Faces that have more than this in common (mm^2) overlap, and solids of another volume (mm^3) differ: far below what
-#: anybody means, far above rounding.
+#: Faces that have more than this in common (mm^2) overlap: far below what anybody means, far above rounding.
 SOME = 1e-7
-
-#: Points closer than this (mm) are one point: the same length as `geometry.parts.SAME_LENGTH`.
-CLOSE = 1e-6
-
-#: Azimuths (degrees) at which a solid may be cut; the first one is taken that shows most of what turns about the axis.
-AZIMUTHS = (0.0, 90.0, 45.0, 30.0, 60.0, 75.0)
-
-#: A chip is neither smaller nor larger than this across (mm).
-SMALLEST, LARGEST = 0.5, 1000.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +44,8 @@ def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
     return near.Value(), [cadquery_module().Vector(point.X(), point.Y(), point.Z()) for point in points]
 
 
-def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str) -> Drawn:
+def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str,
+                 is_transducer: bool = False) -> Drawn:
     """The section of a layer whose bottom is at that height (m).
 
     Args:
@@ -68,15 +60,20 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
         drawn = Drawn(_outline(where, profile.sizes(sizes), source=source, field=f"{field}.points"))
     elif isinstance(where, Script):
         made = called(where, profile.sizes(sizes), profile.angles)
-        drawn = _section(made, profile.asymmetry, str(where.path), where.function)
+        drawn = _section(made, profile.asymmetry, profile.placement, str(where.path), where.function)
     else:
-        drawn, bottom = _step_section(where, profile.asymmetry), 0.0
+        drawn, bottom = _step_section(where, profile.asymmetry, profile.placement), 0.0
     box = drawn.face.BoundingBox()
     if box.xmin < -CLOSE:
         raise InputError(source, field, f"r = {box.xmin:.4g} mm", "no point beyond the axis: r of zero or more")
     if box.xmin > CLOSE and "cavity_radius" not in sizes:
-        raise InputError(source, field, f"r = {box.xmin:.4g} mm and more", "an outline that reaches the axis: a "
-                         "layer with a hole has a cavity_radius")
+        raise InputError(source, field, f"r = {box.xmin:.4g} mm and more", ONE_DISC if is_transducer else
+                         "an outline that reaches the axis: a layer with a hole has a cavity_radius")
+    if isinstance(where, Script) and box.zmax < CLOSE:
+        over = "-z" if profile.placement.axis == AXES["z"] else "of the other sign"
+        raise InputError(str(where.path), where.function, f"a body upside down, from z = {box.zmin:.4g} to "
+                         f"{box.zmax:.4g} mm", "its bottom at z = 0; the key of the profile axis "
+                         f"{'= ' if over == '-z' else ''}{repr(over) if over == '-z' else over} turns it over")
     up = cadquery_module().Vector(0.0, 0.0, MILLIMETRES * bottom)
     return Drawn(drawn.face.moved(cadquery_module().Location(up)), drawn.left_out)
 
@@ -151,7 +148,7 @@ def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
 # Solids
 
 
-def _section(made: Any, asymmetry: float, source: str, field: str) -> Drawn:
+def _section(made: Any, asymmetry: float, placement: Placement, source: str, field: str) -> Drawn:
     """The section of what a script or a file holds: of a solid, or the face itself."""
     cadquery = cadquery_module()
     values = [made]
@@ -167,7 +164,9 @@ def _section(made: Any, asymmetry: float, source: str, field: str) -> Drawn:
     if len(solids) > 1:
         raise InputError(source, field, f"{len(solids)} solids", "one solid: `union` joins what touches")
     if solids:
-        return _cut(solids[0], asymmetry, source, field)
+        return Drawn(*cut(solids[0], placement, asymmetry, source, field))
+    if placement != Placement():
+        raise InputError(source, field, "no solid", "a solid: axis, origin and sector of a profile place solids alone")
     faces = [face for each in shapes for face in each.Faces()]
     if not faces:
         faces = [_closed(wire, source, field) for each in shapes for wire in each.Wires()]
@@ -188,127 +187,20 @@ def _closed(wire: Any, source: str, field: str) -> Face:
     return face
 
 
-def _cut(solid: Solid, asymmetry: float, source: str, field: str) -> Drawn:
-    """The section of a solid where it shows most, checked against the solid's volume."""
-    cadquery = cadquery_module()
-    if not solid.isValid() or solid.Volume() <= SOME:
-        raise InputError(source, field, f"a solid of {solid.Volume():.4g} mm^3, valid: {solid.isValid()}",
-                         "a valid, closed solid")
-    best = None
-    for azimuth in AZIMUTHS:
-        turned = solid.rotate(cadquery.Vector(), cadquery.Vector(0, 0, 1), azimuth)
-        faces = half_plane(turned.BoundingBox()).intersect(turned).Faces()
-        if len(faces) != 1:
-            continue
-        body = revolved(faces[0])
-        differing = [*turned.cut(body).Solids(), *body.cut(turned).Solids()]
-        share = sum(each.Volume() for each in differing) / solid.Volume()
-        if best is None or share < best[0] * (1.0 - 1e-9):
-            best = (share, faces[0], differing)
-        if share < asymmetry * 1e-3:
-            break
-    if best is None:
-        box = solid.BoundingBox()
-        raise InputError(source, field, f"a solid from x = {box.xmin:.4g} to {box.xmax:.4g} mm and y = {box.ymin:.4g} "
-                         f"to {box.ymax:.4g} mm, cut by no plane into one piece", "a solid that turns about the z axis")
-    share, face, differing = best
-    if share <= min(asymmetry, 1e-6):
-        return Drawn(face)
-    worst = max(differing, key=lambda each: each.Volume())
-    centre = worst.Center()
-    said = (f"{100.0 * share:.3g} % of its volume ({sum(e.Volume() for e in differing):.4g} mm^3 in {len(differing)} "
-            f"places) differs from its section turned about the axis, most at r = {math.hypot(centre.x, centre.y):.4g} "
-            f"mm, z = {centre.z:.4g} mm")
-    if share > asymmetry:
-        raise InputError(source, field, said, f"a solid that turns about the z axis within {100.0 * asymmetry:.3g} %; "
-                         "profile.asymmetry states how much may be left out")
-    return Drawn(face, said)
-
-
-def half_plane(box: Any) -> Face:
-    """The part r >= 0 of the plane y = 0, a little larger than a bounding box."""
-    reach = 1.1 * max(box.xmax, -box.xmin, box.ymax, -box.ymin) + 1.0
-    return rectangle(0.0, reach, box.zmin - 1.0, box.zmax + 1.0)
-
-
-def rectangle(r_inner: float, r_outer: float, z_bottom: float, z_top: float) -> Face:
-    """A rectangle of the half plane (mm)."""
-    cadquery = cadquery_module()
-    corners = [cadquery.Vector(r, 0.0, z) for r, z in (
-        (r_inner, z_bottom), (r_outer, z_bottom), (r_outer, z_top), (r_inner, z_top))]
-    face: Face = cadquery.Face.makeFromWires(cadquery.Wire.makePolygon(corners, close=True))
-    return face
-
-
-def revolved(face: Face) -> Solid:
-    """A face of the half plane turned about the axis."""
-    cadquery = cadquery_module()
-    solid: Solid = cadquery.Solid.revolve(face, 360.0, cadquery.Vector(), cadquery.Vector(0.0, 0.0, 1.0))
-    return solid
-
-
-def step_parts(path: Path, scale: float) -> dict[str, Solid]:
-    """The solids of a STEP file by name, in millimetres if the unit of the file should be `scale` metres.
-
-    Raises:
-        InputError: no STEP file, no solids, two of one name, or a size that no chip has.
-    """
-    cadquery = cadquery_module()
-    found: dict[str, Any] = {}
-    try:
-        try:
-            assembly = cadquery.Assembly.importStep(str(path))
-            listed = [(name.split("/")[-1], shape.moved(where)) for shape, name, where, _ in assembly]
-        except ValueError:  # a file of solids that are no assembly
-            listed = [(f"part {k + 1}", each)
-                      for k, each in enumerate(cadquery.importers.importStep(str(path)).solids().vals())]
-    except Exception as error:
-        raise InputError(str(path), "STEP file", f"{type(error).__name__}: {error}", "a STEP file of solids") from error
-    for name, shape in listed:
-        solids = shape.Solids()
-        if not solids:
-            continue
-        if name in found or len(solids) > 1:
-            raise InputError(str(path), "STEP file", f"{1 + len(solids)} solids called {name!r}", "a name for each")
-        found[name] = solids[0].scale(scale * MILLIMETRES) if scale * MILLIMETRES != 1.0 else solids[0]
-    if not found:
-        raise InputError(str(path), "STEP file", f"{len(listed)} parts, none of them solid", "a STEP file of solids")
-    boxes = [each.BoundingBox() for each in found.values()]
-    width = max(max(box.xmax, box.ymax) for box in boxes) - min(min(box.xmin, box.ymin) for box in boxes)
-    if not SMALLEST <= width <= LARGEST:
-        likely = "m" if width < SMALLEST else "um"
-        raise InputError(str(path), "STEP file", f"parts that are {width:.4g} mm wide together",
-                         f"{SMALLEST:g} mm to {LARGEST / 1e3:g} m: if its numbers are not in the unit that it names, "
-                         f'profile.scale is the length of one in the chip file, as in scale = "1 {likely}"')
-    return found
-
-
-def step_part(where: StepPart) -> Solid:
-    """The solid of a STEP file.
-
-    Raises:
-        InputError: as of :func:`step_parts`, or there is none of that name.
-    """
-    found = step_parts(where.path, where.scale)
-    if where.part not in found:
-        raise InputError(str(where.path), "part", where.part, "one of " + ", ".join(found),
-                         nearest_names(where.part, found))
-    return found[where.part]
-
-
 @lru_cache(maxsize=32)
-def _step_section(where: StepPart, asymmetry: float) -> Drawn:
-    return _section(step_part(where), asymmetry, str(where.path), where.part)
+def _step_section(where: StepPart, asymmetry: float, placement: Placement) -> Drawn:
+    solid = step_part(where.path, where.scale, where.content, where.part)
+    return _section(solid, asymmetry, placement, str(where.path), where.part)
 
 
-def measured_part(where: StepPart, asymmetry: float) -> dict[str, float]:
+def measured_part(where: StepPart, asymmetry: float, placement: Placement) -> dict[str, float]:
     """Where the solid of a STEP file begins and how large it is: ``bottom``, ``thickness``, ``radius`` and, of one with
     a hole along the axis, ``cavity_radius`` (m).
 
     Raises:
         InputError: as of :func:`profile_face`.
     """
-    box = _step_section(where, asymmetry).face.BoundingBox()
+    box = _step_section(where, asymmetry, placement).face.BoundingBox()
     found = {"bottom": box.zmin, "thickness": box.zmax - box.zmin, "radius": box.xmax}
     found |= {"cavity_radius": box.xmin} if box.xmin > CLOSE else {}
     return {name: length / MILLIMETRES for name, length in found.items()}

@@ -6,9 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, shown
+from geometry.limits import CLOSED, ONE_CAVITY, ONE_DISC
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
 from geometry.parts import Electrodes, Layer, Ports, State, discs, largest_shape, port_axis
+from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
 
 
@@ -35,14 +37,14 @@ def check_dimensions(
     places += [(name, d) for name, d in named.items() if name.startswith(("electrode_", "ports."))]
     for place, dimension in places:
         if not (math.isfinite(dimension.value) and dimension.value > 0.0):
-            raise InputError(file, place, millimetres(dimension.value), "a length above zero")
+            raise InputError(file, place, shown(dimension), "a length above zero")
         tolerance = dimension.tolerance
         if tolerance is not None and not 0.0 <= tolerance < dimension.value:
             raise InputError(
                 file,
                 f"{place}.tolerance",
                 millimetres(tolerance),
-                f"zero or more and below the value, {millimetres(dimension.value)}",
+                f"zero or more and below the value, {shown(dimension)}",
             )
     for i, layer in enumerate(layers):
         if layer.density is not None and not (math.isfinite(layer.density) and layer.density > 0.0):
@@ -55,18 +57,18 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
     for i, layer in enumerate(layers):
         for name, size in layer.shapes.items():
             if profiled:
-                raise InputError(file, f"layers[{i}].{name}", _shown(name, size.value), "none in a chip of which "
+                raise InputError(file, f"layers[{i}].{name}", shown(size, SHAPES[name]), "none in a chip of which "
                                  "a layer has a profile: say it in a profile of this one")
-            place, shown = f"layers[{i}].{name}", _shown(name, size.value)
+            place, said = f"layers[{i}].{name}", shown(size, SHAPES[name])
             if name == "draft" and layer.cavity_radius is None:
-                raise InputError(file, place, shown, "none where there is no hole: it is that of the hole's wall")
+                raise InputError(file, place, said, "none where there is no hole: it is that of the hole's wall")
             limit = largest_shape(layer, name)
             if not abs(size.value) < limit:
-                raise InputError(file, place, shown, f"less than {_shown(name, limit)} to either side")
+                raise InputError(file, place, said, f"less than {_shown(name, limit)} to either side")
             if size.tolerance is not None and not 0.0 <= size.tolerance < math.inf:
                 raise InputError(file, f"{place}.tolerance", _shown(name, size.tolerance), "zero or more")
             if name == "draft" and layer.inner_radius + math.tan(size.value) * layer.thickness.value <= 0.0:
-                raise InputError(file, place, shown, "a hole that does not close before the top of the layer")
+                raise InputError(file, place, said, "a hole that does not close before the top of the layer")
 
 
 def _shown(name: str, size: float) -> str:
@@ -82,13 +84,13 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
         layer = layers[i]
         if layer.role == TRANSDUCER:
             raise InputError(
-                file, f"layers[{i}].cavity_radius", millimetres(layer.inner_radius), "no hole through the transducer"
+                file, f"layers[{i}].cavity_radius", _hole(layer), f"no hole through the transducer: {ONE_DISC}"
             )
         if layer.inner_radius > layer.outer_radius - SAME_LENGTH:
             raise InputError(
                 file,
                 f"layers[{i}].cavity_radius",
-                millimetres(layer.inner_radius),
+                _hole(layer),
                 f"a hole narrower than its layer, below {millimetres(layer.outer_radius)}",
             )
         for j, side in ((i - 1, "below"), (i + 1, "above")):
@@ -96,14 +98,14 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
                 raise InputError(
                     file,
                     f"layers[{i}].cavity_radius",
-                    millimetres(layer.inner_radius),
-                    f"a closed cavity: a layer {side} {layer.region!r}",
+                    _hole(layer),
+                    f"a closed cavity: a layer {side} {layer.region!r}; {CLOSED}",
                 )
             if layers[j].outer_radius < layer.inner_radius + SAME_LENGTH:
                 raise InputError(
                     file,
                     f"layers[{i}].cavity_radius",
-                    millimetres(layer.inner_radius),
+                    _hole(layer),
                     f"a closed cavity: {layers[j].region!r} {side} reaches only "
                     f"{millimetres(layers[j].outer_radius)}",
                 )
@@ -113,8 +115,13 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
             file,
             f"layers[{gap}].cavity_radius",
             None,
-            f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers",
+            f"a hole through {layers[gap].region!r} too: the holes of a cavity are in neighbouring layers; "
+            f"{ONE_CAVITY}",
         )
+
+
+def _hole(layer: Layer) -> str:
+    return millimetres(layer.inner_radius) if layer.cavity_radius is None else shown(layer.cavity_radius)
 
 
 def check_stack(layers: Sequence[Layer], file: str) -> None:
@@ -124,8 +131,13 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
         choose(layer.role, ROLES, source=file, field=f"layers[{i}].role")
     if roles.count(TRANSDUCER) != 1:
         raise InputError(
-            file, "layers", f"{roles.count(TRANSDUCER)} layers with role 'transducer'", "exactly one transducer"
+            file, "layers", f"{roles.count(TRANSDUCER)} layers with role 'transducer'", f"exactly {ONE_DISC}"
         )
+    for i, layer in enumerate(layers):
+        if layer.role == TRANSDUCER and layer.profile is not None and (nearest := _nearest(layer.profile, layer)) > (
+                SAME_LENGTH):
+            raise InputError(file, f"layers[{i}].profile.points", f"r = {millimetres(nearest)} and more",
+                             f"no hole through the transducer: {ONE_DISC}")
     for i, (layer, region) in enumerate(zip(layers, region_names(roles), strict=True)):
         if layer.region != region:
             raise InputError(
@@ -148,16 +160,27 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
             )
 
 
+def _nearest(profile: Profile, layer: Layer) -> float:
+    """How near to the axis the points of an outline come (m); 0 for a profile that is no outline."""
+    if not isinstance(profile.source, Outline):
+        return 0.0
+    sizes = profile.sizes({"thickness": layer.thickness.value, "radius": layer.outer_radius})
+    corners = profile.source.corners
+    points = (point for corner in corners for point in (corner.at, *corner.through, corner.arc) if point)
+    radii = (radius for radius, _ in points)
+    return min(sizes.get(radius, 0.0) if isinstance(radius, str) else radius for radius in radii)
+
+
 def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
     """The electrodes lie on the transducer, whose radius is `rim` (metres)."""
     choose(electrodes.live, ("top", "bottom"), source=file, field="electrodes.live")
     for name, disc in discs(electrodes):
         radius = rim if disc.radius is None else disc.radius.value
         if radius > rim + SAME_LENGTH:
-            raise InputError(file, f"{name}.radius", millimetres(radius),
+            raise InputError(file, f"{name}.radius", millimetres(radius) if disc.radius is None else shown(disc.radius),
                              f"at most the transducer's radius, {millimetres(rim)}")
         if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
-            raise InputError(file, f"{name}.inner_radius", millimetres(disc.inner_radius.value),
+            raise InputError(file, f"{name}.inner_radius", shown(disc.inner_radius),
                              f"below its radius, {millimetres(radius)}")
 
 

@@ -6,13 +6,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from geometry import checks
+from geometry import checks, plausible
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text
 from geometry.dimension import Dimension
 from geometry.names import CAVITY, TRANSDUCER
@@ -38,6 +38,7 @@ class Chip:
 
     ``layers`` from bottom to top, ``band`` the two ends (Hz) of the frequencies it is meant for, ``states`` in the
     order of the file, ``source`` where the description comes from, ``file`` the name errors are reported under.
+    ``unusual`` names what is meant although nobody would expect it (`geometry.plausible`): a gel of 2 mm, a wide band.
 
     Raises:
         InputError: the layers do not make a chip (`geometry.checks`), whether read from a file or made in code.
@@ -52,6 +53,7 @@ class Chip:
     description: str = ""
     source: str = ""
     file: str = "chip"
+    unusual: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file)
@@ -61,6 +63,7 @@ class Chip:
         checks.check_electrodes(self.electrodes, self.transducer.outer_radius, self.file)
         checks.check_ports(self.ports, self.holes, self.file)
         checks.check_states(self.states, self.layers, self.file)
+        plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file)
 
     @cached_property
     def holes(self) -> tuple[Layer, ...]:
@@ -134,15 +137,20 @@ class Chip:
         """
         return dict(named_dimensions(self.layers, self.electrodes, self.ports))
 
-    def with_dimensions(self, values: Mapping[str, float]) -> Chip:
+    def with_dimensions(self, values: Mapping[str, float], *, unusual: Collection[str] = ()) -> Chip:
         """The same chip with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
 
-        The tolerance of a length was that of its old value, and goes with it.
+        The tolerance of a length was that of its old value, and goes with it. A length that no such part has is refused
+        unless its name is among the `unusual` ones; a small move beyond what is usual makes it one of these.
 
         Raises:
-            InputError: unknown name, or the new lengths do not make a chip.
+            InputError: unknown name, a length that is no such part's, or the new lengths do not make a chip.
         """
-        return self._changed({name: partial(_resized, value=float(value)) for name, value in values.items()})
+        known = self.dimensions()
+        beyond = [name for name, value in values.items()
+                  if name in known and plausible.moved_beyond(name, known[name].value, value)]
+        return self._changed({name: partial(_resized, value=float(value)) for name, value in values.items()},
+                             unusual=(*unusual, *beyond))
 
     def with_tolerances(self, tolerances: Mapping[str, float | None]) -> Chip:
         """The same chip with other tolerances (metres, or radians), by the names of :meth:`dimensions`; None for none.
@@ -152,8 +160,10 @@ class Chip:
         """
         return self._changed({name: partial(replace, tolerance=each) for name, each in tolerances.items()})
 
-    def _changed(self, changes: Mapping[str, Callable[[Dimension], Dimension]]) -> Chip:
-        """The same chip with the dimensions that have a change, by name, changed."""
+    def _changed(
+        self, changes: Mapping[str, Callable[[Dimension], Dimension]], *, unusual: Collection[str] = ()
+    ) -> Chip:
+        """The same chip with the dimensions that have a change, by name, changed, and further `unusual` ones."""
         known = self.dimensions()
         for name in changes:
             choose(name, known, source=self.file, field="dimension")
@@ -192,6 +202,7 @@ class Chip:
             layers=stacked(layers),
             electrodes=replace(self.electrodes, live_disc=live, ground_disc=ground),
             ports=ports,
+            unusual=tuple(dict.fromkeys((*self.unusual, *unusual))),
         )
 
 
@@ -216,7 +227,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         InputError: the content does not describe a chip.
     """
     root = Table(source, "", content).only(("chip", "layers", "cavity", "states"))
-    head = root.table("chip").only(("name", "description", "source", "band"))
+    head = root.table("chip").only(("name", "description", "source", "band", "unusual"))
     layers, electrodes = read_layers(root)
     cavity = root.table("cavity").only(("ports",))
     return Chip(
@@ -229,4 +240,5 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
         description=head.text("description", ""),
         source=head.text("source", ""),
         file=source,
+        unusual=head.texts("unusual", (), expected="a list of the names of what is meant although it is unusual"),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,7 +13,7 @@ from geometry.chip import Chip
 from geometry.dimension import SHAPES, Dimension
 from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
-from geometry.profile import ASYMMETRY, Corner, Outline, Profile, Script, Size, StepPart
+from geometry.profile import ASYMMETRY, AXES, Corner, Outline, Placement, Profile, Script, Size, StepPart
 from workbench.files.quantities import format_quantity
 from workbench.files.writing import write_atomic
 
@@ -20,12 +21,13 @@ from workbench.files.writing import write_atomic
 Entry = str | float | bool | Mapping[str, "Entry"] | list["Entry"]
 
 
-def write_chip(chip: Chip, path: Path) -> Path:
+def write_chip(chip: Chip, path: Path | str) -> Path:
     """Write `chip` to `path` as a chip file, whole or not at all. Comments of the file it was read from are not kept.
 
     Raises:
         OSError: the file cannot be written.
     """
+    path = Path(path)
     write_atomic(path, chip_text(chip, path.parent))
     return path
 
@@ -35,6 +37,7 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
     head: dict[str, Entry] = {"name": chip.name}
     head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
     head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
+    head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
     parts = [_table("[chip]", head)]
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
         # A bottom is written only where the layer does not start where the one below ends, to the last digit.
@@ -130,7 +133,21 @@ def _profile(profile: Profile, folder: Path) -> Entry:
     if profile.parameters:
         found["parameters"] = {name: _dimension(size, "angle" if name in profile.angles else "length")
                                for name, size in profile.parameters}
+    found |= placement_keys(profile.placement)
     return found | ({"asymmetry": profile.asymmetry} if profile.asymmetry != ASYMMETRY else {})
+
+
+def placement_keys(placement: Placement) -> dict[str, Entry]:
+    """The keys of a profile that say how its solid stands, those that are not as usual."""
+    found: dict[str, Entry] = {}
+    if placement.axis != AXES["z"]:
+        named = next((name for name, axis in AXES.items() if axis == placement.axis), None)
+        found["axis"] = named or [*placement.axis]
+    if any(placement.origin):
+        found["origin"] = [_length(each) for each in placement.origin]
+    if placement.sector != 2.0 * math.pi:
+        found["sector"] = _angle(placement.sector)
+    return found
 
 
 def _beside(path: Path, folder: Path) -> str:

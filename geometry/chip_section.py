@@ -5,8 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from geometry import revolution
 from geometry.chip import Chip
 from geometry.free_section import FreeSection
+from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer
 from geometry.section import Section, cut_section, section_of_layers
 from geometry.shapes import outlines
@@ -60,13 +62,14 @@ def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, Drawn]:
     for number, layer in enumerate(layers):
         if layer.profile is None:
             lengths = (layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
-            drawn[layer.region] = cad.Drawn(cad.rectangle(*(cad.MILLIMETRES * each for each in lengths)))
+            drawn[layer.region] = cad.Drawn(revolution.rectangle(*(cad.MILLIMETRES * each for each in lengths)))
             continue
         sizes = {"thickness": layer.thickness.value, "radius": layer.outer_radius}
         if layer.cavity_radius is not None:
             sizes["cavity_radius"] = layer.inner_radius
         drawn[layer.region] = cad.profile_face(layer.profile, sizes, layer.z_bottom, source=file,
-                                               field=f"layers[{number}].profile")
+                                               field=f"layers[{number}].profile",
+                                               is_transducer=layer.role == TRANSDUCER)
     return drawn
 
 

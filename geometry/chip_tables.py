@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, read_dimension
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, read_dimension, read_radius
+from geometry.limits import CLOSED, FILL_KEYS, NOT_KEYS
 from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
-from geometry.profile import StepPart, read_profile
+from geometry.profile import AXES, Profile, StepPart, read_profile
 from workbench.files.errors import InputError, choose
 from workbench.files.tables import Table
 
-_LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "cavity_radius", "bottom", "profile", *SHAPES)
+_LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter", "cavity_radius", "cavity_diameter",
+               "bottom", "profile", *SHAPES)
 
 
 def read_text(table: Table, key: str) -> str:
@@ -35,10 +37,17 @@ def _optional_dimension(table: Table, key: str) -> Dimension | None:
     return read_dimension(table, key) if key in table else None
 
 
+def _optional_radius(table: Table, key: str, diameter: str) -> Dimension | None:
+    return read_radius(table, key, diameter) if key in table or diameter in table else None
+
+
 def read_band(head: Table) -> tuple[float, float]:
     """The two ends (Hz) of the frequencies a chip is meant for."""
-    return head.quantities("band", "frequency", numbered=True,
-                           expected='two frequencies with their units, for example ["0.91 MHz", "1.155 MHz"]')
+    low, high = head.quantities("band", "frequency", numbered=True,
+                                expected='two frequencies with their units, for example ["0.91 MHz", "1.155 MHz"]')
+    if not 0.0 < low < high:
+        raise head.error("band", "two frequencies above zero, the lower one first")
+    return low, high
 
 
 def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
@@ -52,6 +61,7 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
     layers: list[Layer] = []
     electrodes = Electrodes()
     for table, region, role in zip(tables, region_names(roles), roles, strict=True):
+        _refuse_not_round(table)
         table.only([*_LAYER_KEYS, "electrodes"] if role == TRANSDUCER else _LAYER_KEYS)
         bottom = table.optional_quantity("bottom", "length")
         profile = read_profile(table.table("profile")) if "profile" in table else None
@@ -59,25 +69,45 @@ def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
         if profile is not None and isinstance(profile.source, StepPart):
             from geometry.cad import measured_part  # CadQuery takes seconds to import
 
-            measured = measured_part(profile.source, profile.asymmetry)
+            measured = measured_part(profile.source, profile.asymmetry, profile.placement)
         layer = Layer(
             region=region,
             role=role,
             material=read_text(table, "material"),
             thickness=_dimension_or(table, "thickness", measured),
-            radius=_dimension_or(table, "radius", measured),
+            radius=_radius_or(table, "radius", "diameter", measured),
             z_bottom=bottom if bottom is not None else measured["bottom"] if measured else (
                 layers[-1].z_top if layers else 0.0),
-            cavity_radius=(_dimension_or(table, "cavity_radius", measured)
-                           if "cavity_radius" in table or "cavity_radius" in measured else None),
+            cavity_radius=(_radius_or(table, "cavity_radius", "cavity_diameter", measured)
+                           if {"cavity_radius", "cavity_diameter"} & {*table, *measured} else None),
             density=table.optional_quantity("density", "density"),
             profile=profile,
             **{shape: read_dimension(table, shape, kind) for shape, kind in SHAPES.items() if shape in table},
         )
         if role == TRANSDUCER:
             electrodes = _electrodes(table.table("electrodes"), layer.outer_radius)
+        if measured and layers and layer.z_top < layers[-1].z_bottom + SAME_LENGTH and isinstance(
+                layers[-1].profile and layers[-1].profile.source, StepPart):
+            raise InputError(table.source, table.at("profile"), f"a part that ends at z = {millimetres(layer.z_top)}, "
+                             f"below {layers[-1].region!r}, which begins at {millimetres(layers[-1].z_bottom)}",
+                             "layers from bottom to top: list them the other way round, or, where the file is upside "
+                             "down, turn it over by axis in every profile: "
+                             + (f'"{_other_way(profile)}"' if profile else ""))
         layers.append(layer)
     return tuple(layers), electrodes
+
+
+def _other_way(profile: Profile) -> str:
+    """The axis of a profile in the other direction, as a file says it."""
+    reverse = tuple(-each + 0.0 for each in profile.placement.axis)
+    return next((name for name, axis in AXES.items() if axis == reverse), str(list(reverse)))
+
+
+def _refuse_not_round(table: Table) -> None:
+    """Refuse keys of things that are not round, with what to say in their place."""
+    for key in table:
+        if key.casefold() in NOT_KEYS:
+            raise InputError(table.source, table.at(key), table.content[key], NOT_KEYS[key.casefold()])
 
 
 def _dimension_or(table: Table, key: str, measured: Mapping[str, float]) -> Dimension:
@@ -85,20 +115,30 @@ def _dimension_or(table: Table, key: str, measured: Mapping[str, float]) -> Dime
     return read_dimension(table, key) if key in table or key not in measured else Dimension(measured[key])
 
 
+def _radius_or(table: Table, key: str, diameter: str, measured: Mapping[str, float]) -> Dimension:
+    """A radius of the file, a diameter halved, or a part's that was measured."""
+    if key in table or diameter in table or key not in measured:
+        return read_radius(table, key, diameter)
+    return Dimension(measured[key])
+
+
 def _electrodes(table: Table, rim: float) -> Electrodes:
-    table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius"))
+    table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius", "live_diameter",
+                "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
     live = choose(table.text("live", "top"), ("top", "bottom"), source=table.source, field=table.at("live"))
     return Electrodes("top" if live == "top" else "bottom", _disc(table, "live", rim), _disc(table, "ground", rim))
 
 
 def _disc(table: Table, name: str, rim: float) -> ElectrodeDisc:
-    radius = _optional_dimension(table, f"{name}_radius")
+    radius = _optional_radius(table, f"{name}_radius", f"{name}_diameter")
     if radius is not None and radius.value > rim + SAME_LENGTH:
-        raise InputError(table.source, table.at(f"{name}_radius"), millimetres(radius.value),
-                         f"at most the transducer's radius, {millimetres(rim)}")
+        key = f"{name}_radius" if f"{name}_radius" in table else f"{name}_diameter"
+        size = f"radius, {millimetres(rim)}" if key.endswith("radius") else f"diameter, {millimetres(2.0 * rim)}"
+        raise InputError(table.source, table.at(key), radius.typed, f"at most the transducer's {size}")
     # An electrode as wide as its disc covers the face and follows the disc when its radius is changed.
     covers = radius is None or abs(radius.value - rim) <= SAME_LENGTH
-    return ElectrodeDisc(None if covers else radius, _optional_dimension(table, f"{name}_inner_radius"))
+    return ElectrodeDisc(None if covers else radius,
+                         _optional_radius(table, f"{name}_inner_radius", f"{name}_inner_diameter"))
 
 
 def read_ports(table: Table) -> Ports:
@@ -116,7 +156,14 @@ def read_states(states: Table) -> tuple[State, ...]:
 
 
 def _state(name: str, table: Table) -> State:
-    table.only(("cavity", "temperature", "materials", "particle", "particle_radius", "reported"))
+    for key in FILL_KEYS:
+        if key in table:
+            raise table.error(key, CLOSED)
+    table.only(("cavity", "temperature", "materials", "particle", "particle_radius", "particle_diameter", "reported"))
+    particle = _optional_radius(table, "particle_radius", "particle_diameter")
+    if particle is not None and not particle.value > 0.0:
+        key = "particle_radius" if "particle_radius" in table else "particle_diameter"
+        raise table.error(key, "a length above zero")
     materials = table.table("materials")
     return State(
         name=name,
@@ -124,7 +171,7 @@ def _state(name: str, table: Table) -> State:
         temperature=table.optional_quantity("temperature", "temperature"),
         materials={region: read_text(materials, region) for region in materials},
         particle=_optional_text(table, "particle"),
-        particle_radius=table.optional_quantity("particle_radius", "length"),
+        particle_radius=None if particle is None else particle.value,
         reported=tuple(_reported(row) for row in table.tables(
             "reported", expected="a list of tables with label, f0, z_min and q")),
     )

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
+from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
 
 #: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
@@ -20,13 +23,15 @@ class Dimension:
     """One length of a chip, or one angle.
 
     ``value`` and ``tolerance`` in metres, or radians (``None``: nobody said how exact), ``assumed`` when it was not
-    measured or published but chosen, ``note`` where it comes from.
+    measured or published but chosen, ``note`` where it comes from. ``typed`` is the value as a file has it, for
+    messages; it says nothing where the value is another by now.
     """
 
     value: float
     tolerance: float | None = None
     assumed: bool = False
     note: str = ""
+    typed: str = field(default="", compare=False, repr=False)
 
 
 def millimetres(length: float) -> str:
@@ -34,14 +39,41 @@ def millimetres(length: float) -> str:
     return f"{1e3 * length:.6g} mm"
 
 
+def shown(dimension: Dimension, kind: str = "length") -> str:
+    """A length or an angle as messages show it: as it was typed, where that is what it still is."""
+    try:
+        if parse_quantity(dimension.typed, kind, source="", field="") == dimension.value:
+            return dimension.typed
+    except InputError:
+        pass
+    return f"{math.degrees(dimension.value):.4g} deg" if kind == "angle" else millimetres(dimension.value)
+
+
+def read_radius(table: Table, key: str, diameter: str) -> Dimension:
+    """The radius under `key`, or half of the diameter under that key, as :func:`read_dimension` reads each.
+
+    Raises:
+        InputError: both are given, or neither.
+    """
+    if diameter not in table:
+        return read_dimension(table, key)
+    if key in table:
+        raise table.error(diameter, f"{key} or {diameter}, not both")
+    read = read_dimension(table, diameter)
+    return replace(read, value=0.5 * read.value, tolerance=None if read.tolerance is None else 0.5 * read.tolerance)
+
+
 def read_dimension(table: Table, key: str, kind: str = "length") -> Dimension:
     """``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
     example = {"length": "2.02 mm", "angle": "3 deg"}[kind]
     if not isinstance(table.required(key, f'{"an" if kind == "angle" else "a"} {kind} with its unit, for example '
                                           f'"{example}"'), dict):
-        return Dimension(table.quantity(key, kind))
+        return Dimension(table.quantity(key, kind), typed=str(table.content[key]))
     inner = table.table(key).only(("value", "tolerance", "assumed", "note"))
     assumed = inner.flag("assumed")
     inner.required("value", f"a {kind} with its unit")
-    return Dimension(inner.quantity("value", kind), inner.optional_quantity("tolerance", kind), assumed,
-                     inner.text("note", ""))
+    tolerance = inner.optional_quantity("tolerance", kind)
+    if tolerance is not None and tolerance < 0.0:
+        raise inner.error("tolerance", "zero or more")
+    return Dimension(inner.quantity("value", kind), tolerance, assumed,
+                     inner.text("note", ""), str(inner.content["value"]))

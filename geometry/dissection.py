@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geometry import cad
+from geometry import cad, revolution
 from geometry.curves import Arc
 from geometry.dimension import SAME_LENGTH
 from geometry.free_section import Directed, Face, FreeSection
@@ -92,7 +92,7 @@ def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
 def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], source: str) -> cadquery.Face | None:
     """What the faces leave free inside: the cavity, if there is to be one."""
     whole = cadquery_module().Compound.makeCompound(list(faces.values()))
-    around = cad.half_plane(whole.BoundingBox())
+    around = revolution.half_plane(whole.BoundingBox())
     edge = around.BoundingBox()
     free = around.cut(*faces.values()).Faces()
     inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.CLOSE

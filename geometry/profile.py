@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import math
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +33,13 @@ Size = float | str
 
 #: What may be asked of an outline's segment, and of a profile.
 _CORNER_KEYS = ("at", "fillet", "through", "arc")
-_PROFILE_KEYS = ("points", "script", "function", "step", "part", "scale", "parameters", "asymmetry")
+_PROFILE_KEYS = ("points", "script", "function", "step", "part", "scale", "parameters", "asymmetry", "axis", "origin",
+                 "sector")
+
+#: Axes that have a name.
+AXES: Mapping[str, tuple[float, float, float]] = {
+    "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0)}
 
 #: Share of its volume that a solid may differ by from what its section encloses when turned about the axis, unless the
 #: file states another: what the kernel's integrals leave.
@@ -77,15 +84,27 @@ class StepPart:
 
 
 @dataclass(frozen=True)
+class Placement:
+    """How a solid stands in its file: it turns about ``axis`` (a unit vector that points up through the chip) through
+    ``origin`` (m), from which heights are counted; of the whole body it is the part within the angle ``sector`` (rad),
+    as models of one half or quarter are."""
+
+    axis: tuple[float, float, float] = AXES["z"]
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sector: float = 2.0 * math.pi
+
+
+@dataclass(frozen=True)
 class Profile:
     """Where the outline of a layer comes from, and the ``parameters`` it brings in (name, size in m or rad), which are
     dimensions of the chip; ``angles`` names those that are angles. ``asymmetry``: share of the volume of a solid that
-    may differ from what its section encloses when turned about the axis."""
+    may differ from what its section encloses when turned about the axis; ``placement``: where that axis is."""
 
     source: Outline | Script | StepPart
     parameters: tuple[tuple[str, Dimension], ...] = ()
     angles: frozenset[str] = frozenset()
     asymmetry: float = ASYMMETRY
+    placement: Placement = Placement()
 
     def sizes(self, layer: Mapping[str, float]) -> dict[str, float]:
         """Every size that the profile can use by name (m, rad), those of the `layer` included."""
@@ -111,6 +130,10 @@ def read_profile(table: Table) -> Profile:
     asymmetry = table.quantity("asymmetry", "dimensionless", ASYMMETRY)
     if not 0.0 < asymmetry < 1.0:
         raise table.error("asymmetry", "a share above 0 and below 1 of the part's volume")
+    placement = _placement(table)
+    if sources == ["points"] and placement != Placement():
+        key = next(key for key in ("axis", "origin", "sector") if key in table)
+        raise table.error(key, "none for points, which are r and z already; it places the solid of a script or file")
     source: Outline | Script | StepPart
     if sources == ["points"]:
         source = _outline(table, {*OF_LAYER, *(name for name, _ in parameters)})
@@ -122,7 +145,37 @@ def read_profile(table: Table) -> Profile:
                           table.quantity("scale", "length", 1e-3), content)
         if parameters:
             raise table.error("parameters", "none: a STEP file is as it is")
-    return Profile(source, parameters, angles, asymmetry)
+    return Profile(source, parameters, angles, asymmetry, placement)
+
+
+def _placement(table: Table) -> Placement:
+    axis = AXES["z"]
+    if "axis" in table:
+        given = table.content["axis"]
+        expected = "one of " + ", ".join(AXES) + ", or three numbers [x, y, z]: the direction up through the chip"
+        if isinstance(given, str) and given in AXES:
+            axis = AXES[given]
+        elif isinstance(given, list) and len(given) == 3 and all(
+                isinstance(each, int | float) and not isinstance(each, bool) for each in given) and (
+                    0.0 < math.hypot(*given) < math.inf):
+            length = math.hypot(*given)
+            length = 1.0 if abs(length - 1.0) < 1e-12 else length  # read back as it was written
+            axis = given[0] / length, given[1] / length, given[2] / length
+        else:
+            raise table.error("axis", expected)
+    origin = 0.0, 0.0, 0.0
+    if "origin" in table:
+        given = table.content["origin"]
+        if not isinstance(given, list) or len(given) != 3:
+            raise table.error("origin", 'a point on the axis, ["15 mm", "0 mm", "0 mm"]: x, y, z in the file, from '
+                              "which heights are counted")
+        x, y, z = (parse_quantity(each, "length", source=table.source, field=f"{table.at('origin')}[{k}]")
+                   for k, each in enumerate(given))
+        origin = x, y, z
+    sector = table.quantity("sector", "angle", 2.0 * math.pi)
+    if not 0.0 < sector <= 2.0 * math.pi * (1.0 + 1e-12):
+        raise table.error("sector", 'an angle above 0 and up to "360 deg": "180 deg" where the file has one half')
+    return Placement(axis, origin, min(sector, 2.0 * math.pi))
 
 
 def _parameters(table: Table) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
@@ -201,7 +254,8 @@ def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -
     try:
         exec(compile(script.path.read_text(encoding="utf-8"), str(script.path), "exec"), scope)
     except Exception as error:
-        raise InputError(str(script.path), "script", _said(error), "a script that runs") from error
+        raise InputError(str(script.path), _line(error, script.path, "script"), _said(error),
+                         "a script that runs") from error
     functions = {name: each for name, each in scope.items() if inspect.isfunction(each)}
     function: Callable[..., Any] = functions[choose(script.function, functions, source=str(script.path),
                                                     field="function")]
@@ -219,8 +273,17 @@ def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -
         return function(**wanted)
     except Exception as error:
         shown = ", ".join(f"{name} = {value:.6g}" for name, value in wanted.items())
-        raise InputError(str(script.path), f"{script.function}({shown})", _said(error), "a solid") from error
+        raise InputError(str(script.path), _line(error, script.path, f"{script.function}({shown})"), _said(error),
+                         "a solid") from error
 
 
 def _said(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
+
+
+def _line(error: Exception, path: Path, what: str) -> str:
+    """The line of the script that failed, and what was run: the last one of that file in the traceback."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        lines.append(error.lineno)
+    return f"line {lines[-1]}, {what}" if lines and lines[-1] is not None else what

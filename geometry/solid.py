@@ -10,6 +10,7 @@ import math
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from geometry import revolution
 from geometry.chip import Chip
 from geometry.chip_section import section_faces, volumes
 from geometry.kernel import MILLIMETRES, SolidError, cadquery_module
@@ -127,10 +128,10 @@ def _turned(chip: Chip) -> dict[str, list[Shape]]:
     found: dict[str, list[Shape]] = {}
     if chip.is_profiled:
         for region, face in section_faces(chip).items():
-            found[region] = [cad.revolved(face)]
+            found[region] = [revolution.revolved(face)]
     else:
         for region, arcs in outlines(chip):
-            found.setdefault(region, []).append(cad.revolved(cad.face_of(arcs)))
+            found.setdefault(region, []).append(revolution.revolved(cad.face_of(arcs)))
     return found
 
 

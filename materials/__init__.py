@@ -48,8 +48,10 @@ The file has the same form as every other. Its ``source`` is ``"recording"``, th
 removing it. ``check_use`` warns where a fitted material is used outside its band or with another density.
 """
 
+from materials.assumed import ASSUMED, with_assumed_loss
 from materials.describe import describe
 from materials.difference import Difference, differences
+from materials.entry import LossWarning
 from materials.exchange import Imported, export_entries, import_entries
 from materials.fit import Correlation, Fit, Recording
 from materials.history import Version, history, withdraw
@@ -62,12 +64,14 @@ from materials.value import Value
 from materials.versions import Withdrawal, WithdrawnWarning
 
 __all__ = [
+    "ASSUMED",
     "Correlation",
     "Difference",
     "Fit",
     "Fluid",
     "Imported",
     "IsotropicSolid",
+    "LossWarning",
     "Material",
     "PassivityWarning",
     "Piezoelectric",
@@ -88,5 +92,6 @@ __all__ = [
     "save",
     "user_folder",
     "user_registry",
+    "with_assumed_loss",
     "withdraw",
 ]

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 
+from materials.loss import NEPERS_PER_DECIBEL
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-
-_NEPERS_PER_DECIBEL = math.log(10.0) / 20.0
 
 
 def young_and_poisson(bulk_modulus: complex, shear_modulus: complex) -> tuple[complex, complex]:
@@ -27,6 +26,13 @@ def bulk_and_shear(youngs_modulus: complex, poisson_ratio: complex) -> tuple[com
 def shear_from_longitudinal(longitudinal_modulus: complex, poisson_ratio: complex) -> complex:
     """Shear modulus (Pa) from the longitudinal modulus K + 4 G / 3 (Pa) and Poisson's ratio."""
     return longitudinal_modulus * (1 - 2 * poisson_ratio) / (2 * (1 - poisson_ratio))
+
+
+def wave_modulus(speed: complex, *, density: float) -> complex:
+    """The modulus (Pa) of a wave whose real part of `speed` (m/s) is the phase speed w / Re k, and whose loss is the
+    imaginary part: rho (w / k)^2 with w / k = v^2 / conj(speed) for the phase speed v (see :mod:`materials.loss`)."""
+    phase = complex(speed).real
+    return density * (phase**2 / complex(speed).conjugate()) ** 2 if complex(speed).imag else density * speed**2
 
 
 def wave_speeds(bulk_modulus: complex, shear_modulus: complex, *, density: float) -> tuple[float, float]:
@@ -57,12 +63,12 @@ def attenuations(
 
 def decibels_per_metre(nepers_per_metre: float) -> float:
     """An absorption in dB/m from the same in Np/m."""
-    return nepers_per_metre / _NEPERS_PER_DECIBEL
+    return nepers_per_metre / NEPERS_PER_DECIBEL
 
 
 def nepers_per_metre(decibels_per_metre: float) -> float:
     """An absorption in Np/m from the same in dB/m."""
-    return decibels_per_metre * _NEPERS_PER_DECIBEL
+    return decibels_per_metre * NEPERS_PER_DECIBEL
 
 
 def stress_charge(

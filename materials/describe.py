@@ -43,6 +43,7 @@ def _optional(value: float | None) -> str:
 def _remarks(value: Value) -> str:
     parts = [
         f"given in {value.unit}" if value.unit else "",
+        value.loss_stated,
         "" if value.uncertainty is None else f"+- {value.uncertainty:.3g}",
         _interval("", value.low, value.high),
         "" if value.loss_uncertainty is None else f"loss +- {value.loss_uncertainty:.3g}",

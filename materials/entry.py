@@ -2,12 +2,15 @@
 
 A file states its ``kind`` and the numbers of one *form* of it: the same solid may be printed as bulk and shear modulus,
 as Young's modulus and Poisson's ratio, or as wave speeds. The numbers are kept as printed, in ``values``; the form's
-conversion gives the fields of the kind.
+conversion gives the fields of the kind. A loss may be printed as the imaginary part, loss tangent, quality factor or
+attenuation of a number (:mod:`materials.loss`), or once for all constants of a ceramic.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
+import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +18,9 @@ from typing import Any
 
 from materials import conversions, passivity
 from materials.fit import parse_fit
-from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from materials.kinds import CERAMICS, Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.lines import located
+from materials.loss import WORDS, Loses, attenuation_of_sound, share
 from materials.temperature import parse_law
 from materials.value import RECORDING, Value, parse_value, source_of, unit_factor
 from workbench.files.errors import InputError
@@ -35,12 +39,24 @@ class Form:
 
 @dataclass(frozen=True)
 class Kind:
-    """What a file of one kind may state. ``forms`` are alternatives, of which exactly one must be complete."""
+    """What a file of one kind may state. ``forms`` are alternatives, of which exactly one must be complete.
+
+    ``words`` are texts from closed lists. What a form gives may be complex where it is ``lossy``. ``once`` are losses
+    that stand for all constants: by their key the word they stand for and the dimensions of the numbers that lose so.
+    """
 
     build: Callable[..., Material]
     required: Mapping[str, str]
     optional: Mapping[str, str]
     forms: tuple[Form, ...]
+    words: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    lossy: bool = True
+    once: Mapping[str, tuple[str, tuple[str, ...]]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def lossy_fields(self) -> Collection[str]:
+        """The fields that may be complex."""
+        return self.forms[0].dimensions if self.lossy and self.forms else ()
 
 
 def _unchanged(*names: str) -> Callable[[_Numbers], dict[str, complex]]:
@@ -53,13 +69,21 @@ def _from_young_poisson(numbers: _Numbers) -> dict[str, complex]:
 
 
 def _from_speeds(numbers: _Numbers) -> dict[str, complex]:
-    return _from_moduli(numbers["density"] * numbers["longitudinal_speed"] ** 2,
-                        numbers["density"] * numbers["shear_speed"] ** 2)
+    return _from_moduli(conversions.wave_modulus(numbers["longitudinal_speed"], density=numbers["density"].real),
+                        conversions.wave_modulus(numbers["shear_speed"], density=numbers["density"].real))
 
 
 def _from_speed_poisson(numbers: _Numbers) -> dict[str, complex]:
-    longitudinal = numbers["density"] * numbers["longitudinal_speed"] ** 2
+    longitudinal = conversions.wave_modulus(numbers["longitudinal_speed"], density=numbers["density"].real)
     return _from_moduli(longitudinal, conversions.shear_from_longitudinal(longitudinal, numbers["poisson_ratio"]))
+
+
+def _from_compressibility(numbers: _Numbers) -> dict[str, complex]:
+    return {"bulk_modulus": 1.0 / numbers["compressibility"], "shear_modulus": numbers.get("shear_modulus", 0.0)}
+
+
+def _sound_speed(numbers: _Numbers) -> dict[str, complex]:
+    return {"sound_speed": (numbers["density"].real * numbers["compressibility"].real) ** -0.5}
 
 
 def _from_moduli(longitudinal: complex, shear: complex) -> dict[str, complex]:
@@ -99,6 +123,11 @@ KINDS: Mapping[str, Kind] = {
             ),
             Form(_STRAIN_CHARGE, _from_strain_charge),
         ),
+        words={"ceramic": CERAMICS},
+        once={
+            "mechanical_q": ("q", ("pressure", "compliance")),
+            "dielectric_loss_tangent": ("loss_tangent", ("permittivity",)),
+        },
     ),
     "isotropic solid": Kind(
         build=IsotropicSolid,
@@ -110,11 +139,13 @@ KINDS: Mapping[str, Kind] = {
             Form({"youngs_modulus": "pressure", "poisson_ratio": "dimensionless"}, _from_young_poisson),
             Form({"longitudinal_speed": "speed", "shear_speed": "speed"}, _from_speeds),
             Form({"longitudinal_speed": "speed", "poisson_ratio": "dimensionless"}, _from_speed_poisson),
+            Form({"compressibility": "compliance", "shear_modulus": "pressure"}, _from_compressibility),
+            Form({"compressibility": "compliance"}, _from_compressibility),
         ),
     ),
     "fluid": Kind(
         build=Fluid,
-        required={"density": "density", "sound_speed": "speed"},
+        required={"density": "density"},
         optional={
             "shear_viscosity": "viscosity",
             "bulk_viscosity": "viscosity",
@@ -122,13 +153,29 @@ KINDS: Mapping[str, Kind] = {
             "thermal_conductivity": "thermal conductivity",
             "heat_capacity": "heat capacity",
         },
-        forms=(),
+        forms=(Form({"sound_speed": "speed"}, _unchanged("sound_speed")),
+               Form({"compressibility": "compliance"}, _sound_speed)),
+        lossy=False,
     ),
 }
 
-#: Numbers of a form that have no imaginary part: the loss of a wave is its attenuation.
-_LOSSLESS = ("longitudinal_speed", "shear_speed")
+#: How numbers of a form may lose, by their dimension.
+_LOSES = {
+    "pressure": Loses.STIFFLY, "compliance": Loses.SOFTLY, "permittivity": Loses.SOFTLY,
+    "piezoelectric charge": Loses.SOFTLY, "speed": Loses.AS_WAVE,
+}
 _HEAD = ("kind", "title", "source", "conditions", "note", "default", "temperature", "fit")
+
+#: The form of two wave speeds, of which each states its loss.
+_FOR_SHEAR = ("longitudinal_speed", "shear_speed")
+
+#: A loss below this share of a number as large as :data:`PLAIN` (in its printed unit) is asked about: a quality factor
+#: of ten thousand, ten times that of the hardest ceramics and of polymers a hundred times. Twice as large, one of 5000.
+QUESTIONABLE, PLAIN = 1e-4, 1e2
+
+
+class LossWarning(UserWarning):
+    """A loss is so small beside its number that it was probably meant as a share of it."""
 
 
 def _choose_form(kind_name: str, kind: Kind, given: Collection[str], *, source: str) -> Form | None:
@@ -158,10 +205,10 @@ class _Reader:
     references: Collection[str]
     temperature: float | None
 
-    def value(self, entry: object, dimension: str, *, field: str, lossy: bool) -> Value:
+    def value(self, entry: object, dimension: str, *, field: str, loses: Loses) -> Value:
         """The value of one entry: fixed, or at the temperature asked for if the file gives laws."""
         if self.temperature is None:
-            return self._fixed(entry, dimension, field=field, lossy=lossy)
+            return self._fixed(entry, dimension, field=field, loses=loses)
         if not isinstance(entry, Mapping) or "law" not in entry or "value" in entry:
             raise InputError(self.file, field, "a fixed value",
                              "a law alone, because other numbers of this file depend on temperature")
@@ -169,13 +216,13 @@ class _Reader:
         law = parse_law(entry["law"], factor, source=self.file, field=f"{field}.law")
         at = law.at(self.temperature, source=self.file, field=field)
         rest = {key: item for key, item in entry.items() if key != "law"}
-        value = self._fixed(rest | {"value": at / factor}, dimension, field=field, lossy=False)
+        value = self._fixed(rest | {"value": at / factor}, dimension, field=field, loses=Loses.NOT)
         return dataclasses.replace(value, conditions=f"{value.conditions}, {self.temperature:g} K")
 
-    def _fixed(self, entry: object, dimension: str, *, field: str, lossy: bool) -> Value:
+    def _fixed(self, entry: object, dimension: str, *, field: str, loses: Loses) -> Value:
         return parse_value(
             entry, dimension, source=self.file, field=field, references=self.references,
-            default_source=self.source, default_conditions=self.conditions, lossy=lossy,
+            default_source=self.source, default_conditions=self.conditions, loses=loses,
         )
 
 
@@ -194,7 +241,7 @@ def _temperature(table: Table, entries: Mapping[str, object], asked: float | Non
 
 
 def read_entry(
-    path: Path, name: str, *, references: Collection[str], temperature: float | None
+    path: Path, name: str, *, references: Collection[str], temperature: float | None, notes: list[str] | None = None
 ) -> Material:
     """The material in the file at `path`, checked, under the name `name`.
 
@@ -203,28 +250,32 @@ def read_entry(
         name: ``material/source`` as the registry knows it.
         references: keys of the bibliography that the file may cite.
         temperature: in K, for a file whose numbers depend on it; None for its own reference temperature.
+        notes: takes up, if given, that the material is active by no more than its own rounding; else that is warned of.
 
     Raises:
         InputError: anything the file states wrongly, with the line; or a temperature it cannot serve.
 
     Warns:
         passivity.PassivityWarning: active by no more than its own rounding.
+        LossWarning: a loss that is next to nothing beside its number.
     """
     with located(path):
-        return parse_entry(read_toml(path), name, file=str(path), references=references, temperature=temperature)
+        return parse_entry(read_toml(path), name, file=str(path), references=references, temperature=temperature,
+                           notes=notes)
 
 
 def parse_entry(
-    content: Mapping[str, Any], name: str, *, file: str, references: Collection[str], temperature: float | None = None
+    content: Mapping[str, Any], name: str, *, file: str, references: Collection[str], temperature: float | None = None,
+    notes: list[str] | None = None,
 ) -> Material:
     """The material in the content of an entry file; see :func:`read_entry`."""
     table = Table(file, "", content)
     kind_name = table.choice("kind", KINDS)
     kind = KINDS[kind_name]
-    entries = {key: item for key, item in content.items() if key not in _HEAD}
+    entries = {key: item for key, item in content.items() if key not in (*_HEAD, *kind.words, *kind.once)}
     in_forms = {key: dimension for form in kind.forms for key, dimension in form.dimensions.items()}
     dimensions = {**kind.required, **kind.optional, **in_forms}
-    table.only([*_HEAD, *dimensions])
+    table.only([*_HEAD, *kind.words, *kind.once, *dimensions])
     table.text("title")
     table.text("note", "")
     table.flag("default")
@@ -242,21 +293,152 @@ def parse_entry(
         references=references,
         temperature=_temperature(table, entries, temperature),
     )
+    entries = _with_losses_once(table, kind, entries, dimensions)
+    absorbed = _Absorption.taken(table, entries) if kind.build is Fluid else None
+    if absorbed is not None:
+        entries = {**entries, "sound_speed": absorbed.speed}
     values = {
-        key: reader.value(entry, dimensions[key], field=key, lossy=key in in_forms and key not in _LOSSLESS)
+        key: reader.value(entry, dimensions[key], field=key,
+                          loses=_LOSES.get(dimensions[key], Loses.EITHER) if kind.lossy and key in in_forms
+                          else Loses.NOT)
         for key, entry in entries.items()
     }
+    if absorbed is not None:
+        values["bulk_viscosity"] = absorbed.bulk_viscosity(values, file)
     numbers = {key: value.value for key, value in values.items()}
     fields: dict[str, Any] = {key: number.real for key, number in numbers.items() if key not in in_forms}
+    fields.update({key: table.choice(key, known) for key, known in kind.words.items() if key in table})
     tolerances: dict[str, float] = {}
     if form is not None:
-        fields.update(form.convert(numbers))
+        for key in ("compressibility", *_FOR_SHEAR):
+            if key in numbers and not numbers[key].real > 0:
+                raise InputError(file, key, numbers[key].real, "a positive number (SI)")
+        try:
+            converted = form.convert(numbers)
+        except ZeroDivisionError:
+            raise InputError(file, next(iter(form.dimensions)), "numbers of which one set is singular",
+                             f"numbers of a {kind_name} that can be converted") from None
+        fields.update(converted if kind.lossy else {key: complex(number).real for key, number in converted.items()})
         tolerances = _loss_tolerances(form, numbers, values)
+        if set(_FOR_SHEAR) == set(form.dimensions):
+            _check_longitudinal_loss(converted, numbers, tolerances, file)
     fit = parse_fit(content["fit"], density=fields["density"], source=file) if "fit" in table else None
     material = kind.build(name=name, source=reader.source, temperature=reader.temperature, values=values, fit=fit,
                           **fields)
-    passivity.check(material, loss_tolerances=tolerances, source=file)
+    passivity.check(material, loss_tolerances=tolerances, source=file, notes=notes)
+    _question_small_losses(material, values, dimensions)
     return material
+
+
+def _with_losses_once(
+    table: Table, kind: Kind, entries: Mapping[str, object], dimensions: Mapping[str, str]
+) -> dict[str, object]:
+    """`entries` with the losses that the file states once for all constants.
+
+    Raises:
+        InputError: a number of those has a loss of its own as well.
+    """
+    found = dict(entries)
+    for key, (word, of) in kind.once.items():
+        if key not in table:
+            continue
+        share(table, key, word)
+        for name, entry in entries.items():
+            if dimensions[name] not in of or not isinstance(entry, Mapping):
+                continue
+            own = [each for each in WORDS if each in entry]
+            if own:
+                raise InputError(table.source, key, f"a second loss of {name}, which states {own[0]}",
+                                 f"{key} for all constants, or a loss beside each")
+            found[name] = {**entry, word: table.content[key]}
+    return found
+
+
+@dataclass(frozen=True)
+class _Absorption:
+    """What a fluid's file says of the absorption of its sound beside the speed of it.
+
+    ``diffusivity`` of sound (m^2/s) and its ``uncertainty``; ``stated`` in the words of the file; ``speed`` the entry
+    of the sound speed without it.
+    """
+
+    diffusivity: float
+    uncertainty: float | None
+    stated: str
+    speed: Mapping[str, object]
+
+    @classmethod
+    def taken(cls, table: Table, entries: Mapping[str, object]) -> _Absorption | None:
+        """The absorption that the entry of the sound speed states, if it does."""
+        entry = entries.get("sound_speed")
+        if not isinstance(entry, Mapping) or "value" not in entry or not any(word in entry for word in WORDS):
+            return None
+        own = Table(table.source, "sound_speed", entry)
+        _, factor = unit_factor(own, "speed")
+        value = own.optional_number("value")
+        if value is None or value <= 0:
+            raise own.error("value", "a number above zero")
+        found = attenuation_of_sound(own, value * factor)
+        assert found is not None
+        if "bulk_viscosity" in entries:
+            raise InputError(table.source, "bulk_viscosity", "a second loss, beside that of sound_speed",
+                             "the bulk viscosity or the absorption of sound, which follow from each other")
+        alpha, uncertainty, frequency, stated = found
+        # alpha = omega^2 D / (2 c^3) (Pierce, Acoustics, 1989, section 10-2).
+        per_alpha = 2.0 * (value * factor) ** 3 / (2.0 * math.pi * frequency) ** 2
+        speed = {key: item for key, item in entry.items() if key not in (*WORDS, "frequency", "loss_uncertainty")}
+        return cls(alpha * per_alpha, None if uncertainty is None else uncertainty * per_alpha, stated, speed)
+
+    def bulk_viscosity(self, values: Mapping[str, Value], file: str) -> Value:
+        """The bulk viscosity (Pa s) that leaves this absorption, given the other numbers of the fluid.
+
+        Raises:
+            InputError: the other numbers absorb more than this already.
+        """
+        numbers = {key: value.value.real for key, value in values.items()}
+        density = numbers["density"]
+        others = 4.0 / 3.0 * numbers.get("shear_viscosity", 0.0)
+        if {"heat_capacity_ratio", "thermal_conductivity", "heat_capacity"} <= set(numbers):
+            ratio, heat = numbers["heat_capacity_ratio"], numbers["heat_capacity"]
+            others += (ratio - 1.0) * numbers["thermal_conductivity"] / heat
+        bulk = density * self.diffusivity - others
+        if bulk < 0:
+            raise InputError(file, "sound_speed", self.stated, "an absorption of at least "
+                             f"{others / (density * self.diffusivity):.3g} times that, which the shear viscosity and "
+                             "the conduction of heat make alone")
+        of = values["sound_speed"]
+        return Value(bulk, "Pa s", of.source, of.conditions, f"from the {self.stated} of sound",
+                     None if self.uncertainty is None else density * self.uncertainty)
+
+
+def _check_longitudinal_loss(
+    moduli: Mapping[str, complex], numbers: _Numbers, tolerances: Mapping[str, float], file: str
+) -> None:
+    """Refuse a longitudinal wave that loses less than its share of shear makes it lose."""
+    bulk, shear = complex(moduli["bulk_modulus"]), complex(moduli["shear_modulus"])
+    if bulk.imag <= tolerances["bulk_modulus"]:
+        return
+    whole = bulk + 4 * shear / 3
+    raise InputError(file, "longitudinal_speed", f"a loss tangent of {abs(whole.imag) / whole.real:.3g}",
+                     f"one of {-4 * shear.imag / 3 / whole.real:.3g} at least, which the loss of shear makes "
+                     f"({numbers['shear_speed'].real:g} m/s, loss tangent {-shear.imag / shear.real:.3g}): state both")
+
+
+def _question_small_losses(material: Material, values: Mapping[str, Value], dimensions: Mapping[str, str]) -> None:
+    """Warn of losses that are next to nothing beside their numbers: a loss tangent was typed as an imaginary part."""
+    found = []
+    for key, value in values.items():
+        share = abs(value.value.imag / value.value.real) if value.value.real else 0.0
+        factor = unit_factor(Table("", "", {"unit": value.unit}), dimensions[key])[1] if value.unit else 1.0
+        printed = abs(value.value.real) / factor
+        ceramic = isinstance(material, Piezoelectric) and _LOSES.get(dimensions[key]) is not None
+        if 0.0 < share < QUESTIONABLE and value.source != RECORDING and (printed >= PLAIN or ceramic):
+            found.append(f"{key} {printed:.4g} with loss {abs(value.value.imag) / factor:.3g}: {share:.1e} of it")
+    if found:
+        warnings.warn(
+            f"{material.name}: losses a thousand times below anything published ({'; '.join(found)}). A loss is the "
+            "imaginary part in the unit of its number; write loss_tangent where the source prints tan delta, or q",
+            LossWarning, stacklevel=5)
 
 
 def _loss_tolerances(form: Form, numbers: _Numbers, values: Mapping[str, Value]) -> dict[str, float]:

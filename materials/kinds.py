@@ -20,6 +20,9 @@ from materials.fit import Fit
 from materials.value import Value
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 
+#: Classes of ceramics by their losses: of types I and III of the US Navy's classification, and of types II and VI.
+CERAMICS = ("hard", "soft")
+
 
 def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> dict[str, Value]:
     """`values` without those that say something else than the field of their name."""
@@ -57,7 +60,8 @@ class Piezoelectric(Heat):
     """A transversely isotropic piezoelectric solid poled along z, in stress-charge form.
 
     Density in kg/m^3, stiffness at constant electric field in Pa, piezoelectric constants in C/m^2, permittivity at
-    constant strain relative to that of free space. Acevedo-Espinosa et al. (RP-UEIS), eqs. 6 to 12.
+    constant strain relative to that of free space. Acevedo-Espinosa et al. (RP-UEIS), eqs. 6 to 12. ``ceramic`` is one
+    of :data:`CERAMICS`, or empty where the source does not say.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = (
@@ -76,6 +80,7 @@ class Piezoelectric(Heat):
     e15: complex
     eps11: complex
     eps33: complex
+    ceramic: str = ""
     temperature: float | None = None
     source: str = ""
     values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
@@ -112,7 +117,8 @@ class Piezoelectric(Heat):
 class IsotropicSolid(Heat):
     """An isotropic, possibly viscoelastic solid; also the material of a suspended particle.
 
-    Density in kg/m^3, adiabatic bulk and shear modulus in Pa. Acevedo-Espinosa et al. (RP-UEIS), eq. 17.
+    Density in kg/m^3, adiabatic bulk and shear modulus in Pa; a particle such as a cell may have no shear modulus, a
+    layer must. Acevedo-Espinosa et al. (RP-UEIS), eq. 17.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = ("density", "bulk_modulus", "shear_modulus")
@@ -189,14 +195,15 @@ class Fluid:
 
     @property
     def diffusivity_of_sound(self) -> float | None:
-        """[4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None where a viscosity is unknown.
+        """[4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None where the bulk viscosity is unknown.
 
         The classical absorption of sound is omega^2 / (2 c^3) times this (Pierce, Acoustics, 1989, section 10-2).
-        Heat conduction counts where its three numbers are known; in water it is a thousandth of the whole.
+        Heat conduction counts where its three numbers are known; in water it is a thousandth of the whole. Where only
+        the absorption is known, the bulk viscosity stands for all of it and there is no shear viscosity.
         """
-        if self.shear_viscosity is None or self.bulk_viscosity is None:
+        if self.bulk_viscosity is None or (self.shear_viscosity is None and self.bulk_viscosity == 0.0):
             return None
-        viscous = 4.0 / 3.0 * self.shear_viscosity + self.bulk_viscosity
+        viscous = 4.0 / 3.0 * (self.shear_viscosity or 0.0) + self.bulk_viscosity
         if self.heat_capacity_ratio is None or self.thermal_conductivity is None or self.heat_capacity is None:
             return viscous / self.density
         thermal = (self.heat_capacity_ratio - 1.0) * self.thermal_conductivity / self.heat_capacity

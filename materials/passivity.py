@@ -108,13 +108,16 @@ def rounding_tolerance(material: Piezoelectric | IsotropicSolid, loss_tolerances
     return float(np.linalg.norm(rounding, 2))
 
 
-def check(material: Material, *, loss_tolerances: Mapping[str, float], source: str) -> None:
+def check(
+    material: Material, *, loss_tolerances: Mapping[str, float], source: str, notes: list[str] | None = None
+) -> None:
     """Refuse a material that no passive, stable matter can be.
 
     Args:
         material: any kind; a fluid is checked for positive numbers only.
         loss_tolerances: as in :func:`rounding_tolerance`.
         source: where the material comes from, for messages.
+        notes: takes up what would be a warning, if given.
 
     Raises:
         InputError: a number that must be positive is not; a loss has the wrong sign; the stiffness is not positive
@@ -138,11 +141,12 @@ def check(material: Material, *, loss_tolerances: Mapping[str, float], source: s
             f"no eigenvalue below -{allowed / 1e9:.3g} GPa, the declared rounding and uncertainty of the losses "
             f"({SIGN_CONVENTION})",
         )
-    warnings.warn(
-        f"{material.name}: the losses create energy: the smallest eigenvalue of Im K is "
-        f"{smallest / 1e9:.3g} GPa, within the {allowed / 1e9:.3g} GPa that the rounding of the losses explains",
-        PassivityWarning, stacklevel=5,
-    )  # the level of the caller of Registry.load
+    note = (f"{material.name}: taken as printed. Its losses are rounded, and so pass what passive matter allows by "
+            f"{-smallest / 1e9:.3g} GPa, within the {allowed / 1e9:.3g} GPa that the rounding explains; nothing to do")
+    if notes is not None:
+        notes.append(note)
+        return
+    warnings.warn(note, PassivityWarning, stacklevel=5)  # the level of the caller of Registry.load
 
 
 def _arithmetic_error(material: Piezoelectric | IsotropicSolid) -> float:
@@ -164,6 +168,9 @@ def _check_positive(material: Material, source: str) -> None:
     for name, number in (material.parameters() | thermal).items():
         if not (math.isfinite(number.real) and math.isfinite(number.imag)):
             raise InputError(source, name, number, "a finite number")
+        # A particle that is given by its compressibility alone has no shear modulus.
+        if name == "shear_modulus" and number == 0:
+            continue
         if name in _POSITIVE and number.real <= 0:
             raise InputError(source, name, number.real, "a positive number (SI)")
 

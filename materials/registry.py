@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,15 +60,25 @@ def user_folder() -> Path:
 
 @dataclass(frozen=True)
 class Registry:
-    """The materials of the package and of any further `folders`."""
+    """The materials of the package and of any further `folders`, paths or the texts of them.
 
-    folders: tuple[Path, ...] = ()
+    A chip that is filled from a registry with ``assumed_losses`` gets its lossless ceramics with the loss of
+    :mod:`materials.assumed`. The registry itself loads every material as its entry states it.
+    """
+
+    folders: Sequence[Path | str] | Path | str = ()
+    assumed_losses: bool = False
+
+    def __post_init__(self) -> None:
+        # A text is a sequence too, of letters.
+        given = (self.folders,) if isinstance(self.folders, str | Path) else self.folders
+        object.__setattr__(self, "folders", tuple(map(Path, given)))
 
     def names(self) -> tuple[str, ...]:
         """Every ``material/source`` name, sorted; of a saved fit every version, the withdrawn ones too."""
         return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
 
-    def load(self, name: str, *, temperature: float | None = None) -> Material:
+    def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
         """The material called `name`, read and checked.
 
         Args:
@@ -76,6 +86,7 @@ class Registry:
                 a saved fit, ``material/name`` or ``material/name@version``.
             temperature: in K, for a material whose numbers depend on it. None: the reference temperature its entry
                 states, which the result carries in its ``temperature``.
+            notes: takes up, if given, what is a :class:`materials.PassivityWarning` otherwise.
 
         Raises:
             InputError: no such name (the nearest ones are named), a material with several entries and no default, a
@@ -91,7 +102,7 @@ class Registry:
             warnings.warn(f"{chosen} was withdrawn on {withdrawal.date}: {withdrawal.reason}", WithdrawnWarning,
                           stacklevel=2)
         references = frozenset().union(*(bibliography_keys(folder / "references.bib") for folder in self._folders()))
-        return read_entry(path, chosen, references=references, temperature=temperature)
+        return read_entry(path, chosen, references=references, temperature=temperature, notes=notes)
 
     def find(self, name: str) -> tuple[str, Path]:
         """The full name and the file of what `name` means; see :meth:`load`.
@@ -106,7 +117,8 @@ class Registry:
         return chosen, files[chosen]
 
     def _folders(self) -> tuple[Path, ...]:
-        return (PACKAGE_DATA, *self.folders)
+        assert isinstance(self.folders, tuple)
+        return (PACKAGE_DATA, *map(Path, self.folders))
 
     def _files(self) -> Mapping[str, Path]:
         files: dict[str, Path] = {}
@@ -155,10 +167,11 @@ class Registry:
         return declared[0]
 
 
-def user_registry(further: Iterable[Path] = ()) -> Registry:
+def user_registry(further: Iterable[Path | str] = ()) -> Registry:
     """The materials of the package, of the user's own folder if there is one, and of any `further` folders."""
     own = user_folder()
-    rest = [folder for folder in further if folder.resolve() != own.resolve()]
+    given = [Path(folder) for folder in ((further,) if isinstance(further, str | Path) else further)]
+    rest = [folder for folder in given if folder.resolve() != own.resolve()]
     return Registry((*([own] if own.is_dir() else []), *rest))
 
 

@@ -36,7 +36,7 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
     if unknown:
         raise KeyError(f"estimates of {', '.join(unknown)}; {start.name} has {', '.join(numbers)}")
     kind = _kind(start)
-    lossy = kind.forms[0].dimensions if kind.forms else {}
+    lossy = kind.lossy_fields
     # A source that prints other constants (wave speeds, compliances) has no Value under the names of the fields.
     converted = bool(set(start.values) - set(numbers) - set(_thermal(start)))
     values: dict[str, Value] = {}
@@ -57,7 +57,7 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
             value = replace(value, status="fixed", loss_status="fixed" if name in lossy else "")
         stated = _loss_is_stated(value)
         values[name] = replace(
-            value, unit=_unit(kind, name),
+            value, unit=_unit(kind, name), loss_stated="",
             loss_tolerance=value.rounding + (value.loss_uncertainty or 0.0) if stated else 0.0)
     found: dict[str, Any] = {
         name: complex(value.value) if name in lossy else complex(value.value).real for name, value in values.items()}
@@ -124,6 +124,7 @@ def entry_text(material: Material) -> str:
         "title": f"fitted to {', '.join(recording.path for recording in fit.recordings)}",
         "source": material.source,
         "conditions": _conditions(fit),
+        **{key: text for key in kind.words if (text := getattr(material, key))},
     }
     lines = [f"{key} = {toml.quoted(text)}" for key, text in head.items()]
     lines += ["", *(f"{name} = {_value_text(material.values[name], head)}" for name in stated), ""]

@@ -5,10 +5,11 @@ In a file a number is a table on one line::
     c33 = { value = 121.67, loss = -0.30, unit = "GPa", rounding = 0.005, source = "acevedo_2026", note = "Table 3" }
 
 ``loss`` is the imaginary part for the time factor e^{-i w t}: negative for a stiffness or a modulus, positive for a
-permittivity. ``uncertainty`` (of the value) and ``loss_uncertainty`` are standard uncertainties; ``rounding`` is half a
-unit of the last digit printed in the source. A fit adds the ends of its intervals, ``low`` ``high`` ``loss_low``
-``loss_high`` (an end left out: the data do not bound it), and what became of the two parts, ``status`` and
-``loss_status``. All numbers are in the unit of the entry and are SI once read.
+permittivity; ``loss_tangent``, ``q`` or ``attenuation`` stand in its place where a source prints those (see
+:mod:`materials.loss`). ``uncertainty`` (of the value) and ``loss_uncertainty`` (stated as the loss is) are standard
+uncertainties; ``rounding`` is half a unit of the last digit printed in the source. A fit adds the ends of its
+intervals, ``low`` ``high`` ``loss_low`` ``loss_high`` (an end left out: the data do not bound it), and what became of
+the two parts, ``status`` and ``loss_status``. All numbers are in the unit of the entry and are SI once read.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import datetime
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from materials.loss import Loses, read_loss
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
 from workbench.files.tables import Table
@@ -28,9 +30,9 @@ RECORDING = "recording"
 STATUSES = ("fitted", "fixed", "at bound", "not determined")
 
 #: Uncertainties and ends of intervals, not below zero and of either sign.
-_SPREADS = ("uncertainty", "loss_uncertainty", "rounding")
+_SPREADS = ("uncertainty", "rounding")
 _ENDS = ("low", "high", "loss_low", "loss_high")
-_KEYS = ("value", "loss", "unit", *_SPREADS, *_ENDS, "status", "loss_status", "source", "conditions", "note")
+_KEYS = ("value", "unit", *_SPREADS, *_ENDS, "status", "loss_status", "source", "conditions", "note")
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class Value:
     where the source states no loss, because the imaginary part is then an assumption and not a rounded figure.
     ``low`` to ``high`` and ``loss_low`` to ``loss_high`` are the intervals of a fit, at its level of confidence (None:
     no bound on that side); ``status`` and ``loss_status`` are of :data:`STATUSES`, or empty where nothing was fitted.
+    ``loss_stated`` is the loss in the words of the file where that does not print the imaginary part itself.
     """
 
     value: complex
@@ -59,6 +62,7 @@ class Value:
     loss_high: float | None = None
     status: str = ""
     loss_status: str = ""
+    loss_stated: str = ""
 
 
 def date_text(table: Table, key: str) -> str:
@@ -111,7 +115,7 @@ def parse_value(
     references: Collection[str],
     default_source: str,
     default_conditions: str,
-    lossy: bool,
+    loses: Loses,
 ) -> Value:
     """The :class:`Value` stated by a table of a data file.
 
@@ -123,40 +127,42 @@ def parse_value(
         references: keys of the bibliography.
         default_source: the file's own ``source``, used where the entry names none.
         default_conditions: the same for ``conditions``.
-        lossy: whether this number may have an imaginary part.
+        loses: how this number may have an imaginary part.
 
     Raises:
         InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source or
-            status, an interval that does not hold its value.
+            status, an interval that does not hold its value, a loss of the wrong form (see :func:`read_loss`).
     """
     table = Table.of(entry, source=source, field=field, expected='a table such as { value = 1.0, unit = "GPa" }')
-    table.only([key for key in _KEYS if lossy or not key.startswith("loss")])
+    table.only([*(key for key in _KEYS if loses.words or not key.startswith("loss")), *loses.keys])
     unit, factor = unit_factor(table, dimension)
     real = table.optional_number("value")
     if real is None:
         raise InputError(source, table.at("value"), "nothing", "a finite number")
     spreads = {key: _spread(table, key, factor) for key in _SPREADS}
-    loss = table.optional_number("loss")
     rounding = spreads["rounding"] or 0.0
+    loss = read_loss(table, loses, real, factor=factor, rounding=rounding)
+    lost = loss.imaginary / factor if loss.stated else table.optional_number("loss") or 0.0 if loses.words else 0.0
     low, high, loss_low, loss_high = (
-        _end(table, key, loss or 0.0 if key.startswith("loss") else real, factor) for key in _ENDS)
+        _end(table, key, lost if key.startswith("loss") else real, factor) for key in _ENDS)
     status, loss_status = (table.choice(key, STATUSES) if key in table else "" for key in ("status", "loss_status"))
     return Value(
-        value=complex(real, loss or 0.0) * factor,
+        value=complex(real * factor, loss.imaginary),
         unit=unit,
         source=source_of(table, references, default_source),
         conditions=table.text("conditions", default_conditions),
         note=table.text("note", ""),
         uncertainty=spreads["uncertainty"],
-        loss_uncertainty=spreads["loss_uncertainty"],
+        loss_uncertainty=loss.uncertainty,
         rounding=rounding,
-        loss_tolerance=0.0 if loss is None else rounding + (spreads["loss_uncertainty"] or 0.0),
+        loss_tolerance=loss.tolerance,
         low=low,
         high=high,
         loss_low=loss_low,
         loss_high=loss_high,
         status=status,
         loss_status=loss_status,
+        loss_stated=loss.stated,
     )
 
 

@@ -78,6 +78,8 @@ def _stacked(layers: Sequence[tuple[str, float, float, float | None]], *, band: 
     """A chip from (role, thickness, radius, radius of the hole or None), bottom to top, in metres."""
     from geometry.chip import Chip, Dimension, Layer, State
     from geometry.names import region_names
+    from geometry.parts import Electrodes, named_dimensions
+    from geometry.plausible import range_of
 
     made: list[Layer] = []
     for region, (role, thickness, radius, hole) in zip(region_names(row[0] for row in layers), layers, strict=True):
@@ -85,7 +87,11 @@ def _stacked(layers: Sequence[tuple[str, float, float, float | None]], *, band: 
         cavity = None if hole is None else Dimension(hole)
         made.append(Layer(region, role, "of the test", Dimension(thickness), Dimension(radius), z, cavity))
     holes = any(layer.cavity_radius is not None for layer in made)
-    return Chip("test", tuple(made), band, (State("default", cavity="of the test" if holes else None),))
+    # Closed forms are of plates and columns that no chip has.
+    named = dict(named_dimensions(made, Electrodes(), None))
+    unusual = [name for name, each in named.items() if (usual := range_of(name)) and each.value not in usual]
+    return Chip("test", tuple(made), band, (State("default", cavity="of the test" if holes else None),),
+                unusual=("band", *unusual))
 
 
 def _reference_materials(name: str) -> dict[str, Material]:

@@ -179,7 +179,8 @@ def test_the_picture_of_packages_has_one_way(tmp_path: Path) -> None:
 
 
 def test_every_key_of_a_chip_file_is_explained() -> None:
-    code = "import sys; sys.path[:0] = ['docs', '.']; import chip_keys; print(chip_keys.page())"
+    code = ("import sys; sys.path[:0] = ['docs', '.']; import chip_keys; print(chip_keys.page()); "
+            "print(chip_keys.plausible_page())")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     for key in ("cavity_radius", "live_inner_radius", "particle_radius", "z_min", "tolerance"):
@@ -209,7 +210,7 @@ def test_every_key_of_bench_and_campaign_is_explained() -> None:
     assert keys.bench_keys()["`[compensation]`"].keys() == compensation >= {"open", "short", "load", "load_tolerance"}
     assert keys.bench_keys()["`[acquisition]`"].keys() == {field.name for field in dataclasses.fields(Acquisition)}
     assert keys.campaign_keys()["`[states.NAME]`"].keys() == set(STATE_KEYS)
-    assert "| `step` | text with a unit: Hz, kHz, MHz | `500 Hz` |" in keys.bench_page()
+    assert "| `step` | text with a unit: Hz, kHz, MHz, GHz | `500 Hz` |" in keys.bench_page()
     assert "| `known` | one of `stated`, `named` | `stated` |" in keys.campaign_page()
 
 

@@ -38,7 +38,7 @@ SAID = {
     "03_your_own_chip": "layers[1].thickness: received '20'",
     "04_fit_a_disc": "pzt4/comsol_nominal.c33       1.2167e+11",
     "05_fit_a_polymer": "kept as pla_mine/print_1@1", "06_compare_with_a_recording": "rms of ln(Z/Z_ref) 0.",
-    "07_diagnose_a_campaign": "ambiguous fluid temperature", "08_fields_and_traps": "trap at r 0.00 mm, z 3.26",
+    "07_diagnose_a_campaign": "ambiguous fluid temperature", "08_fields_and_traps": "trap at r = 0.000 mm, z = 3.26",
     "14_study": "soda_lime_glass/en572_2012: f0 1.0462 MHz, -1.4",
     "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
     "15_tolerance": "f0 within 8 kHz: 51.4 % (48.3 to 54.5 %), linear estimate 79 %",

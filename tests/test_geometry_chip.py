@@ -9,6 +9,7 @@ import pytest
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_section import volumes
+from geometry.limits import CENTRED, CLOSED, NOT_ROUND, ONE_CAVITY, ONE_DISC
 from geometry.names import interface, outside, region_names, role_of
 from workbench.files.errors import InputError
 
@@ -172,6 +173,19 @@ MISTAKES = {
         "layers[5].radius",
         (),
     ),
+    "negative film": ('"20 um"\nradius', '"-20 um"\nradius', "layers[1].thickness", ("received '-20 um'",)),
+    "decimal comma": ('"0.85 mm"', '"0,85 mm"', "layers[2].thickness", ("decimal point, not a comma: \"0.85 mm\"",)),
+    "negative tolerance": ('nce = "20 um"', 'nce = "-20 um"', "layers[0].thickness.tolerance", ("'-20 um'",)),
+    "radius and diameter": ('live_radius = "9 mm"', 'live_radius = "9 mm", live_diameter = "18 mm"',
+                            "layers[0].electrodes.live_diameter", ("live_radius or live_diameter, not both",)),
+    "electrode wider by its diameter": ('live_radius = "9 mm"', 'live_diameter = "26 mm"',
+                                        "layers[0].electrodes.live_diameter", ("26 mm", "diameter, 25 mm")),
+    "width of a plate": ('material = "gel"', 'material = "gel"\nwidth = "5 mm"', "layers[1].width",
+                         ("'5 mm'", "axisymmetric only", "a disc of its thickness and area")),
+    "offset": ('material = "gel"', 'material = "gel"\noffset = "5 mm"', "layers[1].offset",
+               ("axisymmetric only", "in place of a part beside the axis")),
+    "fill height": ('cavity = "water"', 'cavity = "water"\nfill_height = "0.5 mm"', "states.filled.fill_height",
+                    ("axisymmetric only", "free surface")),
     "missing unit": ('"0.85 mm"', '"0.85"', "layers[2].thickness", ("'0.85'", "mm")),
     "bare number": ('"0.85 mm"', "0.85", "layers[2].thickness", ("0.85", "unit")),
     "unknown unit": ('"20 um"\nradius', '"20 mum"\nradius', "layers[1].thickness", ("'20 mum'", "'um'")),
@@ -181,7 +195,7 @@ MISTAKES = {
     "unknown table": ("[cavity]", "[cavty]", "cavty", ("'cavity'",)),
     "unknown role": ('"superstrate"', '"superstate"', "layers[5].role", ("'superstate'", "did you mean 'superstrate'")),
     "electrodes of a backing": ('role = "transducer"', 'role = "backing"', "layers[0].electrodes", ("'electrodes'",)),
-    "two transducers": ('role = "substrate"', 'role = "transducer"', "layers", ("2 layers", "exactly one")),
+    "two transducers": ('role = "substrate"', 'role = "transducer"', "layers", ("2 layers", f"exactly {ONE_DISC}")),
     "cavity wider than its layer": (
         'cavity_radius = "4 mm"',
         'cavity_radius = "13 mm"',
@@ -192,7 +206,7 @@ MISTAKES = {
         'thickness = "1 mm"\nradius = "13 mm"',
         TOP_RING,
         "layers[5].cavity_radius",
-        ("4 mm", "layer above"),
+        ("4 mm", "layer above", "axisymmetric only", "open well"),
     ),
     "cavity open at the lid": (
         'thickness = "1 mm"\nradius = "13 mm"',
@@ -210,13 +224,13 @@ MISTAKES = {
         'role = "bond"',
         'role = "layer"\nmaterial = "pla"\nthickness = "1 mm"\nradius = "13 mm"\n[[layers]]\nrole = "bond"',
         "layers[4].cavity_radius",
-        ("'layer'", "neighbouring"),
+        ("'layer'", "neighbouring", "axisymmetric only", "of two cavities model the one"),
     ),
     "hole through the transducer": (
         'density = "7500 kg/m^3"',
         'cavity_radius = "1 mm"',
         "layers[0].cavity_radius",
-        ("no hole",),
+        ("received '1 mm'", f"no hole through the transducer: {ONE_DISC}"),
     ),
     "electrode wider than the disc": (
         'live_radius = "9 mm"',
@@ -231,7 +245,8 @@ MISTAKES = {
         ("9.5 mm", "below"),
     ),
     "electrode on the side": ('live = "top"', 'live = "side"', "layers[0].electrodes.live", ("'side'", "bottom, top")),
-    "band reversed": ('["0.91 MHz", "1.155 MHz"]', '["1.155 MHz", "0.91 MHz"]', "chip.band", ("lower one first",)),
+    "band reversed": ('["0.91 MHz", "1.155 MHz"]', '["1.155 MHz", "0.91 MHz"]', "chip.band",
+                      ("['1.155 MHz', '0.91 MHz']", "lower one first")),
     "band of one": ('["0.91 MHz", "1.155 MHz"]', '["0.91 MHz"]', "chip.band", ("two frequencies",)),
     "band in metres": ('"0.91 MHz"', '"0.91 mm"', "chip.band[0]", ("'0.91 mm'", "Hz")),
     "overlap": (
@@ -280,6 +295,32 @@ MISTAKES = {
     "no material": ('material = "gel"', "", "layers[1].material", ("a text",)),
     "broken syntax": ("[states.empty]", "[states.empty", "TOML syntax", ("line",)),
 }
+
+
+@pytest.mark.parametrize("outline", [
+    '["7.5 mm", "0 mm"], ["radius", "0 mm"], ["radius", "thickness"], ["7.5 mm", "thickness"]',
+    '["bore", "0 mm"], ["radius", "0 mm"], ["radius", "thickness"], ["bore", "thickness"]'])
+def test_a_ring_by_points_is_refused_in_the_words_of_one_by_its_radius(outline: str, tmp_path: Path) -> None:
+    profile = f'profile = {{ points = [{outline}], parameters = {{ bore = "7.5 mm" }} }}'
+    with pytest.raises(InputError, match=r"profile.points: received 'r = 7.5 mm and more'") as caught:
+        read(TEXT.replace('density = "7500 kg/m^3"', profile, 1), tmp_path)
+    assert caught.value.expected == f"no hole through the transducer: {ONE_DISC}"
+
+
+def test_a_diameter_is_read_wherever_a_radius_is(tmp_path: Path) -> None:
+    plain = read(TEXT, tmp_path)
+    text = TEXT
+    for old, new in (('radius = "13 mm"\n', 'diameter = { value = "26 mm", tolerance = "0.2 mm" }\n'),
+                     ('cavity_radius = "4 mm"', 'cavity_diameter = "8 mm"'),
+                     ('live_radius = "9 mm"', 'live_diameter = "18 mm"'),
+                     ('particle_radius = "5 um"', 'particle_diameter = "10 um"')):
+        assert old in text
+        text = text.replace(old, new)
+    chip = read(text, tmp_path)
+    assert {name: each.value for name, each in chip.dimensions().items()} == pytest.approx(
+        {name: each.value for name, each in plain.dimensions().items()})
+    assert chip.layer("substrate").radius.tolerance == pytest.approx(0.1e-3)
+    assert chip.state("filled").particle_radius == pytest.approx(5e-6)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
@@ -420,3 +461,9 @@ def test_a_chip_can_be_given_as_tables() -> None:
         parse_chip(
             {"chip": {"name": "disc", "band": ["0.9 MHz", "1.1 MHz"]}, "layers": [disc | {"radius": 10}]}, source="here"
         )
+
+
+def test_the_limits_are_documented_in_the_words_of_the_messages() -> None:
+    page = " ".join((Path(__file__).parents[1] / "docs" / "model.md").read_text(encoding="utf-8").split())
+    for words in (ONE_DISC, NOT_ROUND, CENTRED, ONE_CAVITY, CLOSED):
+        assert words in page

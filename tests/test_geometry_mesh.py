@@ -378,7 +378,7 @@ def chips(draw: st.DrawFn) -> Chip:
     def radius(low: int) -> str:
         return f"{draw(st.integers(low, 40)) / 4} mm"
 
-    thin = st.sampled_from(["5 um", "20 um", "0.13 mm", "0.85 mm", "2.02 mm"])
+    thin = st.sampled_from(["10 um", "20 um", "0.13 mm", "0.85 mm", "2.02 mm"])
     electrodes = {"live": draw(st.sampled_from(["top", "bottom"]))}
     if draw(st.booleans()):
         electrodes["live_radius"] = f"{draw(st.integers(1, 16)) / 4} mm"

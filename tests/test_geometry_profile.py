@@ -99,6 +99,14 @@ def level(thickness, radius, cavity_radius):
     return cq.Face.makeFromWires(cq.Wire.makePolygon(points, close=True))
 
 
+def metres(thickness, radius, cavity_radius):
+    return ring(thickness / 1e3, radius / 1e3, cavity_radius / 1e3)
+
+
+def hanging(thickness, radius, cavity_radius):
+    return ring(thickness, radius, cavity_radius).translate((0, 0, -thickness))
+
+
 def broken(thickness):
     return 1 / 0
 
@@ -174,12 +182,21 @@ def written(folder: Path, profile: str) -> Chip:
     ('script = "rings.py", function = "line"', r"a wire from r = 4 mm, z = 0 mm to r = 13 mm, z = 0.72 mm.*closed one"),
     ('script = "rings.py", function = "listed"', r"rings.py: listed: received 'list'; expected a CadQuery solid"),
     ('script = "rings.py", function = "twice"', r"twice: received '2 solids'; expected one solid"),
-    ('script = "rings.py", function = "beside"', r"beside: received '14.1 % of its volume .*turns about the z axis"),
-    ('script = "rings.py", function = "square"', r"square: received '19.8 % of its volume"),
+    ('script = "rings.py", function = "beside"', r"beside: received 'a body of revolution about z through x = 1 mm'; "
+     r'.*origin = \["1 mm", "0 mm", "0 mm"\] says'),
+    ('script = "rings.py", function = "square"',
+     r"square: received '19.8 % of its volume.*axisymmetric only: .* a disc of its thickness and area"),
+    ('script = "rings.py", function = "metres"', r"metres: received 'a solid 0.026 mm wide'; .*are in millimetres"),
+    ('script = "rings.py", function = "hanging"', r"hanging: received 'a body upside down, from z = -0.72 to 0 mm'"),
+    ('script = "rings.py", function = "line", axis = "y"', r"line: received 'no solid'; expected a solid: axis,"),
+    ('script = "rings.py", function = "ring", axis = "up"', r"axis: received 'up'; expected one of x, y, z, -x,"),
+    ('script = "rings.py", function = "ring", origin = ["1 mm"]', r"origin: .*a point on the axis"),
+    ('script = "rings.py", function = "ring", sector = "0 deg"', r"sector: received '0 deg'; expected an angle"),
+    (points(A, B, C, D) + ', axis = "y"', r"profile.axis: received 'y'; expected none for points"),
     ('script = "rings.py", function = "drilled"',
      r"received '0.164 % of its volume \(0.5655 mm\^3 in 1 places\) .*most at r = 8 mm, z = 0.36 mm"),
     ('script = "rings.py", function = "level"', r"received 'a face from y = 0 to 1 mm'"),
-    ('script = "rings.py", function = "broken"', r"broken\(thickness = 0.72\): received 'ZeroDivisionError"),
+    ('script = "rings.py", function = "broken"', r"line 54, broken\(thickness = 0.72\): received 'ZeroDivisionError"),
     ('script = "rings.py", function = "deep"', r"parameter of deep: received 'depth'; expected one of cavity_radius"),
     ('script = "rings.py", function = "high"', r"sidewall and superstrate: received 'an overlap of 1.296 mm\^2"),
     ('step = "ring.step", part = "rang"', r"ring.step: part: received 'rang'.*did you mean 'ring'"),

@@ -51,7 +51,7 @@ def test_a_length_stretches_up_to_its_neighbours_and_no_further(names: list[str]
     assert math.isfinite(high) == (names in (RIMS, ["cavity.radius"]))
     step = 0.1 * (CHIP.dimensions()[names[0]].value - low)
     for inside, outside in ((low + step, low - step), (min(high - step, 1.0), high + step)):
-        moved_onto(MESH, CHIP.with_dimensions(dict.fromkeys(names, inside)))
+        moved_onto(MESH, CHIP.with_dimensions(dict.fromkeys(names, inside), unusual=names))
         if math.isfinite(outside):
             with pytest.raises((MeshError, InputError, ValueError)):
                 moved_onto(MESH, CHIP.with_dimensions(dict.fromkeys(names, outside)))
@@ -65,7 +65,7 @@ def test_a_length_moves_nine_tenths_of_the_way_to_its_neighbour_and_within_bound
     assert (behind - high) == pytest.approx(0.1 * (behind - value), rel=1e-12) or behind == high == math.inf
     together = RIMS if name in RIMS else WALLS if name in WALLS else [name]
     for length in (low, min(high, 1.0)):
-        moved_onto(MESH, CHIP.with_dimensions(dict.fromkeys(together, length)))
+        moved_onto(MESH, CHIP.with_dimensions(dict.fromkeys(together, length), unusual=together))
     near = 0.999 * value, 1.001 * value
     assert movable(CHIP, name, *near) == near
     assert movable(CHIP, name, near[0]) == (near[0], high)

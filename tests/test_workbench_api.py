@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,28 @@ def test_files_may_be_named_by_text(tmp_path: Path) -> None:
     for reader in (wb.read_chip, wb.read_recording, wb.read_campaign, wb.read_bench):
         with pytest.raises(wb.InputError, match=r"nothing\.toml"):
             reader(str(tmp_path / "nothing.toml"))
+
+
+def test_folders_and_files_to_write_may_be_named_by_text(tmp_path: Path) -> None:
+    chip = wb.read_chip(str(ROOT / "geometry/chips/disc_20x2.toml"))
+    assert wb.write_chip(chip, str(tmp_path / "w.toml")) == tmp_path / "w.toml"
+    folder = tmp_path / "mats"
+    (folder / "tap_water").mkdir(parents=True)
+    text = (ROOT / "materials/data/water/iapws_2011.toml").read_text(encoding="utf-8")
+    (folder / "tap_water" / "own_2024.toml").write_text(text.replace("default = true", ""), encoding="utf-8")
+    for folders in (str(folder), folder, (str(folder),), [folder]):
+        registry = wb.Registry(folders)
+        assert registry.folders == (folder,)
+        assert "tap_water/own_2024" in registry.names()
+    study = wb.read_study(str(ROOT / "examples/small_study/study.toml"), materials=[str(folder)])
+    assert folder in study.registry.folders
+    with wb.SimulatedBench(lambda frequency: 50.0 + 0.0j, folder=str(tmp_path / "ports")) as bench:
+        assert bench is not None
+
+
+def test_what_a_prompt_lists_is_what_is_public() -> None:
+    assert wb.__version__ == tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert {name for name in dir(wb) if not name.startswith("__")} == {*wb.PUBLIC, "PUBLIC"}
 
 
 def test_a_notebook_shows_a_table_and_a_figure() -> None:

@@ -451,8 +451,7 @@ def test_a_typed_tolerance_is_that_of_the_fit_and_of_a_diagnosis(tmp_path: Path)
 def test_the_fit_finds_a_gel_far_from_what_is_stated(tmp_path: Path) -> None:
     truth = 35e-6
     plain = live_chip.film_session(tmp_path)
-    with pytest.warns(UserWarning, match="estimated"):
-        recording = simulate(plain.chip.with_dimensions({GEL: truth}), accuracy=live_chip.LOOSE, points=61).spectrum
+    recording = simulate(plain.chip.with_dimensions({GEL: truth}), accuracy=live_chip.LOOSE, points=61).spectrum
     session = live_chip.film_session(tmp_path, recording=recording)
     session.tolerate(GEL, 15e-6)
     works = Works(session, tmp_path, None)

@@ -1,23 +1,27 @@
 """workbench.bench.sweep on the simulated bench: points, limits, faults, interruptions, and a drive that ends off."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from workbench.bench.compensation import Compensation
+from workbench.bench.plan import Target
 from workbench.bench.rig import DriveLeftOn, Rig, marker_path
 from workbench.bench.run_file import journal_path, read_run
 from workbench.bench.setup import read_bench
+from workbench.bench.sine_fit import SineFit
 from workbench.bench.spectra import level_spectra
-from workbench.bench.sweep import BenchFailure, LimitExceeded, measure
+from workbench.bench.sweep import BenchFailure, LimitExceeded, _doubts, measure
 from workbench.files.errors import InputError
 from workbench.instruments.circuit import IDEAL, resistor
 from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, Kind
-from workbench.instruments.instrument import InstrumentError
+from workbench.instruments.instrument import InstrumentError, Waveform
 from workbench.instruments.simulated import Drift, SimulatedBench
 
 TEXT = """
@@ -279,6 +283,23 @@ def test_a_wrong_probe_factor_is_noticed(tmp_path: Path) -> None:
         with pytest.raises(BenchFailure, match="probe factor"):
             measure(setup(bench, tmp_path), tmp_path / "run.h5", sleep=no_wait)
         assert safe(bench, tmp_path / "run.h5")
+
+
+@pytest.mark.parametrize(("volts", "spread", "said"), [
+    (0.047, 1e-4, r"low signal: the reference channel has 5\.9 steps of the converter, 6 or more are wanted: rounding"),
+    (0.1, 0.01, r"low signal: the reference channel has 10 times its uncertainty, 20 or more are wanted: it is near"),
+    (0.1, 0.001, ""),
+])
+def test_a_low_signal_says_why_it_is_doubtful(volts: float, spread: float, said: str) -> None:
+    """A device without resistance of its own beside 50 ohm: the total is what the reference has."""
+    setup: Any = SimpleNamespace(reference=SimpleNamespace(resistance=50.0))
+    amplitude = np.array([volts, volts], dtype=complex)
+    fit = SineFit(1e6, amplitude, np.array([1e-4, spread]), np.zeros(2), np.zeros(2), np.zeros(2))
+    wave = [Waveform(k, np.zeros(4), np.zeros(4, dtype=np.int16), 0.0, 1e-9, step, clipped=False)
+            for k, step in ((1, 1e-4), (2, 0.008))]
+    flags = _doubts(setup, [(wave[0], wave[1])], [fit], 0j, 4.0 * volts, Target(1e6, 0.0, 0))
+    assert re.match(said, " | ".join(flags))
+    assert bool(flags) == bool(said)
 
 
 def test_up_and_down_find_a_drift(tmp_path: Path) -> None:

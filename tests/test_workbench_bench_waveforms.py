@@ -136,6 +136,9 @@ def test_pairs_by_name(tmp_path: Path) -> None:
     assert fit.amplitude[0] / fit.amplitude[1] == pytest.approx(2.0 * np.exp(0.5j), rel=3e-3)
     with pytest.raises(InputError, match="channel 3"):
         pair_files([tmp_path], total=1, reference=3)
+    with pytest.raises(InputError, match="readable file"):
+        pair_files([tmp_path / "trace.csv"], total=1, reference=2)
+    (tmp_path / "trace.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="channel in it"):
         pair_files([tmp_path / "trace.csv"], total=1, reference=2)
     (tmp_path / "empty").mkdir()

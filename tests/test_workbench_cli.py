@@ -19,6 +19,7 @@ from workbench.options import parser
 from workbench.physics.term import ModelError
 from workbench.solve import NotConverged
 
+CHIP = str(Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml")
 COMMANDS = ("simulate", "compare", "mesh", "export", "render", "sensitivity", "materials", "measure", "import", "bench")
 
 
@@ -77,7 +78,7 @@ def outcome(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException | int], 
             return result
 
         monkeypatch.setattr(export_command, "run", export)
-        return main(["export", "chip.toml", "-o", "out"])
+        return main(["export", CHIP, "-o", "out"])
 
     return end
 
@@ -88,7 +89,8 @@ def outcome(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException | int], 
     (KeyboardInterrupt(), 130, "interrupted"),
     (NotConverged(1e6, 1.0, np.zeros(1)), 1, "NotConverged: the solve at 1e+06 Hz"),
     (ModelError("no electrode [bold]"), 1, "ModelError: no electrode [bold]"),
-    (OSError(28, "No space left on device"), 1, "No space left on device"),
+    (OSError(28, "No space left on device"), 1, "error: out: No space left on device; the disk is full: make room, or"),
+    (PermissionError(13, "Permission denied", "a.csv"), 1, "error: a.csv: Permission denied; you may not write there"),
 ])
 def test_an_end_has_its_status_and_its_words(
     result: BaseException | int, status: int, text: str, outcome: Callable[[BaseException | int], int],
@@ -118,7 +120,7 @@ def test_our_warnings_are_shown_once_and_others_are_not(
         return 0
 
     monkeypatch.setattr(export_command, "run", export)
-    assert main(["export", "chip.toml", "-o", "out"]) == 0
+    assert main(["export", CHIP, "-o", "out"]) == 0
     said = capsys.readouterr().err
     assert said.count("warning: mesh [too] coarse") == 1
     assert "overflow met" in said
@@ -134,7 +136,7 @@ def test_a_lost_imaginary_part_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(export_command, "run", export)
     with pytest.raises(np.exceptions.ComplexWarning):
-        main(["export", "chip.toml", "-o", "out"])
+        main(["export", CHIP, "-o", "out"])
 
 
 def test_help_does_not_wait_for_the_numerical_libraries() -> None:

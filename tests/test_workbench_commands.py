@@ -93,7 +93,8 @@ def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -
     text = check_report(out / "report.html")
     assert text.count("<img") == len(pictures)
     assert "water/iapws_2011" in text
-    assert "depth" in text
+    assert "Do particles gather?" in text
+    assert "axial barrier" in text
     assert {path.suffix for path in out.glob("chip.*")} == {".step"}
     assert (out / "transducer.stl").stat().st_size > 1000
     assert (out / "fields_filled.vtu").is_file()
@@ -149,7 +150,7 @@ def test_an_interrupted_full_spectrum_goes_on_where_it_stopped(
     first = Stop(13 + 5)
     monkeypatch.setattr(states, "simulate_state", first)
     assert main([*command, str(stopped)]) == 130
-    assert "what was finished is on disk" in capsys.readouterr().err
+    assert "holds spectrum_empty.csv, unfinished_empty.csv" in capsys.readouterr().err
     unfinished = stopped / "unfinished_filled.csv"
     assert len(unfinished.read_text().splitlines()) == 1 + 5
     # A kill may leave a line that reads as a number but lacks its last digits.
@@ -211,7 +212,9 @@ def test_compare_finds_what_was_put_in(disc: Path, tmp_path: Path) -> None:
     assert record["findings"] == []
     assert {path.name for path in out.iterdir()} == {"spectrum.csv", "merit.json", "report.html", "impedance.png",
                                                      "residual.png"}
-    assert "Nothing was fitted" in check_report(out / "report.html")
+    text = check_report(out / "report.html")
+    assert "Nothing was fitted" in text
+    assert "workbench diagnose CAMPAIGN.toml" in text
 
 
 def test_compare_uses_the_common_band(disc: Path, tmp_path: Path) -> None:
@@ -337,7 +340,7 @@ def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.C
     checked = capsys.readouterr().out
     assert "water/iapws_2011: ok" in checked
     assert "pzt4/acevedo_2026_fitted: ok" in checked
-    assert "the losses create energy" in checked
+    assert "taken as printed. Its losses are rounded" in checked
     folder = tmp_path / "own" / "jelly"
     folder.mkdir(parents=True)
     (folder / "mine.toml").write_text('kind = "gelatine"\n')

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import CAVITY_LAYERS, DISC
 
-from geometry.chip import Chip, read_chip
+from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import write_chip
 from workbench.cli import main
 from workbench.design import optimisation
 from workbench.design.evaluation import Evaluation
 from workbench.design.modelling import ChipSolver
+from workbench.simulation import snapshot
 from workbench.spectrum import Spectrum
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
@@ -53,6 +56,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ChipSolver, "model", lambda self, chip, ranges, progress: Parabola())
     monkeypatch.setattr(ChipSolver, "full", lambda self, chip: Parabola()(
         {name: chip.dimensions()[name].value for name in Parabola.names}))
+    monkeypatch.setattr(ChipSolver, "snapshot", lambda self, chip, frequency: None)
     band = np.linspace(0.9e6, 1.1e6, 11)
     monkeypatch.setattr(ChipSolver, "spectrum", lambda self, chip: Spectrum(band, np.full(11, 10.0 - 5.0j)))
 
@@ -81,6 +85,18 @@ def test_a_goal_leaves_chip_report_and_record(tmp_path: Path, capsys: pytest.Cap
     assert "confirmed by a full solve" in said
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "What holds the optimum" in page
+
+
+def test_the_field_before_and_after_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chip = parse_chip(tomllib.loads(DISC + CAVITY_LAYERS + '[states.filled]\ncavity = "water"\n'), source="cell.toml")
+    shot = snapshot(chip, "filled", 400e3, accuracy=5e-2)
+    monkeypatch.setattr(ChipSolver, "snapshot", lambda self, chip, frequency: shot)
+    out = tmp_path / "out"
+    assert main(["design", written(tmp_path), "-o", str(out), "--workers", "1", "--no-cad"]) == 0
+    assert {path.name for path in (out / "before").iterdir()} == {"pressure_filled.png"}
+    assert (out / "after" / "pressure_filled.png").exists()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.index("before, filled: pressure") < page.index("after, filled: pressure")
 
 
 def test_what_is_not_confirmed_leaves_no_chip(

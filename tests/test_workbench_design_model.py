@@ -23,7 +23,7 @@ from workbench.simulation import simulate
 from workbench.traps import focus_time
 
 #: The published losses of the disc are rounded.
-pytestmark = pytest.mark.filterwarnings("ignore:.*the losses create energy")
+pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")
 
 PLA, WATER = "pla/acevedo_2026", "water/iapws_2011"
 CHIP = Path(__file__).resolve().parent.parent / "geometry" / "chips" / "reference_chip.toml"

@@ -196,7 +196,7 @@ MISTAKES = {
     "a frequency outside the band": (HEAD + 'frequency = "3 MHz"\n', VARY, "study.frequency", "within the band"),
     "a band upside down": (HEAD + 'band = ["2 MHz", "1 MHz"]\n', VARY, "study.band", "a lower and a higher"),
     "a drive without its unit": (HEAD + 'drive = "10 V"\n', VARY, "study.drive", "10 Vpp"),
-    "a tolerance of the model of 100": (HEAD + "tolerance = 100\n", VARY, "study.tolerance", "between 0 and 1"),
+    "a tolerance of the model of 100": (HEAD + 'tolerance = "100 %"\n', VARY, "study.tolerance", "between 0 and 1"),
     "heating without resistances": (HEAD.replace("z_min", "heating"), VARY, "thermal", 'all = "10 K/W"'),
     "a resistance of no region": (HEAD, '[thermal]\nlid = "3 K/W"' + VARY, "thermal.lid", "superstrate"),
     "an unknown method": (HEAD, '[sample]\nmethod = "sobel"\npoints = 8' + VARY, "sample.method", "'sobol'"),

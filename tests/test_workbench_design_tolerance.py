@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from workbench.design.evaluation import Evaluation
 from workbench.design.model import full_evaluation
 from workbench.design.stated import numbers_of
 from workbench.design.tolerance import Tolerance, tolerance
+from workbench.design.tolerance_report import tightening_table, unclear_tightenings
+from workbench.design.yields import Tightening
 from workbench.files.errors import InputError
 from workbench.problem import fill
 
@@ -197,3 +200,15 @@ def test_a_chip_that_fails_as_stated_is_told_so() -> None:
     assert "the chip as stated does not meet 'q <= 10' itself" in found.findings
     assert found.yields is not None
     assert found.yields.together.sampled.passed == 0
+
+
+def test_what_is_noise_is_not_offered_as_advice(found: Tolerance) -> None:
+    assert found.yields is not None
+    tightenings = (Tightening("transducer.thickness", 0.12, 0.02, 0.1), Tightening("water.density", 0.021, 0.014, 0.0),
+                   Tightening("pla.density", -0.021, 0.014, 0.0))
+    named = replace(found.uncertainty, inputs=tuple(replace(found.uncertainty.inputs[0], name=each.name)
+                                                    for each in tightenings))
+    made = replace(found, yields=replace(found.yields, tightenings=tightenings), uncertainty=named)
+    assert [row[0] for row in tightening_table(made).rows] == ["transducer.thickness"]
+    assert unclear_tightenings(made).endswith("twice its standard error: water.density, pla.density.")
+    assert unclear_tightenings(replace(made, yields=replace(found.yields, tightenings=tightenings[:1]))) == ""

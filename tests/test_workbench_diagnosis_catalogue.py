@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from workbench.diagnosis import catalogue
 from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.catalogue import effects
 from workbench.diagnosis.hypothesis import Device, Effect
+from workbench.files.errors import InputError
 from workbench.parameter_names import Kind, ParameterName
 from workbench.physics.open_bond import OpenBond
 from workbench.physics.softening import DRIVE_SQUARED
@@ -168,3 +170,28 @@ def test_the_gauge_scales_what_a_fit_of_a_disc_cannot_tell(found: Mapping[str, E
     assert powers.keys() == {f"pzt/trial.{name}" for name in (
         "density", "c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15")}
     assert {powers[f"pzt/trial.{name}"] for name in ("e31", "e33", "e15")} == {0.5}
+
+
+def test_hypotheses_that_cannot_be_made_are_told_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of an input, or of a range that holds nothing; a defect of the program is none of these."""
+    small = device(read_campaign(SMALL))
+    plain = effects(small)
+
+    def spoilt(_device: Device) -> Iterator[Effect]:
+        yield plain[0]
+        raise InputError("chip.toml", "layers", "odd", "an even one")
+
+    def defect(_device: Device) -> Iterator[Effect]:
+        raise KeyError("c33")
+        yield
+
+    every = catalogue.SOURCES
+    monkeypatch.setattr(catalogue, "SOURCES", (*every, spoilt))
+    found, others = catalogue.effects_and_others(small)
+    monkeypatch.setattr(catalogue, "SOURCES", every)
+    assert len(found) == len(plain) + 1
+    assert others == ("what else may be wrong with spoilt, because chip.toml: layers: received 'odd'; expected an even "
+                      "one",)
+    monkeypatch.setattr(catalogue, "SOURCES", (*every, defect))
+    with pytest.raises(KeyError, match="c33"):
+        catalogue.effects_and_others(small)

@@ -124,23 +124,23 @@ def test_what_varies_is_an_offset_of_every_state_that_has_it(folder: Path) -> No
 "bench.phase" = "0.002 rad"
 """)
     assert found.known["couplant.thickness"] == 3e-6
-    assert found.offsets["couplant.thickness@empty"] == pytest.approx(2e-6)
+    assert found.offsets["couplant.thickness[empty]"] == pytest.approx(2e-6)
     # Independent of each other.
-    assert found.offsets["couplant.thickness@filled"] == pytest.approx(math.hypot(2e-6, 1.5e-6))
-    assert "couplant.thickness@disc" not in found.offsets
-    assert found.offsets["bench.phase@filled"] == 0.002
+    assert found.offsets["couplant.thickness[filled]"] == pytest.approx(math.hypot(2e-6, 1.5e-6))
+    assert "couplant.thickness[disc]" not in found.offsets
+    assert found.offsets["bench.phase[filled]"] == 0.002
     assert [name for name in found.offsets if name.startswith("bench.gain")] == [
-        f"bench.gain@{state}" for state in ("disc", "empty", "filled", "warm")]
-    assert found.offsets["bench.gain@warm"] == pytest.approx(0.01)
+        f"bench.gain[{state}]" for state in ("disc", "empty", "filled", "warm")]
+    assert found.offsets["bench.gain[warm]"] == pytest.approx(0.01)
     # Of the value that each state has.
-    assert found.offsets[f"{SPEED}@warm"] == pytest.approx(1e-3 * 1519.8, rel=1e-4)
-    assert found.offsets[f"{SPEED}@filled"] == pytest.approx(1e-3 * 1496.7, rel=1e-4)
+    assert found.offsets[f"{SPEED}[warm]"] == pytest.approx(1e-3 * 1519.8, rel=1e-4)
+    assert found.offsets[f"{SPEED}[filled]"] == pytest.approx(1e-3 * 1496.7, rel=1e-4)
 
 
 def test_a_bench_differs_between_states_unless_the_campaign_says_how(folder: Path) -> None:
     found = read(folder, '[between]\n"bench.gain" = "1 %"\n')
-    assert (found.offsets["bench.gain@disc"], found.offsets["bench.series_resistance@disc"],
-            found.offsets["bench.clock@disc"]) == (0.01, 0.02, 5e-6)
+    assert (found.offsets["bench.gain[disc]"], found.offsets["bench.series_resistance[disc]"],
+            found.offsets["bench.clock[disc]"]) == (0.01, 0.02, 5e-6)
     assert not [name for name in read(folder, "[between]\ndefaults = false\n").offsets if "bench" in name]
     assert not [name for name in read(folder, '[fixed]\nnames = ["bench.clock"]\n').offsets if "clock" in name]
 
@@ -208,7 +208,7 @@ def test_a_length_that_differs_between_stacks_is_known_in_each(folder: Path) -> 
     (folder / "disc.toml").write_text(DISC + LAYER.format(
         role="couplant", material="coupling_gel", thickness='{ value = "30 um", tolerance = "3 um" }', more=""))
     found = read(folder, "")
-    assert found.offsets["couplant.thickness@disc"] == pytest.approx(3e-6 / math.sqrt(3.0))
+    assert found.offsets["couplant.thickness[disc]"] == pytest.approx(3e-6 / math.sqrt(3.0))
     assert "couplant.thickness" not in found.known
     with pytest.raises(InputError, match=r"known.couplant.thickness: .*same in all states"):
         read(folder, '[known]\n"couplant.thickness" = "1 um"\n')
@@ -236,7 +236,8 @@ def test_the_accuracy_of_the_model(folder: Path, text: str, accuracy: float | No
     ('[between]\n"bench.delay" = "1 %"', "between.bench.delay", "1 %", "is zero"),
     ('[between]\n"bench.delay" = "1 ohm"', "between.bench.delay", "1 ohm", "a time"),
     ('[between]\n"pic255.c33.loss" = "1 %"', "between.pic255.c33.loss", "1 %", "is zero"),
-    ('[between]\n"bench.gain@disc" = "1 %"', "between.bench.gain@disc", "bench.gain@disc", "'bench.gain'"),
+    ('[between]\n"bench.gain[disc]" = "1 %"', "between.bench.gain[disc]", "bench.gain[disc]",
+     '"bench.gain" in the table [states.disc.known]'),
     ('[between]\ndefaults = "no"', "between.defaults", "no", "true or false"),
     ('[between]\n"water.density" = "1 %"\n"water/iapws_2011.density" = "2 %"', "between.water/iapws_2011.density",
      "water/iapws_2011.density", "once"),
@@ -250,11 +251,15 @@ def test_the_accuracy_of_the_model(folder: Path, text: str, accuracy: float | No
     ('[states.disc.known]\n"pic255.c33" = "1 %"\n[fixed]\nnames = ["pic255.c33"]', "fixed.names", "pic255/plutho.c33",
      "states.disc.known.pic255.c33"),
     ('[states.filed.known]\n"bench.gain" = "1 %"', "states.filed", "filed", "'filled'"),
-    ('[known]\n"bench.gain@disc" = "1 %"', "known.bench.gain@disc", "bench.gain@disc", "'bench.gain'"),
-    ('[fixed]\nnames = ["bench.gain@disc"]', "fixed.names", "bench.gain@disc", "a state has"),
+    ('[known]\n"bench.gain[disc]" = "1 %"', "known.bench.gain[disc]", "bench.gain[disc]",
+     '"bench.gain" in the table [states.disc.known]'),
+    ('[fixed]\nnames = ["bench.gain[disc]"]', "fixed.names", "bench.gain[disc]", "a state has"),
+    ('[between]\n"bench.gain" = "0.5"', "between.bench.gain", "0.5", '"0.5 %" or "50 %"?'),
+    ('[known]\n"bench.clock" = 5e-6', "known.bench.clock", "5e-06", '"5e-06 %" or "0.0005 %"?'),
+    ('[model]\naccuracy = "0.002"', "model.accuracy", "0.002", '"0.002 %" or "0.2 %"?'),
     ('[model]\naccuracy = "-1 %"', "model.accuracy", "-1 %", "from 0"),
     ('[model]\naccuracy = "2"', "model.accuracy", "2", "0.2 %"),
-    ('[model]\naccuracy = "1 mm"', "model.accuracy", "1 mm", "dimensionless"),
+    ('[model]\naccuracy = "1 mm"', "model.accuracy", "1 mm", "a share in one of %"),
     ('[model]\nacuracy = "1 %"', "model.acuracy", "acuracy", "'accuracy'"),
 ])
 def test_a_mistake_is_named(folder: Path, tables: str, field: str, value: str, said: str) -> None:
@@ -303,7 +308,7 @@ def test_known_numbers_come_first_and_then_what_states_add(folder: Path) -> None
     assert all(p.prior is not None for p in found.parameters[:found.known])
     assert all(found.index(name) == i for i, name in enumerate(names))
     by_name: dict[str, Parameter] = dict(zip(names, found.parameters, strict=True))
-    gel, speed, loss, radius, gain = (by_name[f"{name}@filled"] for name in (
+    gel, speed, loss, radius, gain = (by_name[f"{name}[filled]"] for name in (
         "couplant.thickness", SPEED, f"{SHEAR}.loss", "transducer.radius", "bench.gain"))
     for each in (gel, speed, loss, radius, gain):
         assert (each.offset, each.recordings, each.start) == (True, ("filled",), 0.0)
@@ -314,11 +319,11 @@ def test_known_numbers_come_first_and_then_what_states_add(folder: Path) -> None
     # A factor of what the state's own temperature gives, and added to the factor that all have.
     assert (speed.relative, speed.unit) == (True, "1")
     assert speed.prior == pytest.approx(1.0 / 1496.7, rel=1e-4)
-    assert by_name[f"{SPEED}@warm"].prior == pytest.approx(1.0 / 1519.8, rel=1e-4)
+    assert by_name[f"{SPEED}[warm]"].prior == pytest.approx(1.0 / 1519.8, rel=1e-4)
     # Radii that are one stay one; its cells stretch as far as it may be moved in any state.
     assert radius.tied == campaign.tied["transducer.radius"]
     x = np.array([p.start for p in found.parameters])
-    x[[found.index("transducer.radius@warm"), found.index("couplant.thickness@filled")]] = 2e-5, 4e-6
+    x[[found.index("transducer.radius[warm]"), found.index("couplant.thickness[filled]")]] = 2e-5, 4e-6
     disc, empty, filled, warm = (found.fitted.settings(x, index)[0] for index in range(4))
     assert warm["transducer.radius"] - 4e-3 == pytest.approx(2e-5)
     assert "transducer.radius" not in filled or filled["transducer.radius"] == 4e-3

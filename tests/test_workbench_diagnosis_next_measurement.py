@@ -21,7 +21,7 @@ Real = NDArray[np.float64]
 POINTS = 3
 ROWS = 2 * POINTS
 #: A state's own gain, a lead, and a number that a hypothesis brings.
-PARAMETERS = (Parameter("bench.gain@two", 0.0, -0.5, 0.5, 0.1, "1", ("two",), offset=True),
+PARAMETERS = (Parameter("bench.gain[two]", 0.0, -0.5, 0.5, 0.1, "1", ("two",), offset=True),
               Parameter("bench.series_resistance", 0.0, -1.0, 1.0, 0.3, "ohm"),
               Parameter("softening", 0.0, 0.0, 1.0, None, "1/V^2"))
 

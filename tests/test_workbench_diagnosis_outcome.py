@@ -16,7 +16,7 @@ from workbench.commands import diagnosis_report
 from workbench.diagnosis.appraisal import established, located
 from workbench.diagnosis.conclusion import Conclusion, share
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
-from workbench.diagnosis.findings import Found, Settled
+from workbench.diagnosis.findings import Found, NotTried, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.knowledge import Taken
@@ -72,7 +72,7 @@ def campaign() -> Any:
 
 
 def model() -> Any:
-    return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, others=(),
+    return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, others=(), effects=(LEADS, GLASS),
                            whole=SimpleNamespace(solves=7), index=[p.name for p in PARAMETERS].index,
                            free=lambda effects: ([0, 1, 2], [2] if GLASS in effects else []),
                            fitted=SimpleNamespace(refusals=[], recordings=()))
@@ -90,7 +90,8 @@ def diagnosis(verdict: str, chosen: Evidence = NOTHING, rivals: tuple[Evidence, 
     base = settled(off=0.05)
     named = settled(LEADS, off=0.003)
     log_odds = {"nothing": 0.0, "leads": 6.0, **{each.name: 5.0 for each in rivals}, **changed.pop("log_odds", {})}
-    found = Found(base, (named, base), (), changed.pop("undone", ()))
+    final = (named, base) if changed.pop("tried", True) else (base,)
+    found = Found(base, final, (), changed.pop("undone", ()), changed.pop("not_tried", ()))
     told = (TOLD,) if chosen.effects else ()
     device = model()
     fits = {key: tuple(state_fit(name, np.log(impedance(off) / impedance()), impedance(off), NOISE)
@@ -111,8 +112,8 @@ def test_the_headline_says_what_is_established_in_shown_units_and_its_share() ->
 
 def test_the_headline_of_every_other_verdict() -> None:
     leads, glass = Evidence("leads", 9.0, ("leads",)), Evidence("shear modulus of glass", 8.0, (GLASS.name,))
-    left = ("0.3 % of Z is left (rms); noise is 0.28 %, and changes of 0.1 % within parts, the accuracy of the model, "
-            "may make 0.15 %")
+    left = ("0.3 % of Z is left (rms of both parts); a noise of 0.2 % leaves 0.28 %, and changes of 0.1 % within "
+            "parts, the accuracy of the model, may make 0.15 %")
     said = {
         "ambiguous": diagnosis("ambiguous", leads, (glass,)),
         "no_mismatch": diagnosis("no_mismatch"), "parameters_explain": diagnosis("parameters_explain"),
@@ -125,11 +126,11 @@ def test_the_headline_of_every_other_verdict() -> None:
                      "mismatch, but shear modulus of glass would too.",
         "no_mismatch": f"The model as stated explains the recordings: {left}.",
         "parameters_explain": f"The known parameters, within what is known of them, explain the recordings: {left}; "
-                              "pla.density moves most, by +2.5 standard uncertainties.",
+                              "the density of pla moves most, by +2.5 standard uncertainties.",
         "below_detection": "Something may be missing, leads most likely, at odds of 5: not enough to name a cause.",
         "unexplained": f"Nothing in the catalogue explains what is left: {left}; it looks like something in the bond.",
     }
-    assert {*said, "missing_physics"} == set(VERDICTS)
+    assert {*said, "missing_physics", "not_finished"} == set(VERDICTS)
     assert diagnosis("unexplained").headline.endswith("may make 0.15 %.")
     with pytest.raises(ValueError, match="verdict 'guilty': expected one of no_mismatch"):
         _ = diagnosis("guilty").headline
@@ -137,7 +138,8 @@ def test_the_headline_of_every_other_verdict() -> None:
 
 def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at() -> None:
     glass = Evidence("shear modulus of glass", 8.0, (GLASS.name,))
-    found = diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,), undone=("pairs of effects",), known=(
+    found = diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,), not_tried=(
+        NotTried("pairs", "none is left"),), known=(
         estimate("pla.density", 1180.0, "kg/m^3", 1150.0, -3.6), estimate("bond.thickness", 9e-6, "m", 1e-5, 3.4)),
         established=(replace(TOLD, admissible=False),), left=Left(0.004, 0.0028, 0.001, 0.0015, "bond"))
     text = "\n".join(found.findings)
@@ -146,9 +148,41 @@ def test_findings_name_rivals_odds_with_what_is_known_and_what_was_not_looked_at
     assert "The recordings cannot rule out shear modulus of glass: odds of 2.7 against it." in text
     assert "at odds with what is known: pla.density -3.6." in text
     assert "filled, held out: a reduced chi-square of 200 by the known parameters, 1.12 with what was found." in text
-    assert text.endswith("Not looked at: pairs of effects.")
+    assert text.endswith("Not tried: pairs, because none is left.")
     # Twice as far is asked for: nothing is at odds.
     assert not replace(found, criteria=Criteria(at_odds=7.0)).at_odds
+
+
+def test_nothing_is_said_of_a_mismatch_by_a_search_that_was_cut_short(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its first sentence is what was not looked at; what it found so far is provisional, and no picture shows it."""
+    monkeypatch.setattr(diagnosis_report, "_pictures", lambda *_of: [])
+    monkeypatch.setattr(diagnosis_report, "origin_table", lambda _origin: "")
+    undone = ("leads of any size", *[f"thickness {k}" for k in range(7)], "thickness 0")
+    so_far = diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",)), undone=undone)
+    found = diagnosis("not_finished", undone=undone, provisional=so_far)
+    assert found.headline == ("Not finished: still to be looked at: leads of any size, thickness 0 (2 times), "
+                              "thickness 1, thickness 2, thickness 3, thickness 4 and 2 more.")
+    page = diagnosis_report.write_diagnosis_report(found, [], tmp_path).read_text()
+    said = record(found)
+    diagnosis_report.print_diagnosis(found)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert said["effects"] == []
+    assert said["provisional"]["effects"][0]["name"] == "leads"
+    assert "<h1>Diagnosis, not finished: device</h1>" in page
+    assert "Verdict: not finished." in page
+    assert page.index(found.headline) < page.index("<h2>Provisional</h2>")
+    assert "Not looked at: leads of any size, thickness 0, thickness 1, " in printed
+    for text in (page, printed, json.dumps(said)):
+        assert "Provisional: of what was tried (leads), best so far is leads: series resistance 0.15 ohm" in text
+        assert "explains 97 %" not in text
+        assert "explain the recordings" not in text
+        assert "explains the recordings" not in text
+    nothing = diagnosis("not_finished", undone=("scores of the hypotheses",), tried=False)
+    assert nothing.headline == ("Not finished: none of the 2 hypotheses has been tried; still to be looked at: scores "
+                                "of the hypotheses.")
+    assert not nothing.next_measurement
 
 
 def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
@@ -165,6 +199,50 @@ def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
     limits = {"glass.shear_modulus": Admissible(26e9, 30e9, "Pa", "this glass")}
     outside = replace(GLASS, admissible=limits)
     assert not established(model(), Found(base, (base,), ()), explanation(outside))[0].admissible
+
+
+def test_two_losses_of_one_material_have_one_share() -> None:
+    """Which of them takes how much depends on which is asked first."""
+    shear, bulk = (Effect(f"{each} loss of pla/acevedo_2026", "substrate", "loss", "", (
+        Parameter(f"pla/acevedo_2026.{each}.loss", -5e7, -1e9, 0.0, None, "Pa"),)) for each in (
+            "shear_modulus", "bulk_modulus"))
+    every = (Established(shear, (estimate(shear.names[0], -1e8, "Pa", -5e7),), True, 0.947),
+             Established(bulk, (estimate(bulk.names[0], -6e7, "Pa", -3e7),), True, 0.05))
+    found = diagnosis("missing_physics", Evidence("both", 9.0, ("a", "b")), established=every)
+    assert found.headline == ("Shear modulus loss of pla: shear modulus loss -0.1 GPa (stated: -0.05); bulk modulus "
+                              "loss of pla: bulk modulus loss -0.06 GPa (stated: -0.03); this explains 99.7 % of the "
+                              "mismatch.")
+    assert not [text for text in found.findings if "take" in text]
+    rows = diagnosis_report.established_table(found).rows
+    assert [row[:2] for row in rows] == [("shear modulus loss of pla", "99.7 %, together"),
+                                         ("bulk modulus loss of pla", "")]
+    # An effect on another thing has a share of its own.
+    found = replace(found, established=(*every, replace(TOLD, share=0.002)))
+    assert [share for _, share in found.shares] == [pytest.approx(0.997), 0.002]
+    assert ("Shear modulus loss of pla and bulk modulus loss of pla together take 99.7 % of the mismatch."
+            in found.findings)
+
+
+def test_a_material_is_marked_wherever_it_is() -> None:
+    loss = Effect("shear_modulus loss of pla/acevedo_2026", "substrate", "loss", "", (
+        Parameter("pla/acevedo_2026.shear_modulus.loss", -5e7, -1e9, 0.0, None, "Pa"),))
+    found = diagnosis("missing_physics", Evidence("loss", 9.0, ("loss",)),
+                      established=(Established(loss, (), True, 0.9),))
+    pla, glass = SimpleNamespace(name="pla/acevedo_2026"), SimpleNamespace(name="glass/maker")
+    states: Any = found.states
+    for each in states:
+        each.materials = {"substrate": pla, "sidewall": pla, "superstrate": glass}
+    assert found.where == ("substrate", "sidewall")
+    # A term acts in its own regions only.
+    term: Any = SimpleNamespace(region="sidewall")
+    found = replace(found, established=(Established(replace(loss, terms={"empty": (term,)}), (), True, 0.9),))
+    assert found.where == ("sidewall",)
+    assert replace(found, established=(TOLD,)).where == ("bench",)
+
+
+def test_a_factor_of_what_is_stated_is_told_as_one() -> None:
+    found = Estimate("water/iapws_2011.sound_speed", 1.0052, 1.0046, 1.0058, "1", 1.0, None, True)
+    assert found.in_words == "+0.52 % (+0.46 % to +0.58 %) of what is stated"
 
 
 def test_what_known_parameters_had_to_leave_is_a_mismatch() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import stat
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
@@ -11,8 +14,9 @@ from threading import Thread
 import pytest
 
 from workbench.files.errors import InputError
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
-from workbench.files.writing import replacing, write_atomic
+from workbench.files.writing import MARK, remedy, replacing, settled, writable_folder, write_atomic
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
@@ -145,3 +149,90 @@ def test_a_mistake_in_a_table_is_named(
     error = caught.value
     assert (error.source, error.field, error.value) == (table.source, field, value)
     assert expected in str(error)
+
+
+def test_a_full_disk_is_an_error_with_file_and_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_atomic(tmp_path / "a.csv", "old")
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left") as caught:
+        write_atomic(tmp_path / "a.csv", "new")
+    assert remedy(caught.value) == (f"{tmp_path / 'a.csv'}: No space left on device; the disk is full: make room, or "
+                                    "choose a folder on another disk")
+    assert (tmp_path / "a.csv").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_what_a_device_does_not_take_is_said_of_it() -> None:
+    with pytest.raises(OSError, match="No space left") as caught:
+        write_atomic(Path("/dev/full"), "x")
+    assert remedy(caught.value).startswith("/dev/full: No space left on device; the disk is full")
+
+
+def test_what_a_library_wraps_is_known_by_its_number(tmp_path: Path) -> None:
+    def failing() -> None:
+        with replacing(tmp_path / "run.h5"):
+            raise OSError("Can't write data (file write failed: errno = 28, error message = 'No space left on device')")
+
+    with pytest.raises(OSError, match="No space left") as caught:
+        failing()
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(tmp_path / "run.h5"))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("number", "words"), [
+    (errno.EROFS, "the disk can only be read: choose a folder on another one"),
+    (errno.EACCES, "you may not write there"), (errno.ENOSPC, "the disk is full"),
+])
+def test_a_folder_that_cannot_be_written_to_is_refused_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, words: str
+) -> None:
+    def refusing(*_arguments: object, **_named: object) -> None:
+        raise OSError(number, os.strerror(number), "x")
+
+    monkeypatch.setattr(tempfile, "TemporaryDirectory", refusing)
+    with pytest.raises(InputError, match=words):
+        writable_folder(tmp_path / "out", source="command line", field="--output")
+
+
+def test_a_file_in_the_way_and_a_disk_without_room_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match="a file is in the way"):
+            writable_folder(path, source="command line", field="--output")
+    with pytest.raises(InputError, match=r"a folder on a disk with 1e\+12 MB of room .* make room"):
+        writable_folder(tmp_path / "out", source="command line", field="--output", room=1e18)
+
+
+def test_a_folder_is_marked_until_its_results_are_complete(tmp_path: Path) -> None:
+    folder = writable_folder(tmp_path / "out", source="x", field="y")
+    assert "not complete" in (folder / MARK).read_text()
+    settled(folder, complete=False)
+    assert not list(folder.iterdir())  # nothing was written: nothing to warn of
+    writable_folder(folder, source="x", field="y")
+    write_atomic(folder / "spectrum.csv", "x")
+    settled(folder, complete=False)
+    assert sorted(path.name for path in folder.iterdir()) == [MARK, "spectrum.csv"]
+    settled(folder, complete=True)
+    assert [path.name for path in folder.iterdir()] == ["spectrum.csv"]
+
+
+@pytest.mark.parametrize(("text", "value"), [("0.5 %", 0.005), ("0.5%", 0.005), ("5 ppm", 5e-6), ("0.005 1", 0.005),
+                                             ("0", 0.0), (0, 0.0), ("1e-3 %", 1e-5)])
+def test_a_share_has_its_sign(text: object, value: float) -> None:
+    assert parse_quantity(text, "share", source="file", field="noise") == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(("text", "asked"), [("0.5", ': "0.5 %" or "50 %"?'), (0.5, ': "0.5 %" or "50 %"?'),
+                                             (5, ': "5 %"?'), ("200", 'such as "0.2 %"'), (-0.5, 'such as "0.2 %"')])
+def test_a_share_without_its_sign_is_asked_about(text: object, asked: str) -> None:
+    """Half a per cent, or a half? What it proposes can be read."""
+    with pytest.raises(InputError) as caught:
+        parse_quantity(text, "share", source="file", field="noise")
+    assert str(caught.value).endswith(asked)
+    for proposed in re.findall(r'"([^"]* %)"', str(caught.value)):
+        assert 0.0 < parse_quantity(proposed, "share", source="file", field="noise") < 1.0

@@ -67,7 +67,7 @@ def moved(problem: Problem, parameters: tuple[Parameter, ...], x: Real) -> Piezo
 
 def test_a_material_is_one_in_each_recording_with_what_is_added_there(stack: Problem) -> None:
     shared = free(stack, PLA, "shear_modulus", "bulk_modulus")
-    own = replace(shared[0], name=f"{PLA}.shear_modulus@again", start=0.0, low=-1e9, high=1e9, recordings=("again",),
+    own = replace(shared[0], name=f"{PLA}.shear_modulus[again]", start=0.0, low=-1e9, high=1e9, recordings=("again",),
                   offset=True)
     everything = (own, *shared)
     found = {i.name: i for i in inequalities([stack, stack], everything, recordings=["first", "again"])}
@@ -79,7 +79,7 @@ def test_a_material_is_one_in_each_recording_with_what_is_added_there(stack: Pro
             # A state without the offset does not see it; one with it is the same as one whose number is that much more.
             assert found[name](x) == pytest.approx(condition(x[1:]), rel=1e-12)
             assert found[f"{name} in again"](x) == pytest.approx(condition(x[1:] + np.array([added, 0.0])), rel=1e-12)
-    above, below = (found[name] for name in found if "@again" in name)
+    above, below = (found[name] for name in found if "[again]" in name)
     for total, kept in ((shared[0].low, (True, True)), (shared[0].low - 1e6, (False, True)),
                         (shared[0].high + 1e6, (True, False))):
         x = np.array([total - shared[0].start, shared[0].start, shared[1].start])

@@ -191,7 +191,7 @@ def test_recordings_have_names_of_their_own(stack: Problem, chip: Chip) -> None:
 
 def offset(shared: Parameter, state: str, size: float) -> Parameter:
     """What one recording alone adds to a parameter."""
-    return replace(shared, name=f"{shared.name}@{state}", start=0.0, low=-size, high=size, prior=size,
+    return replace(shared, name=f"{shared.name}[{state}]", start=0.0, low=-size, high=size, prior=size,
                    recordings=(state,), offset=True)
 
 
@@ -215,7 +215,7 @@ def test_offsets_add_to_what_all_recordings_have(between: Objective, stack: Prob
     disc, bench = between.settings(x, 0)
 
     def total(name: str, state: str) -> float:
-        return number[name] + number[f"{name}@{state}"]
+        return number[name] + number[f"{name}[{state}]"]
 
     c33, speed = f"{PZT}.c33", f"{GEL}.sound_speed"
     assert first[c33] == complex(number[c33], number[f"{c33}.loss"])
@@ -224,7 +224,7 @@ def test_offsets_add_to_what_all_recordings_have(between: Objective, stack: Prob
     # Of a factor the offset is one, too; what nothing else moves goes on from what the problem has.
     assert again[speed] == pytest.approx(total(speed, "again") * stack.values[speed], rel=1e-14)
     assert "couplant.thickness" not in first
-    assert again["couplant.thickness"] == 50e-6 + number["couplant.thickness@again"]
+    assert again["couplant.thickness"] == 50e-6 + number["couplant.thickness[again]"]
     assert again["transducer.radius"] == total("transducer.radius", "again")
     assert bench == {"bench.gain": total("bench.gain", "disc"), "bench.clock": total("bench.clock", "disc")}
     # Values differ with every call: the model is the same.

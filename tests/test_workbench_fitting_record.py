@@ -169,7 +169,7 @@ def test_a_mode_beside_the_antiresonance_is_no_other_capacitance(
     """Between two modes of a thick disc it may belong to a weak one, and show a third of what there is or less."""
     seen = figures(recorded)
     assert seen.antiresonance is not None
-    weak = replace(seen.antiresonance, static_capacitance=0.1 * seen.antiresonance.static_capacitance)
+    weak = replace(seen.antiresonance, circuit_capacitance=0.1 * seen.antiresonance.circuit_capacitance)
     monkeypatch.setattr("workbench.fitting.prepare._resonance", lambda *_arguments: replace(seen, antiresonance=weak))
     check(recorded, chip)
     with pytest.raises(InputError, match="capacitance"):

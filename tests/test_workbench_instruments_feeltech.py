@@ -166,6 +166,17 @@ def test_nothing_is_set_before_the_identification(monkeypatch: pytest.MonkeyPatc
     assert wire.written == [b"a\n"]
 
 
+@pytest.mark.parametrize("end", [b"", b"\r", b"\r\n"])
+def test_a_generator_that_ends_its_identification_otherwise_is_the_same(
+    monkeypatch: pytest.MonkeyPatch, wire: Wire, simulated: SimulatedGenerator, end: bytes
+) -> None:
+    wire.respond = lambda line: simulated.respond(line).replace(b"S\n", b"S" + end)
+    monkeypatch.setattr(feeltech, "open_port", lambda _name, baud, timeout: wire)
+    generator = open_feeltech(GeneratorSettings("wire", pause=0.0))
+    generator.set_frequency(1.05e6)
+    assert (generator.identify(), simulated.frequency) == ("FY3224S", 1.05e6)
+
+
 def test_opening_switches_the_drive_off_and_makes_it_a_plain_sine(
     monkeypatch: pytest.MonkeyPatch, wire: Wire, simulated: SimulatedGenerator
 ) -> None:

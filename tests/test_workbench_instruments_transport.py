@@ -65,6 +65,37 @@ def test_a_reply_may_come_in_pieces_and_with_a_carriage_return() -> None:
     port.finished()
 
 
+@pytest.mark.parametrize("pieces", [[b"cf0100000000\r"], [b"cf0100000000\r", b"\n"], [b"cf01", b"00000000\r\n"],
+                                    [b"cf0100000000 \r\n"]])
+def test_every_end_of_a_line_is_one(pieces: list[bytes]) -> None:
+    """CR alone, or a CRLF whose LF comes late, which is no reply of its own; blanks before it say nothing."""
+    link, port = link_on((b"cf\n", pieces[:1] if len(pieces) == 2 and pieces[1] == b"\n" else pieces),
+                         (b"cf\n", [*pieces[1:], GOOD] if len(pieces) == 2 and pieces[1] == b"\n" else [GOOD]))
+    assert [link.ask(FREQUENCY)[1] for _ in range(2)] == ["0100000000"] * 2
+    port.finished()
+
+
+def test_a_reply_without_an_end_is_taken_when_it_comes_twice_alike() -> None:
+    """What a reply cut short looks like: nine digits are a reply as well, and ten come the second time."""
+    link, port = link_on((b"a\n", [b"FY3224S"]), (b"a\n", [b"FY3224S"]))
+    assert link.synchronise()[0] == "FY3224S"
+    port.finished()
+    link, port = link_on((b"cf\n", [b"cf010000000"]), (b"a\n", [b"FY3224S\n"]), (b"cf\n", [b"cf0100000000"]),
+                         (b"a\n", [b"FY3224S\n"]), (b"cf\n", [b"cf0100000000"]),
+                         # Known from now on to have none: it is asked once.
+                         (b"cf\n", [b"cf0200000000"]))
+    assert [link.ask(FREQUENCY)[1] for _ in range(2)] == ["0100000000", "0200000000"]
+    port.finished()
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r", b"\r\n", b""])
+def test_a_block_may_end_like_a_line_or_with_nothing(end: bytes) -> None:
+    link, port = link_on((b"CURVE?\n", [b"#14\n\r\x00\x01" + end]), (b"cf\n", [GOOD]))
+    assert link.ask_block("CURVE?", 4) == b"\n\r\x00\x01"
+    assert link.ask(FREQUENCY)[1] == "0100000000"
+    port.finished()
+
+
 def test_two_replies_in_one_piece_are_two_replies() -> None:
     link, port = link_on((b"cf\n", [GOOD + b"cf0200000000\n"]), (b"cf\n", []))
     assert [link.ask(FREQUENCY)[1] for _ in range(2)] == ["0100000000", "0200000000"]

@@ -69,7 +69,7 @@ def test_antiresonance_coupling_and_static_capacitance() -> None:
     fs = 1.0 / (2.0 * np.pi * math.sqrt(CIRCUIT["motional_inductance"] * CIRCUIT["motional_capacitance"]))
     assert got.frequency == pytest.approx(fs * math.sqrt(1.0 + r), rel=2e-4)
     assert got.k_effective == pytest.approx(math.sqrt(r / (1.0 + r)), rel=2e-3)
-    assert got.static_capacitance == pytest.approx(CIRCUIT["static_capacitance"], rel=1e-2)
+    assert got.circuit_capacitance == pytest.approx(CIRCUIT["static_capacitance"], rel=1e-2)
     peak = np.max(np.abs(bvd_impedance(np.arange(1.08e6, 1.11e6, 1.0), **CIRCUIT)))
     assert got.z_max == pytest.approx(peak, rel=1e-6)
 
@@ -253,7 +253,7 @@ def test_unibas_disc(shared: Path) -> None:
     assert got.z_min == pytest.approx(5.356, rel=1e-3)
     assert got.antiresonance.frequency == pytest.approx(1097.488e3, abs=112.5)
     assert got.antiresonance.z_max == pytest.approx(3887.0, rel=1e-3)
-    assert got.antiresonance.static_capacitance == pytest.approx(792.06e-12, rel=0.05)
+    assert got.antiresonance.circuit_capacitance == pytest.approx(792.06e-12, rel=0.05)
     assert got.q_step_change < 1e-3
     peak = fit_resonance(spectrum, "bvd", band=(985e3, 1003e3)).parameters
     for name, value in (("R1", 5.905), ("L1", 151.99e-6), ("C1", 168.61e-12)):

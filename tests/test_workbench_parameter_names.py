@@ -23,10 +23,14 @@ from workbench.parameter_names import Kind, ParameterName, part, placed
     ("c33.loss", ParameterName("", "c33", True, Kind.TERM)),
     ("c33", ParameterName("", "c33", False, Kind.TERM)),
     ("loss", ParameterName("", "loss", False, Kind.TERM)),
-    ("bench.gain@filled", ParameterName("bench", "gain", False, Kind.BENCH, "filled")),
-    ("pzt4/a.c33.loss@disc", ParameterName("pzt4/a", "c33", True, Kind.MATERIAL, "disc")),
-    ("transducer.thickness@a.b/c", ParameterName("transducer", "thickness", False, Kind.DIMENSION, "a.b/c")),
-    ("gel.density@a@b", ParameterName("gel", "density", False, Kind.TERM, "a@b")),
+    ("bench.gain[filled]", ParameterName("bench", "gain", False, Kind.BENCH, "filled")),
+    ("pzt4/a.c33.loss[disc]", ParameterName("pzt4/a", "c33", True, Kind.MATERIAL, "disc")),
+    ("transducer.thickness[a.b/c]", ParameterName("transducer", "thickness", False, Kind.DIMENSION, "a.b/c")),
+    ("gel.density[a@b]", ParameterName("gel", "density", False, Kind.TERM, "a@b")),
+    ("gel.density[a[b]]", ParameterName("gel", "density", False, Kind.TERM, "a[b]")),
+    # The number of a version is the material's: no state is told.
+    ("pzt/disc@1.c33", ParameterName("pzt/disc@1", "c33", False, Kind.MATERIAL)),
+    ("pzt/disc@12.c33.loss[a.b/c@1]", ParameterName("pzt/disc@12", "c33", True, Kind.MATERIAL, "a.b/c@1")),
 ])
 def test_a_name_is_taken_apart_and_put_together_again(text: str, expected: ParameterName) -> None:
     found = ParameterName.parse(text)
@@ -43,7 +47,7 @@ def test_a_name_is_told_of_its_owner_without_it() -> None:
 def test_what_a_state_adds_belongs_to_the_number_that_all_have() -> None:
     shared = ParameterName.parse("pzt4/a.c33.loss")
     own = shared.of_state("filled")
-    assert str(own) == "pzt4/a.c33.loss@filled"
+    assert str(own) == "pzt4/a.c33.loss[filled]"
     assert (own.shared, own.key, own.local) == ("pzt4/a.c33.loss", "pzt4/a.c33", "c33.loss")
     assert shared.shared == str(shared)
     assert part({"pzt4/a.c33": 2.0 - 1.0j}, str(own)) == -1.0

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skfem import Basis
 
-from geometry.chip import Chip, State, read_chip
+from geometry.chip import Chip, State, parse_chip, read_chip
 from geometry.chip_section import volumes
 from geometry.mesh import SectionMesh, elements_per_wavelength, mesh_section
 from geometry.section import cut_section
@@ -19,11 +20,12 @@ from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench import options
 from workbench.discretisation import ACCURACY, FILM_ROW, ROWS, Discretisation, discretisation, film_speeds
+from workbench.elements import Lagrange
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.operators import assemble
 from workbench.physics import absorption, electrode_mass, electrodes, fluid, piezoelectric, solid
-from workbench.problem import Problem, build, fill, model, problem
+from workbench.problem import FilledChip, Problem, build, fill, model, problem
 from workbench.solve import solve_full
 
 # The chip's transducer has the losses as the paper prints them, active by less than their rounding.
@@ -79,7 +81,6 @@ def with_material(chip: Chip, region: str, material: str, density: float | None 
     ("region", "material", "density", "message"),
     [
         ("transducer", "pla/acevedo_2026", None, "material of transducer.*pla/acevedo_2026.*a piezoelectric material"),
-        ("bond", "pzt4/acevedo_2026_fitted", None, "material of bond.*pzt4.*a solid or a fluid"),
         ("sidewall", "pla/acevedo_2026", 1000.0, "density of sidewall.*1000.*1131.*substrate.*pla/acevedo_2026"),
         ("bond", "epoxi", None, "epoxi.*epoxy"),
     ],
@@ -89,6 +90,124 @@ def test_materials_that_make_no_chip_are_refused(
 ) -> None:
     with pytest.raises(InputError, match="(?s)" + message):
         fill(with_material(chip, region, material, density), "empty", registry)
+
+
+def with_particle(chip: Chip, folder: Path, entry: str, *, radius: float = 5e-6) -> FilledChip:
+    """`chip` filled, with a particle of an entry of one's own."""
+    (folder / "own").mkdir()
+    (folder / "references.bib").write_text("@misc{own_2024,\n title = {T}\n}\n", encoding="utf-8")
+    head = 'title = "own"\nsource = "own_2024"\nconditions = "25 degC"\n'
+    (folder / "own" / "own_2024.toml").write_text(head + entry, encoding="utf-8")
+    state = replace(chip.state("filled"), particle="own/own_2024", particle_radius=radius)
+    return fill(replace(chip, states=(state,)), "filled", Registry((folder,)))
+
+
+FLUID = 'kind = "fluid"\ndensity = { value = 960, unit = "kg/m^3" }\n'
+SOLID = 'kind = "isotropic solid"\ndensity = { value = 1068, unit = "kg/m^3" }\n'
+
+
+@pytest.mark.parametrize(("entry", "bulk"), [
+    (FLUID + 'sound_speed = { value = 1000, unit = "m/s" }\n', 960e6),
+    (FLUID + 'compressibility = { value = 0.5, unit = "1/GPa" }\n', 2e9),
+    (SOLID + 'bulk_modulus = { value = 2.65, unit = "GPa" }\nshear_modulus = { value = 0, unit = "GPa" }\n', 2.65e9),
+    (SOLID + 'compressibility = { value = 400, unit = "1/TPa" }\n', 2.5e9),
+])  # fmt: skip
+def test_droplets_and_cells_are_particles(chip: Chip, tmp_path: Path, entry: str, bulk: float) -> None:
+    found = with_particle(chip, tmp_path, entry).particle
+    assert found is not None
+    assert (found.name, found.radius) == ("own/own_2024", 5e-6)
+    assert found.compressibility == pytest.approx(1 / bulk, rel=1e-12)
+
+
+def test_what_no_particle_is_made_of_is_refused_as_the_chip_is_filled(
+    chip: Chip, registry: Registry, tmp_path: Path
+) -> None:
+    filled = chip.state("filled")
+    for particle, radius, message in (
+        ("pzt5a", 5e-6, r"states.filled.particle: received 'pzt5a'; expected an isotropic solid .* compressibility "
+                        r".*this is a piezoelectric one"),
+        ("air", 5e-6, r"states.filled.particle: received 'air'.* resonates at 0.6.* MHz, as a bubble does"),
+        ("polystiren", 5e-6, r"states.filled.particle: .*did you mean 'polystyrene'"),
+    ):
+        state = replace(filled, particle=particle, particle_radius=radius)
+        with pytest.raises(InputError, match=message):
+            fill(replace(chip, states=(state,)), "filled", registry)
+    state = replace(filled, particle="polystyrene", particle_radius=5e-6, cavity="own", temperature=None)
+    with pytest.raises(InputError, match="or a shear_viscosity in the entry of own/own_2024"):
+        with_particle(replace(chip, states=(state,)), tmp_path, FLUID + 'sound_speed = { value = 1e3, unit = "m/s" }\n')
+    registry = Registry((tmp_path,))
+    (tmp_path / "own" / "own_2024.toml").write_text(
+        'title = "own"\nsource = "own_2024"\nconditions = "25 degC"\n' + SOLID
+        + 'compressibility = { value = 0.4, unit = "1/GPa" }\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r'material of bond.*a solid with a shear modulus.*kind = "fluid"'):
+        fill(with_material(chip, "bond", "own"), "empty", registry)
+
+
+def passive(small_chip: Chip, material: Material) -> tuple[NDArray[np.complex128], Problem]:
+    """Z of a small disc with a passive layer of `material` on a film of epoxy, and the model."""
+    ceramic, epoxy = (Registry().load(name) for name in ("pzt4/acevedo_2026_initial", "epoxy"))
+    filling = {"transducer": ceramic, "bond": epoxy, "layer": material}
+    section = cut_section(small_chip)
+    mesh = mesh_section(section, discretisation(2e-2).mesh_size(section, filling, 5e5))
+    made = problem(mesh, filling, small_chip.band)
+    frequencies = np.array([3e5, 4e5, 5e5])
+    return solve_full(assemble(made.mesh, made.terms), frequencies, made.values).impedance, made
+
+
+@pytest.fixture(scope="module")
+def stack() -> Chip:
+    layer = {"radius": "3 mm"}
+    return parse_chip({"chip": {"name": "stack", "band": ["300 kHz", "500 kHz"]}, "layers": [
+        {"role": "transducer", "material": "pzt4/acevedo_2026_initial", "thickness": "1 mm", **layer},
+        {"role": "bond", "material": "epoxy", "thickness": "0.2 mm", **layer},
+        {"role": "layer", "material": "pzt5a", "thickness": "1 mm", **layer}]}, source="stack")
+
+
+def test_a_passive_layer_without_coupling_is_an_elastic_solid(stack: Chip) -> None:
+    glass = Registry().load("soda_lime_glass/en572_2012")
+    assert isinstance(glass, IsotropicSolid)
+    bulk, shear = glass.bulk_modulus, glass.shear_modulus
+    same = Piezoelectric(name="same", density=glass.density, c11=bulk + 4 * shear / 3, c12=bulk - 2 * shear / 3,
+                         c13=bulk - 2 * shear / 3, c33=bulk + 4 * shear / 3, c44=shear, e31=0, e33=0, e15=0,
+                         eps11=100, eps33=100)
+    expected, _ = passive(stack, glass)
+    found, made = passive(stack, same)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert [term for term in made.terms if isinstance(term, electrodes.ShortCircuit)] == [
+        electrodes.ShortCircuit("bond|layer"), electrodes.ShortCircuit("layer|outside")]
+    # All of its surface is at ground.
+    surface = Basis(made.mesh.mesh, Lagrange(made.mesh.order), intorder=1)
+    for boundary in ("bond|layer", "layer|outside"):
+        held = np.asarray(surface.get_dofs(made.mesh.mesh.boundaries[boundary]).flatten())
+        assert (assemble(made.mesh, made.terms).numbering["phi"][held] == -1).all()
+    # With coupling it is stiffer: not the same.
+    ceramic = Registry().load("pzt5a")
+    assert isinstance(ceramic, Piezoelectric)
+    coupled, bare = passive(stack, ceramic)[0], passive(stack, replace(ceramic, e31=0, e33=0, e15=0))[0]
+    assert np.abs(coupled / bare - 1.0).max() > 1e-3
+
+
+def test_a_passive_layer_is_said_and_is_not_driven(stack: Chip, registry: Registry) -> None:
+    found = fill(stack, None, registry)
+    assert found.findings == ("layer of pzt5a/erturk_2011 is a passive layer: its whole surface is an electrode at "
+                              "ground, so that it is short-circuited",)
+    assumed = fill(stack, None, replace(registry, assumed_losses=True))
+    assert complex(assumed.materials["layer"].parameters()["c33"]).imag < 0
+    assert any("assumed is that of a soft ceramic" in text for text in assumed.findings)
+    # The live electrode is on top: a ceramic right on it would be driven.
+    bare = replace(stack, layers=tuple(replace(layer, material="pzt5a") if layer.region == "bond" else layer
+                                       for layer in stack.layers))
+    sides = {fill_or_refusal(replace(bare, electrodes=replace(bare.electrodes, live=live)), registry)
+             for live in ("top", "bottom")}
+    assert len(sides) == 2
+    assert any("a layer that is not on the live electrode" in text for text in sides)
+
+
+def fill_or_refusal(chip: Chip, registry: Registry) -> str:
+    try:
+        return str(fill(chip, None, registry).name)
+    except InputError as error:
+        return str(error)
 
 
 def test_an_unknown_state_is_refused(chip: Chip, registry: Registry) -> None:

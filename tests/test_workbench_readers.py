@@ -41,7 +41,7 @@ SEMICOLONS = ColumnMap("Frequenz", "R", "X", Quantity("impedance", "rectangular"
 def test_every_format_gives_the_same_circuit(name: str, format: Any, tolerance: Any) -> None:
     assert detect(DATA / name) == format
     reading = read_recording(DATA / name)
-    # scikit-rf multiplies the megahertz of a file by 1e6, which may round the last bit.
+    # The megahertz of a file times 1e6 may round the last bit.
     np.testing.assert_allclose(reading.spectrum.frequency, FREQUENCY, rtol=1e-15)
     np.testing.assert_allclose(reading.spectrum.impedance, IMPEDANCE, rtol=tolerance)
     assert reading.findings == ()
@@ -140,24 +140,21 @@ def changed(tmp_path: Path, name: str, old: Any, new: Any, count: int = 1) -> An
     ("workbench.csv", "992000,", "992_000,", "line 3, column 1", "a number"),
     ("workbench.csv", "992000,", ",", "line 3, column 1", "this cell is empty"),
     ("workbench.csv", "992000,", "twelve,", "line 3, column 1", "a number"),
-    ("workbench.csv", "992000,", "990000,", "line 3, column 1", "a new frequency; line 2 has the same"),
-    ("workbench.csv", "992000,", "980000,", "line 3, column 1", "out of order"),
     ("workbench.csv", "990000,", "-990000,", "line 2, column 1", "above zero"),
     ("workbench.csv", "frequency_hz", "# kin: measured\nfrequency_hz", "line 1", "kind"),
     ("workbench.csv", "frequency_hz", "# kind: guessed\nfrequency_hz", "kind", "simulated"),
     ("workbench.csv", "frequency_hz", "# kind: measured\n# kind: measured\nfrequency_hz", "line 2", "only once"),
     ("e4990a_z_theta.csv", "END\r\n", "", "line 10", "cut short"),
-    ("e4990a_z_theta.csv", "theta-z(deg)-data", "Cp(F)-data", "line 5", "theta-z(deg)-data"),
+    ("e4990a_z_theta.csv", "theta-z(deg)-data", "Cp(F)-data", "line 5", "is Cp of an equivalent circuit"),
     ("e4990a_z_theta.csv", "Frequency(Hz)", "Time(s)", "line 5, column 1", "Frequency(Hz)"),
     ("e4990a_z_theta.csv", "BEGIN CH1_DATA", "BEGIN", "line 11", "BEGIN CH1_DATA"),
-    ("e4990a_z_theta.csv", "END\r\n", "END\r\nBEGIN CH2_DATA\r\nEND\r\n", "line 12", "one channel"),
     ("4294a_admittance.txt", "POINTS: 5", "POINTS: 6", "line 26", "the 6 points"),
     ("4294a_admittance.txt", "POINTS: 5", "POINTS: five", "line 8", "a whole number"),
     ("4294a_admittance.txt", "ADMITTANCE MAG PHASE (DEG)", "INDUCTANCE Ls Q", "line 5", "IMPEDANCE MAG PHASE (DEG)"),
     ("4294a_admittance.txt", "LIN FREQ", "DC BIAS", "line 7", "a sweep of frequency"),
     ("4294a_admittance.txt", '"TRACE: B"', '"TRACE: C"', "line 36", "TRACE: B"),
     ("4294a_admittance.txt", "0.000000e+00", "1.000000e+00", "line 22, column 3", "zero"),
-    ("reflection.s1p", "0.992000", "0.980000", "line 4, column 1", "out of order"),
+    ("reflection.s1p", "0.992000", "-0.992000", "line 4, column 1", "above zero"),
 ])
 def test_faults_are_named_with_their_place(
     tmp_path: Path, name: str, old: Any, new: Any, field: Any, expected: Any
@@ -195,8 +192,6 @@ def test_trace_b_cut_short_or_on_other_frequencies(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("rows", "expected"), [
-    ("990000,1,2\n980000,1,2\n970000,1,2\n", "the sweep runs downwards"),
-    ("990000,1,2\n995000,1,2\n990000,1,2\n", "an upward sweep is followed by another"),
     ("990000,1,2\n995000,0,0\n", "neither zero nor infinite"),
     ("990000\n995000\n", "3 columns; this row has 1"),
     ("990000;1;2\n995000;1;2\n", "semicolons"),
@@ -230,7 +225,7 @@ def test_uncertainty_must_be_positive(tmp_path: Path) -> None:
     (b"", "this file is empty"),
     (b" \r\n\n", "this file is empty"),
     (b"\x89PNG\r\n\x1a\n\x00\x00", "this one is binary"),
-    ("frequency_hz".encode("utf-16"), "UTF-16"),
+    ("hello".encode("utf-16"), r"received \['hello'\]; expected one of workbench"),
     (b":WFMPRE:BYT_NR 2;:CURVE #10\x00\x01", "oscilloscope waveform"),
     (b"hello\nworld\n", r"received \['hello', 'world'\]; expected one of workbench .*e4990a .*4294a .*touchstone"),
 ])
@@ -272,15 +267,14 @@ def test_headings_that_occur_twice_must_be_counted(tmp_path: Path) -> None:
 
 
 def test_spreadsheet_copies_of_an_analyser_file(tmp_path: Path) -> None:
-    """Commas kept and cells padded: read. Semicolons and decimal commas: refused, with the reason."""
+    """Commas kept and cells padded, or semicolons and decimal commas: read. Commas where none were stated: refused."""
     content = (DATA / "e4990a_r_x.csv").read_text()
     padded = "\n".join(line if line.count(",") == 2 else line + ",," for line in content.splitlines())
     path = tmp_path / "padded.csv"
     path.write_text(padded)
     np.testing.assert_allclose(read_recording(path).spectrum.impedance, IMPEDANCE, rtol=1e-10)
-    path.write_text(content.replace(",", ";").replace(".", ","))
-    with pytest.raises(InputError, match=r"line 5: .*spreadsheet"):
-        read_recording(path)
+    path.write_text(content.replace(",", ";").replace(".", ",").replace("END", "END;;"))
+    np.testing.assert_allclose(read_recording(path).spectrum.impedance, IMPEDANCE, rtol=1e-10)
     path = tmp_path / "decimal.csv"
     path.write_text("a\tb\tc\n1,5\t2\t3\n2,5\t2\t3\n")
     with pytest.raises(InputError, match=r"line 2, column 1: .*decimal comma"):
@@ -457,8 +451,10 @@ def test_reference_spectra_are_the_workbench_format() -> None:
 
 
 def test_every_format_has_a_small_file() -> None:
+    # Those of further instruments are made in test_workbench_readers_layouts.py.
     assert {detect(path) for path in DATA.iterdir() if path.name not in (
-        "shunt_gain.csv", "semicolons.csv", "waveform.csv")} == set(FORMATS)
+        "shunt_gain.csv", "semicolons.csv", "waveform.csv")} == {"workbench", "e4990a", "4294a", "touchstone", "table"}
+    assert set(FORMATS) >= {"labone", "bode100", "gamry", "biologic", "zplot", "hioki"}
     assert detect(DATA / "shunt_gain.csv") == detect(DATA / "semicolons.csv") == "table"
 
 

@@ -16,6 +16,8 @@ from workbench.merit import bvd_impedance
 from workbench.readers import ColumnMap, Quantity, read_column_map, read_recording
 from workbench.readers.headings import Heading, understand
 
+ROOT = Path(__file__).resolve().parents[1]
+
 FREQUENCY = np.linspace(0.9e6, 1.1e6, 21)
 IMPEDANCE = bvd_impedance(FREQUENCY, motional_resistance=5.9, motional_inductance=152e-6,
                           motional_capacitance=168.6e-12, static_capacitance=792e-12)
@@ -78,6 +80,41 @@ H = Heading
     ("Y'' (Siemens)", H("imaginary", "admittance", "S", primed=True)),
     ("Real (Ohm)", H("real", "impedance", "ohm")),
     ("Imag", H("imaginary")),
+    # Labels of traces and ports, functions, other languages.
+    ("TR2: Impedance (Real)", H("real", "impedance")),
+    ("Trace 1: Impedance: Magnitude (Ω)", H("magnitude", "impedance", "ohm")),
+    ("re(Z(1,1)) []", H("real", "impedance")),
+    ("Z'(a)", H("real", "impedance")),
+    ("Z''(b)", H("imaginary", "impedance", primed=True)),
+    ("Zimg", H("imaginary", "impedance")),
+    ("Impedance Phase Degrees (')", H("phase", "impedance", "deg")),
+    ("Impedanz Betrag (kOhm)", H("magnitude", "impedance", "kohm")),
+    ("Realteil Z (Ohm)", H("real", "impedance", "ohm")),
+    ("Re(Y)/Ohm-1", H("real", "admittance", "S")),
+    ("Re(Z) [mOhm]", H("real", "impedance", "mohm")),
+    ("Re(Z) [MOhm]", H("real", "impedance", "Mohm")),
+    # Ports: reflections and transmissions.
+    ("|S11|", H("magnitude", "reflection")),
+    ("S11 (Real)", H("real", "reflection")),
+    ("re:Trc1_S11", H("real", "reflection")),
+    ("db:Trc1_S11", H("magnitude", "reflection", "dB")),
+    ("ang_deg(S(1,1)) [deg]", H("phase", "reflection", "deg")),
+    ("S11 Log Mag(dB)", H("magnitude", "reflection", "dB")),
+    ("S21 (dB)", H("magnitude", "transmission", "dB", port=2)),
+    ("S22 Real", H("real", "reflection", port=2)),
+    ("VSWR", H("scalar", "reflection")),
+    ("Return Loss (dB)", H("scalar", "reflection")),
+    # Elements of equivalent circuits.
+    ("Cp (F)", H("element", "Cp", "F")),
+    ("Cs/µF", H("element", "Cs", "uF")),
+    ("Series Inductance (uH)", H("element", "Ls", "uH")),
+    ("Rp (ohm)", H("element", "Rp", "ohm")),
+    ("Parallel resistance (Ohm)", H("element", "Rp", "ohm")),
+    ("ESR (Ohm)", H("real", "impedance", "ohm")),
+    ("C (pF)", H("element", "C", "pF")),
+    ("D", H("element", "D")),
+    ("tan δ", H("element", "D")),
+    ("Q (1)", H("element", "Q", "1")),
     # A unit that is not known, or does not belong: read no further than that.
     ("f (mHz)", H("frequency", strange_unit="mHz")),
     ("Z (MOHM)", H("whole", "impedance", strange_unit="MOHM")),
@@ -88,7 +125,7 @@ H = Heading
     ("Re(Y) of Z", H("real", "impedance", strange_unit="Y")),
     # One word that is not known, or two that contradict each other, and nothing is said.
     *((text, None) for text in (
-        "time", "Gain in dB", "Rp (ohm)", "Parallel resistance (Ohm)", "Cp (F)", "D", "Q (1)", "|S11|", "Z1",
+        "time", "Gain in dB", "Z1", "Z22", "S31 (dB)", "Z2 Real", "Cp phase", "-Cp (F)", "Parallel reactance (Ohm)",
         "Temperature (degC)", "omega (rad/s)", "R'", "-|Z|", "-Re(Z)", "|Z", "|Z| phase", "Re Im",
         "Z fit (Ohm)", "log|Z|", "U_0/V", "Channel A Phase (deg)", "frequency of Z", "", "()", "1")),
 ])
@@ -185,7 +222,7 @@ REFUSED: dict[str, tuple[str, tuple[np.ndarray, ...], list[str], dict[str, str]]
                            ['column 3 "phase"', "up to 1.", "in degrees or in radians", "# UNCLEAR: deg or rad"],
                            {'phase_unit = "deg"': 'phase_unit = "rad"'}),
     "frequency without unit": ("f,R (Ohm),X (Ohm)", (F / 1e3, Z.real, Z.imag),
-                               ["a frequency without a unit", "Hz or kHz", "UNCLEAR: Hz, kHz or MHz"],
+                               ["a frequency without a unit", "Hz or kHz", "UNCLEAR: Hz, kHz, MHz or GHz"],
                                {'frequency_unit = "Hz"': 'frequency_unit = "kHz"'}),
     "unit of frequency": ("f (mHz),R (Ohm),X (Ohm)", (F, Z.real, Z.imag), ["'mHz' is not one of Hz, kHz, MHz"], {}),
     "sign of a prime": ("f (Hz),Z' (Ohm),Z'' (Ohm)", (F, Z.real, -Z.imag),
@@ -206,7 +243,7 @@ REFUSED: dict[str, tuple[str, tuple[np.ndarray, ...], list[str], dict[str, str]]
                         ["2 of them are frequencies"], None),
     "pairs that differ": ("f (Hz),|Z| (Ohm),theta (deg),R (Ohm),X (Ohm)",
                           (F, abs(Z), degrees(Z), 2 * Z.real, Z.imag), ["hold different impedances"], {}),
-    "parallel circuit": ("f (Hz),Rp (Ohm),Cp (F)", (F, ones, ones), ['not understood: column 2 "Rp (Ohm)"'], None),
+    "circuit of what": ("f (Hz),C (F),D", (F, ones * 1e-9, ones), ["series or parallel is not said"], None),
     "no headings": ("# of a friend", (F, abs(Z), degrees(Z)), ["none above the numbers", "frequency = 1"], {}),
     "foreign headings": ("u,v,w", (F, abs(Z), degrees(Z)), ["none of them is a frequency", 'first = "v"'], {}),
     "no frequency": ("R (Ohm),X (Ohm),at", (Z.real, Z.imag, F), ["none of them is a frequency"], {}),
@@ -286,8 +323,7 @@ def test_the_phase_of_a_resistor_proves_no_unit(tmp_path: Path) -> None:
     ("f (Hz);R (Ohm);X (Ohm)\n100000;1,5;2\n200000;1.5;2\n", "line 3: .*decimal commas, as on line 2, or points"),
     ("f (Hz),R (Ohm),X (Ohm)\n100000,1,nan\n200000,1,2\n", "line 2, column 3: .*finite"),
     ("f (Hz),R (Ohm),X (Ohm)\n100000,1,2\n200000,1\n", "line 3: .*3 columns; this row has 2"),
-    ("f (Hz),R (Ohm),X (Ohm)\n200000,1,2\n100000,1,2\n", "line 3, column 1: .*runs downwards"),
-    ("f (Hz),R (Ohm),X (Ohm)\n100000,1,2\n200000,1,2\n\nf (Hz),R (Ohm),X (Ohm)\n100000,1,2\n", "line 5, column 1"),
+    ("f (Hz),R (Ohm),X (Ohm)\n200000,1,2\n-100000,1,2\n", "line 3, column 1: .*above zero"),
     ("f (Hz),R (Ohm),X (Ohm)\n", "at least 2; the file may be cut short"),
     ("f (Hz),R (Ohm),X (Ohm)\n100000,1,2\n", "at least 2; the file may be cut short"),
     ("f (Hz),R (Ohm),X (Ohm)\n100000,1,2\n200000,0,0\n", "neither zero nor infinite"),
@@ -330,11 +366,12 @@ def test_the_command_line_refuses_with_the_map_whole(
     """No line of the map is wrapped, and what follows it is nothing."""
     head, columns, _, _ = REFUSED["phase without unit"]
     path = table(tmp_path / "table.csv", head, *columns)
-    assert main(["compare", str(path), "chip.toml", "-o", str(tmp_path / "out")]) == 2
+    chip = str(ROOT / "geometry" / "chips" / "disc_20x2.toml")
+    assert main(["compare", str(path), chip, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     (tmp_path / "MAP.toml").write_text(proposed(said))
     assert read_column_map(tmp_path / "MAP.toml").quantity == Quantity("impedance", "polar", "ohm", "deg")
-    assert main(["compare", str(path), "chip.toml", "--columns", "MAP.toml", "--format", "table", "-o",
+    assert main(["compare", str(path), chip, "--columns", str(tmp_path / "MAP.toml"), "--format", "table", "-o",
                  str(tmp_path / "out")]) == 2
     assert "--columns or --format, not both" in capsys.readouterr().err
 

@@ -206,6 +206,58 @@ def test_solids_from_stl_files(tmp_path: Path) -> None:
         solids.read_stl(tmp_path / "absent.stl", metres_per_unit=1e-3)
 
 
+@needs_graphics
+@pytest.mark.parametrize("size", [(4e-3, 4e-3, 20e-3), (25e-3, 25e-3, 0.2e-3), (3e-3, 3e-3, 3e-3)])
+def test_a_photograph_holds_all_of_any_shape(size: tuple[float, float, float]) -> None:
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (2.0, 3.0)]) * size
+    sides = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])
+    black = canvas.Shape(corners, sides, "black")
+    picture = canvas.photograph([black], azimuth=-75.0, elevation=24.0, width=300, height=200)
+    rows, columns = np.nonzero((picture < 128).all(axis=2))
+    # The margin is 3 % of what it is as large as: nothing at an edge, and one direction filled.
+    assert rows.min() > 0
+    assert rows.max() < 199
+    assert columns.min() > 0
+    assert columns.max() < 299
+    assert max(np.ptp(rows) / 200, np.ptp(columns) / 300) == pytest.approx(1.0 / 1.03, abs=0.02)
+
+
+def test_a_flat_section_is_drawn_stretched_and_says_so() -> None:
+    flat, whole = (sections._window(np.array([[0.0, 0.0], [radius, height]]))
+                   for radius, height in ((9e-3, 0.25e-3), (13e-3, 5e-3)))
+    assert whole.tall == 1.0
+    # 8 % of 18 mm is six times 0.25 mm.
+    assert flat.tall == 6.0
+    figure, axes, _ = sections._frame(flat, title="pressure")
+    assert axes.get_title().endswith("heights are drawn 6 times as large as widths")
+    assert axes.get_aspect() == 6.0
+    width, height = sections._dots(flat)
+    assert height / width == pytest.approx(6.0 * (flat.top - flat.bottom) / (flat.right - flat.left), rel=0.01)
+    assert figure.get_figheight() > 2.0
+
+
+def test_a_line_is_drawn_through_its_interpolant_and_dots_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from workbench.spectrum import Spectrum
+
+    made = spectrum(1.0e6)
+    few = Spectrum(np.asarray(made.frequency)[::10], np.asarray(made.impedance)[::10])
+    drawn: list[int] = []
+    monkeypatch.setattr(plots, "save_impedance", lambda _figure, magnitude, *_, **__: drawn.extend(
+        len(line.get_xdata()) for line in magnitude.lines))
+    plots.draw_spectra({"a": few, "b": few}, tmp_path / "a.png", measured=["b"])
+    count = len(few.frequency)
+    assert drawn == [(count - 1) * plots.BETWEEN + 1, count]
+
+
+def test_a_lossless_region_has_its_bar(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(plots, "save", lambda figure, _: said.extend(text.get_text() for text in figure.axes[0].texts))
+    plots.draw_loss_budget({"couplant": 0.0, "substrate": 3e-3, "transducer": 1e-3}, tmp_path / "a.png", title="t")
+    assert said == ["lossless", "25 %", "75 %"]
+
+
 def spectrum(resonance: float) -> Any:
     frequency = np.linspace(0.95e6, 1.1e6, 200)
     detuning = 1j * 80 * (frequency / resonance - resonance / frequency)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import math
 import re
@@ -14,15 +15,17 @@ import pytest
 
 from workbench.comparison import compare
 from workbench.merit import figures, fit_resonance
+from workbench.report.definitions import DEFINITIONS, definition
 from workbench.report.figures import (
     FIGURE_COLUMNS,
+    MODEL_COLUMNS,
     figures_record,
     figures_row,
     fit_record,
     measured_figures,
     resonance_fits,
 )
-from workbench.report.page import Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Answer, Block, Note, Picture, Table, Verbatim, number, write_json, write_report
 from workbench.report.simulations import comparison_record
 from workbench.spectrum import Spectrum
 
@@ -66,11 +69,48 @@ def test_a_report_holds_its_pictures_and_escapes_what_it_is_given(tmp_path: Path
     assert "a<b" in outline.text
     assert "a 'caption' <i>" in outline.text
     assert outline.tags.count("h2") == 2
-    assert outline.tags.count("p") == 3
+    assert outline.tags.count("p") == 2
     assert not {"b", "i", "script", "link"} & set(outline.tags)
     found = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
     assert [base64.b64decode(image) for image in found] == [picture.read_bytes()]
     assert "//" not in text.replace(found[0], "")
+
+
+def test_headings_say_what_they_mean_and_a_legend_lists_it(tmp_path: Path) -> None:
+    table = Table(FIGURE_COLUMNS, (figures_row("disc", figures(resonator())),))
+    text = write_report(tmp_path / "a.html", "a", [("b", [table, Table(("x", "y"), (("1", "2"),))])]).read_text()
+    assert text.count("<abbr title=") == 4
+    assert text.count('<dl class="legend">') == 1
+    for name in ("f0", "Z_min", "Q", "kt"):
+        assert f'<abbr title="{html.escape(DEFINITIONS[name])}">{name}' in text
+        assert f"<dt>{name}</dt><dd>{html.escape(DEFINITIONS[name])}</dd>" in text
+
+
+def test_the_glossary_has_the_words_of_the_reports() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "glossary.md").read_text(encoding="utf-8")
+    entries = dict(entry.split("\n: ", 1) for entry in page.split("\n\n")[1:])
+    for name, words in DEFINITIONS.items():
+        assert " ".join(entries[name].split()) == words, name
+
+
+def test_every_column_of_figures_and_traps_is_defined() -> None:
+    for heading in (*MODEL_COLUMNS[1:], "barrier (fJ)", "lift / weight", "above the floor (mm)", "focusing time (s)"):
+        assert definition(heading), heading
+
+
+def test_a_table_has_a_heading_for_every_column() -> None:
+    with pytest.raises(ValueError, match="a column without one"):
+        Table(("", "x", ""), ())
+    with pytest.raises(ValueError, match="does not have the 2 cells"):
+        Table(("", "x"), (("1",),))
+
+
+def test_text_of_several_lines_is_one_paragraph(tmp_path: Path) -> None:
+    blocks: list[Block] = ["one\nparagraph.\n\nAnother.", Verbatim("a = 1\nb = 2"), Answer("Yes.")]
+    text = write_report(tmp_path / "a.html", "a", [("b", blocks)]).read_text()
+    assert "<p>one paragraph.</p><p>Another.</p>" in text
+    assert "<pre>a = 1\nb = 2</pre>" in text
+    assert '<p class="answer">Yes.</p>' in text
 
 
 def test_json_has_no_numbers_that_json_does_not_have(tmp_path: Path) -> None:
@@ -100,7 +140,7 @@ def test_without_a_resonance_there_are_no_figures_and_a_reason() -> None:
     assert merit is None
     assert "edge of the band" in reason
     assert figures_record(merit, reason) == {"f0_hz": None, "z_min_ohm": None, "q": None, "no_resonance": reason}
-    assert figures_row("disc", None) == ("disc", "none", "", "", "", "")
+    assert figures_row("disc", None) == ("disc", "none", "", "", "")
 
 
 def test_fits_are_recorded_with_their_errors() -> None:

@@ -53,7 +53,7 @@ def there(chip: Chip, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
 
 
 def test_a_name_is_that_of_a_dimension() -> None:
-    draft, bow = ParameterName.parse("sidewall.draft"), ParameterName.parse("superstrate.bow@filled")
+    draft, bow = ParameterName.parse("sidewall.draft"), ParameterName.parse("superstrate.bow[filled]")
     assert draft.kind is bow.kind is Kind.DIMENSION
     assert draft.is_shape
     assert (draft.dimension_unit, bow.dimension_unit) == ("rad", "m")

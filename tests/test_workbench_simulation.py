@@ -11,9 +11,11 @@ import pytest
 from support import quadratic
 
 from geometry.chip import Chip, parse_chip
+from workbench.design.model import full_evaluation
 from workbench.drive import PowerDrive
 from workbench.files.errors import InputError
 from workbench.simulation import MeshTooCoarse, Simulation, frequency_grid, simulate, snapshot
+from workbench.solve import NotConverged, System
 
 POINTS, ELEMENTS = 41, 3.0
 DISC = {"role": "transducer", "material": "pzt4/acevedo_2026_initial", "thickness": "2 mm", "radius": "3 mm"}
@@ -160,8 +162,8 @@ def test_what_cannot_be_simulated_is_refused(disc: Chip, cell: Chip) -> None:
         simulate(cell, "filed")
     with pytest.raises(InputError, match=r"simulate: tolerance: received 0\.0"):
         simulate(disc, tolerance=0.0)
-    states = tuple(replace(state, particle="water") if state.particle else state for state in cell.states)
-    with pytest.raises(InputError, match=r"states\.filled\.particle: received 'water'; expected an isotropic solid"):
+    states = tuple(replace(state, particle="pzt5a") if state.particle else state for state in cell.states)
+    with pytest.raises(InputError, match=r"states\.filled\.particle: received 'pzt5a'; expected an isotropic solid"):
         snapshot(replace(cell, states=states), None, 400e3, accuracy=quadratic(ELEMENTS))
 
 
@@ -171,8 +173,94 @@ def test_a_mesh_that_is_not_as_accurate_as_asked_is_warned_of(disc: Chip, monkey
     assert 0.0 < run.mesh_error.rms < 5e-3
     worse = replace(run.mesh_error, log_impedance=run.mesh_error.log_impedance * 6e-3 / run.mesh_error.rms)
     monkeypatch.setattr("workbench.simulation.mesh_error", lambda *_arguments: worse)
-    with pytest.warns(MeshTooCoarse, match=r"estimated 0\.6 % rms in Z, above the 0\.5 % asked for"):
+    with pytest.warns(MeshTooCoarse, match=r"estimated 0\.6 % rms in Z, above the 0\.5 % that it was made for; "
+                      r"--accuracy \"0\.1 %\" \(in Python accuracy=0\.001\)"):
         simulate(disc, points=13, accuracy=5e-3)
     # Whoever gives a discretisation has asked for no accuracy.
     assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS)).mesh_error is worse
     assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS), full=True).mesh_error is None
+
+
+# --- ceramics without loss -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lossless() -> Chip:
+    return chip_of({**DISC, "material": "pzt5a"})
+
+
+def test_a_lossless_ceramic_is_simulated_with_the_assumed_loss(lossless: Chip) -> None:
+    found = simulate(lossless, points=POINTS, accuracy=quadratic(ELEMENTS))
+    (said,) = found.findings
+    assert said.startswith("pzt5a/erturk_2011 states no loss; assumed is that of a soft ceramic, Q_m 75")
+    assert found.left_out == ()
+    assert found.figures is not None
+    # The radial mode of a disc: the losses of the dielectric add to the mechanical ones of 1 / 75.
+    assert found.figures.q == pytest.approx(75.0, rel=0.15)
+    assert found.losses["transducer"] > 0.0
+    assert ("finding", said) in found.summary().rows
+
+
+def test_without_it_the_undamped_resonance_is_stepped_beside(lossless: Chip) -> None:
+    found = simulate(lossless, points=POINTS, accuracy=quadratic(ELEMENTS), assumed_losses=False)
+    assert found.spectrum.frequency.size == POINTS
+    assert not any(number.imag for number in found.problem.values.values())
+    # At the pole itself nothing converges: the fields are of 10 ppm beside it, and that is said.
+    assert found.figures is not None
+    assert found.fields.frequency == pytest.approx(found.figures.f0, rel=1e-4)
+    (said,) = found.findings
+    assert "did not converge. A resonance without loss has no height: state a loss of pzt5a/erturk_2011" in said
+    damped = simulate(lossless, points=POINTS, accuracy=quadratic(ELEMENTS))
+    assert damped.figures is not None
+    assert found.figures.f0 == pytest.approx(damped.figures.f0, rel=2e-3)
+
+
+def singular_at(monkeypatch: pytest.MonkeyPatch, *frequencies: float) -> None:
+    """Let solves at these frequencies (Hz) not converge."""
+    real = System.neighbours
+
+    def neighbours(self: System, frequency: float, count: int, **options: Any) -> Any:
+        if frequency in frequencies:
+            raise NotConverged(frequency, 1e-6, np.zeros(1, dtype=complex))
+        return real(self, frequency, count, **options)
+
+    monkeypatch.setattr(System, "neighbours", neighbours)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_singular_frequency_is_left_out_and_named(disc: Chip, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
+    plain = simulate(disc, points=21, accuracy=quadratic(ELEMENTS), full=full)
+    # Every second one is a frequency that a reduced model is solved at or might be.
+    singular = [float(f) for f in plain.spectrum.frequency[[0, 10]]]
+    singular_at(monkeypatch, *singular)
+    found = simulate(disc, points=21, accuracy=quadratic(ELEMENTS), full=full)
+    assert found.left_out
+    assert set(found.left_out) <= set(singular)
+    kept = ~np.isin(plain.spectrum.frequency, found.left_out)
+    np.testing.assert_array_equal(found.spectrum.frequency, plain.spectrum.frequency[kept])
+    np.testing.assert_allclose(found.spectrum.impedance, plain.spectrum.impedance[kept], rtol=1e-4)
+    (said,) = found.findings
+    assert f"{len(found.left_out)} of 21 frequencies are left out" in said
+    assert f"{found.left_out[0] / 1e6:.6g}" in said
+
+
+def test_a_model_that_is_singular_everywhere_is_an_error(disc: Chip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("workbench.solve.RESIDUAL_LIMIT", 0.0)
+    for full in (False, True):
+        with pytest.raises(NotConverged):
+            simulate(disc, points=21, accuracy=quadratic(ELEMENTS), full=full)
+
+
+def test_a_chip_whose_full_solve_fails_has_no_figures_and_a_reason(
+    disc: Chip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = full_evaluation(disc, None, {}, figures=("f0", "q"), points=21, accuracy=quadratic(ELEMENTS))
+    assert plain.figures["f0"] > 0.0
+
+    def fails(*_: Any, **__: Any) -> Any:
+        raise NotConverged(4e5, 1e-6, np.zeros(1, dtype=complex))
+
+    monkeypatch.setattr("workbench.design.model.answer", fails)
+    found = full_evaluation(disc, None, {}, figures=("f0", "q"), points=21, accuracy=quadratic(ELEMENTS))
+    assert math.isnan(found.figures["f0"])
+    assert "the solve at 400000 Hz left a scaled residual" in found.missing["q"]

@@ -12,9 +12,9 @@ from workbench.fitting.batch import Column
 from workbench.report.figures import FIGURE_COLUMNS
 from workbench.report.page import Table
 
-STATES = ("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")
+STATES = ("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")
 LABEL = "with stiffness_loss of pzt_mine/disc_1@2 and shear_modulus loss of glass/trial, held out"
-PARAMETERS = ("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "")
+PARAMETERS = ("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "remark")
 DEVIATION = np.array([1.0, 2.0])
 
 #: Title, table and how it is drawn.
@@ -40,14 +40,14 @@ TABLES: dict[str, tuple[str, Table, str]] = {
         (("10.0", "88288", "1.03051", "", "5.3912", "", "117.2"),
          ("14.1", "170288", "1.03050", "-0.0010", "5.3901", "-0.020", "117.3"))), "one"),
     "measurement": ("disc_7.h5", Table(FIGURE_COLUMNS, (
-        ("10 Vpp", "1.0305", "5.391", "117.2", "0.456", "792"),)), "one"),
-    "history": ("pzt_mine/disc_1", Table(("version", "fitted on", "MAPE (%)", "algorithm", ""), (
+        ("10 Vpp", "1.0305", "5.391", "117.2", "0.456"),)), "one"),
+    "history": ("pzt_mine/disc_1", Table(("version", "fitted on", "MAPE (%)", "algorithm", "remark"), (
         ("pzt_mine/disc_1@1", "2026-01-02T12:23:34+00:00", "1.02", "joint",
          "withdrawn on 2026-01-03T12:23:34+00:00: the density was that of another disc"),
         ("pzt_mine/disc_1@2", "2026-01-04T12:23:34+00:00", "1.01", "joint", ""))), "folded"),
     "keys of two columns": ("", Table(("state", "effect", *(f"a-rather-long-heading-{n}" for n in range(6))), tuple(
         (state, effect, *"123456") for state in ("empty", "filled") for effect in ("bond", "gel"))), "folded"),
-    "one long word": ("", Table(("recording", ""), (
+    "one long word": ("", Table(("recording", "value"), (
         ("SHA-256", "0123456789abcdef" * 4),
         ("file", "/a/folder/" + "with_a_long_name/" * 5 + "a_file_of_a_name" * 4 + "_.csv"))), "list"),
     "one column": ("", Table(("file",), (("with_a_long_name" * 4 + "_of_78_chars__",), ("a.csv",))), "list"),

@@ -5,7 +5,7 @@
     chip = wb.read_chip("geometry/chips/reference_chip.toml")
     run = wb.simulate(chip, "filled")
     recording = wb.read_recording("chip_filled.csv")
-    print(wb.compare(recording.spectrum, run.spectrum).mape_percent)
+    print(wb.compare(recording, run).mape_percent)
     found = wb.diagnose(wb.read_campaign("campaign.toml"))
 
 What is listed in :data:`PUBLIC` is the whole promise; everything else may change. Names are loaded when they are first
@@ -17,10 +17,13 @@ Data flows one way: ``Chip -> Section -> SectionMesh -> Problem -> Operators -> 
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+#: Of the package; ``pyproject.toml`` has the same.
+__version__ = "0.1.0"
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from geometry.chip import Chip as Chip
     from geometry.chip import read_chip as read_chip
     from geometry.chip_file import write_chip as write_chip
@@ -129,10 +132,12 @@ def __getattr__(name: str) -> Any:
     """A public name, loaded from its module at first use."""
     if name not in PUBLIC:
         raise AttributeError(f"module 'workbench' has no attribute {name!r}; public are {', '.join(sorted(PUBLIC))}")
+    import importlib
+
     found = getattr(importlib.import_module(PUBLIC[name]), name)
     globals()[name] = found
     return found
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *PUBLIC})
+    return sorted({*(name for name in globals() if name.startswith("__")), "PUBLIC", *PUBLIC})

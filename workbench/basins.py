@@ -1,4 +1,4 @@
-"""Local minima of a potential on a raster, and how high their basins reach."""
+"""Local minima of a potential on a raster, how high their basins reach, and the passes out of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.nodal import FloatArray
+from workbench.nodal import FloatArray, IntArray
 
 _NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
@@ -34,6 +34,70 @@ def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
     basins join them: at a pass the shallower one ends (the persistence of topological data analysis). The deepest never
     ends; it reaches up to the highest potential.
     """
+    flat = values.ravel()
+    tree = _merged(values, _drained(values))
+    highest = float(flat[np.isfinite(flat)].max())
+    return [((each // values.shape[1], each % values.shape[1]), highest if into is None else into[1])
+            for each, into in tree.items()]
+
+
+def label_basins(values: FloatArray, *, least: float) -> IntArray:
+    """The minimum (flat index) that each point (n, m) of a raster drains to, -1 outside the region.
+
+    A basin no deeper than `least` (J) below its lowest pass belongs to the deeper one behind that pass.
+    """
+    label = _drained(values)
+    tree, flat = _merged(values, label), values.ravel()
+    goal = {each: each if into is None or into[1] - flat[each] > least else into[0] for each, into in tree.items()}
+    renamed = np.full(values.size + 1, -1)
+    for each in goal:
+        end = each
+        while goal[end] != end:
+            end = goal[end]
+        renamed[each] = end
+    return np.asarray(np.where(np.isfinite(values), renamed[label], -1))
+
+
+def lowest_pass(values: FloatArray, start: tuple[int, int], exits: NDArray[np.bool_]) -> float | None:
+    """The lowest level (J) to which the raster (n, m) must be flooded for the water at `start` to reach one of `exits`.
+
+    None where no level does: there is no exit in the region.
+    """
+    from scipy.ndimage import label
+
+    inside = np.isfinite(values)
+    levels = np.unique(values[inside & (values >= values[start])])
+
+    def joined(level: float) -> bool:
+        parts, _ = label(inside & (values <= level), structure=np.ones((3, 3)))
+        return bool((exits & (parts == parts[start])).any())
+
+    if not joined(levels[-1]):
+        return None
+    low, high = 0, len(levels) - 1
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if joined(levels[middle]) else (middle + 1, high)
+    return float(levels[low])
+
+
+def outward(inside: NDArray[np.bool_], *, on_axis: bool) -> FloatArray:
+    """Unit vectors (n, m, 2) along the two directions of a raster that point out of the region, zero far from a wall.
+
+    They are those of the mask averaged over 5 points each way, so that a slanted wall of steps has its own direction.
+    """
+    if on_axis:
+        return outward(np.concatenate([inside[:0:-1], inside]), on_axis=False)[len(inside) - 1:]
+    from scipy.ndimage import uniform_filter
+
+    smooth = uniform_filter(np.pad(inside, 3).astype(float), size=5)
+    down = -np.stack(np.gradient(smooth), axis=-1)[3:-3, 3:-3]
+    size = np.linalg.norm(down, axis=-1, keepdims=True)
+    return np.asarray(np.where(size > 1e-9, down / np.maximum(size, 1e-9), 0.0))
+
+
+def _drained(values: FloatArray) -> IntArray:
+    """The local minimum (flat index) that the steepest way down from each point (n, m) leads to."""
     height = np.where(np.isfinite(values), values, np.inf)
     number = np.arange(height.size).reshape(height.shape)
     beside, numbers = _around(height, np.inf), _around(number, -1)
@@ -48,9 +112,16 @@ def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
         if (further == basin).all():
             break
         basin = further
-    label = basin.reshape(height.shape)
+    return np.asarray(basin.reshape(height.shape))
+
+
+def _merged(values: FloatArray, label: IntArray) -> dict[int, tuple[int, float] | None]:
+    """Every local minimum, and the deeper one that its basin joins with the height (J) of the pass; None for the
+    deepest, and for one without a pass."""
+    height = np.where(np.isfinite(values), values, np.inf)
+    basin, numbers = label.ravel(), _around(np.arange(height.size).reshape(height.shape), -1)
     passes: dict[tuple[int, int], float] = {}
-    for other_height, other in zip(beside, numbers, strict=True):
+    for other_height, other in zip(_around(height, np.inf), numbers, strict=True):
         meet = np.isfinite(height) & np.isfinite(other_height)
         meet[meet] = label[meet] < basin[other[meet]]
         for one, two, at in zip(label[meet].tolist(), basin[other[meet]].tolist(),
@@ -65,10 +136,10 @@ def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
             each = joined[each]
         return each
 
-    reach = dict.fromkeys(minima, float(flat[np.isfinite(flat)].max()))
+    tree: dict[int, tuple[int, float] | None] = dict.fromkeys(minima)
     for (one, two), at in sorted(passes.items(), key=lambda item: item[1]):
         deeper, shallower = sorted((bottom(one), bottom(two)), key=lambda each: (flat[each], each))
         if deeper != shallower:
             joined[shallower] = deeper
-            reach[shallower] = at
-    return [((each // height.shape[1], each % height.shape[1]), high) for each, high in reach.items()]
+            tree[shallower] = deeper, at
+    return tree

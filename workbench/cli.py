@@ -1,24 +1,25 @@
 """The ``workbench`` command.
 
 Exit status: 0 done, 1 the computation failed or a check found something, 2 a mistake in the command or in a file,
-130 interrupted (what was finished is on disk). A defect of the program itself ends in Python's traceback, status 1.
+3 not finished in the time it was given (`diagnose --minutes`), 130 interrupted (it says what is on disk). A defect of
+the program itself ends in Python's traceback, status 1.
 """
 
 from __future__ import annotations
 
-import importlib
 import sys
-import time
-import warnings
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
 
-from workbench.files.errors import InputError
-from workbench.options import parser
-
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+    from pathlib import Path
+    from types import ModuleType
+    from typing import TextIO
+
     from rich.console import Console
+
+    from workbench.interruption import Interruption
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,35 +28,98 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: as argparse does, status 2 for a faulty command and 0 after ``--help``.
     """
+    from workbench import interruption
+
+    own = arguments is None
+    with interruption.heeded(stays=own) as interrupted:
+        try:
+            status = _main(arguments, interrupted)
+        except KeyboardInterrupt:
+            status = interruption.STATUS  # between two steps, where everything is written
+    return interruption.finish(status) if own and interrupted.asked else status
+
+
+def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
+    # Nothing is imported sooner than it is needed: whoever asks for help, or mistypes an option or the name of a file,
+    # need not wait for the numerical libraries.
+    from workbench.options import parser
+
     options = parser().parse_args(arguments)
-    # Not before: whoever asks for help, or mistypes an option, need not wait for the numerical libraries.
+    interrupted.output = str(getattr(options, "output", None) or "")
     from rich.console import Console
 
-    from workbench.physics.term import ModelError
+    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    from workbench.early_checks import check_early
+    from workbench.files.errors import InputError
+
+    try:
+        check_early(options)
+    except InputError as error:
+        _complain(console, "error", error)
+        return 2
+    import importlib
 
     command = importlib.import_module(f"workbench.commands.{options.command}")
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    return _run(command, options, console, interrupted)
+
+
+def _run(command: ModuleType, options: argparse.Namespace, console: Console, interrupted: Interruption) -> int:
+    import time
+    import warnings
+    from pathlib import Path
+
+    from workbench.files.errors import InputError
+    from workbench.files.writing import remedy, settled
+    from workbench.physics.term import ModelError
+
     started = time.perf_counter()
+    output = getattr(options, "output", None)
+    complete = False
     with warnings.catch_warnings():
         _show_warnings(console)
         try:
+            interrupted.stage = "working"
             status: int = command.run(options, console)
-        except InputError as error:
-            _complain(console, "error", error)
-            return 2
-        except KeyboardInterrupt:
-            console.print("interrupted; what was finished is on disk", style="yellow")
-            return 130
-        except (RuntimeError, ModelError, OSError) as error:
-            # Through no defect of the program: our own errors are RuntimeErrors apart from this one.
-            _complain(console, type(error).__name__, error)
-            return 1
-    if status == 0 and getattr(options, "output", None) is not None:
-        console.print(f"done in {time.perf_counter() - started:.1f} s; see {options.output}", markup=False)
+            interrupted.stage = "closing"
+            complete = not interrupted.asked
+        except BaseException as error:
+            interrupted.stage = "closing"
+            if interrupted.asked or isinstance(error, KeyboardInterrupt):
+                # Some libraries make other exceptions of it.
+                return _interrupted(output, console, interrupted)
+            match error:
+                case InputError():
+                    _complain(console, "error", error)
+                    return 2
+                case OSError():
+                    _complain(console, "error", remedy(error, output))
+                    return 1
+                case RuntimeError() | ModelError():
+                    # Through no defect of the program: our own errors are RuntimeErrors apart from this one.
+                    _complain(console, type(error).__name__, error)
+                    return 1
+            raise
+        finally:
+            if isinstance(output, Path) and output.is_dir():
+                settled(output, complete=complete)
+    if interrupted.asked and output is not None:
+        # The command made its report of what it knew by then.
+        return _interrupted(output, console, interrupted)
+    if status == 0 and output is not None:
+        console.print(f"done in {time.perf_counter() - started:.1f} s; see {output}", markup=False)
     return status
 
 
-def _complain(console: Console, label: str, error: Exception) -> None:
+def _interrupted(output: Path | None, console: Console, interrupted: Interruption) -> int:
+    """Say what is on disk, once nothing is written any more; the exit status."""
+    from workbench import interruption
+
+    interruption.wait()
+    console.print(interruption.on_disk(output, interrupted.since), style="yellow", markup=False)
+    return interruption.STATUS
+
+
+def _complain(console: Console, label: str, error: Exception | str) -> None:
     console.print(f"{label}:", style="bold red", end=" ")
     console.print(str(error), markup=False)
 
@@ -65,6 +129,9 @@ def _show_warnings(console: Console) -> None:
 
     A lost imaginary part is a defect, never a warning.
     """
+    import warnings
+    from pathlib import Path
+
     from numpy.exceptions import ComplexWarning
 
     root = Path(__file__).parent.parent

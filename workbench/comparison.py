@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.merit import Figures, NoResonance, figures
 from workbench.notebook import Shown, Summary
-from workbench.spectrum import Spectrum
+from workbench.spectrum import Spectrum, WithSpectrum, spectrum_of
 
 if TYPE_CHECKING:
     import xarray
@@ -35,7 +35,7 @@ class MetricRow:
         return abs(self.difference_percent)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Shown):
     """How far `simulated` is from `measured` over their common band, (n,) points of the measured grid.
 
@@ -86,14 +86,18 @@ class Comparison(Shown):
                                                                 rms_log_residual=self.rms_log_residual)
 
 
-def compare(measured: Spectrum, simulated: Spectrum, *, near: float | None = None) -> Comparison:
+def compare(
+    measured: Spectrum | WithSpectrum, simulated: Spectrum | WithSpectrum, *, near: float | None = None
+) -> Comparison:
     """Compare over the measured points that `simulated` covers; `near` (hertz) chooses among resonances.
 
-    The figures of merit are taken from each spectrum on its own grid, within the common band.
+    Both are spectra, or results that have one: a reading, a simulation. The figures of merit are taken from each
+    spectrum on its own grid, within the common band.
 
     Raises:
         ValueError: the bands share fewer than two measured points, or two simulated ones.
     """
+    measured, simulated = spectrum_of(measured), spectrum_of(simulated)
     low = max(measured.frequency[0], simulated.frequency[0])
     high = min(measured.frequency[-1], simulated.frequency[-1])
     if not low < high:

@@ -8,6 +8,7 @@ voltage unsuitable for comparing frequencies and recommend constant device volta
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -68,6 +69,12 @@ class PowerDrive:
         return f"{self.power:g} W of electrical input power"
 
 
+#: The least and the largest drive that amplifiers for such devices give: V peak-to-peak, W, and ohm of a source.
+#: Doubled, a slip of the unit is still outside.
+PLAUSIBLE: Mapping[str, tuple[float, float, str]] = {
+    "peak-to-peak voltage": (1e-3, 2e3, "1 mVpp to 2000 Vpp"), "power": (1e-9, 500.0, "1e-9 W to 500 W"),
+    "resistance": (1e-3, 1e5, "1 mohm to 100 kohm")}
+
 _GENERATOR = re.compile(r"\s*(?P<voltage>[^@]*?)\s*@\s*(?P<resistance>[^@]*?)\s*$")
 
 
@@ -75,12 +82,15 @@ def parse_drive(text: str, *, source: str = "command line", field: str = "--driv
     """A drive from ``"10 Vpp"`` (at the electrodes), ``"10 Vpp @ 50 ohm"`` (generator) or ``"0.1 W"`` (power).
 
     Raises:
-        InputError: none of these, or a value that is not positive.
+        InputError: none of these, or a value that is not positive or that no amplifier gives.
     """
     def positive(part: str, dimension: str) -> float:
         value = parse_quantity(part, dimension, source=source, field=field)
         if value <= 0.0:
             raise InputError(source, field, text, "a drive above zero")
+        low, high, shown = PLAUSIBLE[dimension]
+        if not low <= value <= high:
+            raise InputError(source, field, text, f"a {dimension} that an amplifier for such a device has, {shown}")
         return value
 
     generator = _GENERATOR.match(text)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from workbench.brief import Brief
 from workbench.nodal import FloatArray, NodalMesh, gradient, integrate, raised, sample, transfer
 from workbench.particles import (
     FluidProperties,
@@ -49,8 +50,8 @@ class Excitation:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ParticleForces:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ParticleForces(Brief):
     """Potential (N,) J and radiation force (N, 2) N on a particle at the nodes of ``mesh``, which is that of ``region``
     alone."""
 

@@ -11,6 +11,7 @@ from skfem.assembly.dofs import Dofs
 from geometry.free_section import FreeSection
 from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
+from workbench.brief import Brief
 from workbench.drive import Drive, VoltageDrive
 from workbench.elements import Lagrange
 from workbench.files.quantities import VACUUM_PERMITTIVITY
@@ -24,8 +25,8 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
-class Fields:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fields(Brief):
     """Fields of one state of a device at one frequency and drive, e^{-i w t}, amplitudes zero to peak.
 
     ``voltage`` (V) and ``current`` (A) at the electrodes, ``power`` (W) electrical input. On the N nodes of ``mesh``:

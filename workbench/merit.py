@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
-from workbench.spectrum import Spectrum
+from workbench.brief import Brief
+from workbench.spectrum import Spectrum, WithSpectrum, spectrum_of
 
 Interpolant = Callable[..., NDArray[np.complex128]]
 
@@ -51,14 +52,15 @@ class Antiresonance:
     """What the maximum of |Z| above f0 adds.
 
     ``frequency`` Hz and ``z_max`` ohm; ``kt`` the thickness coupling factor; ``k_effective`` the effective coupling
-    factor; ``static_capacitance`` (farad) the clamped capacitance of the one-mode circuit.
+    factor; ``circuit_capacitance`` (farad) the parallel one of a circuit of this mode alone: where a fit may start, not
+    the static capacitance, which the modes outside the window hide (`workbench.capacitance` has that of a model).
     """
 
     frequency: float
     z_max: float
     kt: float
     k_effective: float
-    static_capacitance: float
+    circuit_capacitance: float
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,9 @@ class Figures:
 
 
 def figures(
-    spectrum: Spectrum, *, near: float | None = None, band: tuple[float, float] | None = None
+    spectrum: Spectrum | WithSpectrum, *, near: float | None = None, band: tuple[float, float] | None = None
 ) -> Figures:
-    """The figures of merit of the deepest resonance, or of the one nearest to `near` (hertz).
+    """The figures of merit of the deepest resonance of a spectrum or of what has one, or that nearest to `near` (Hz).
 
     `band` (low, high) in hertz leaves everything else out of sight, the half-power points included. A minimum counts
     as a resonance if |Z| rises by sqrt(2) on both sides before it falls below that minimum again.
@@ -92,7 +94,8 @@ def figures(
             what is known.
         ValueError: the band holds fewer than two points.
     """
-    seen = spectrum if band is None else spectrum.restricted(*band)
+    whole = spectrum_of(spectrum)
+    seen = whole if band is None else whole.restricted(*band)
     f0, z_min, f1, f2 = _resonance(seen, near)
     try:
         coarse = Spectrum(seen.frequency[::2], seen.impedance[::2])
@@ -174,7 +177,7 @@ def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antireson
     fa = _extremum(at, grid, index, sign=-1.0)
     z_max = float(np.abs(at(fa)))
     return Antiresonance(fa, z_max, thickness_coupling(f0, fa), effective_coupling(f0, fa),
-                         _static_capacitance(spectrum, f0, fa, bandwidth))
+                         _circuit_capacitance(spectrum, f0, fa, bandwidth))
 
 
 def thickness_coupling(resonance: float, antiresonance: float) -> float:
@@ -198,8 +201,8 @@ def _ratio(resonance: float, antiresonance: float) -> float:
     return resonance / antiresonance
 
 
-def _static_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:
-    """C0 from the points away from the resonance.
+def _circuit_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:
+    """C0 of a one-mode circuit from the points away from the resonance.
 
     A lossless one-mode circuit has Im Y / w = C0 (1 + r / (1 - (f / f0)^2)) with r = C1 / C0 = (fa / f0)^2 - 1. The
     median over the points more than five half-power widths from f0 shrugs off narrow overtones; points near fa, where
@@ -223,8 +226,8 @@ class Estimate:
     standard_error: float
 
 
-@dataclass(frozen=True, eq=False)
-class ResonanceFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ResonanceFit(Brief):
     """A resonance fitted to a spectrum.
 
     ``method`` "bvd" or "pole"; ``frequency`` (Hz) and ``q`` of the motional branch's series resonance, or of the
@@ -326,7 +329,7 @@ def _fit_circuit(spectrum: Spectrum, start: Figures, series_resistance: bool) ->
         return np.vstack([slope.real, slope.imag])
 
     omega0 = 2.0 * np.pi * start.f0
-    capacitance = start.antiresonance.static_capacitance if start.antiresonance else math.nan
+    capacitance = start.antiresonance.circuit_capacitance if start.antiresonance else math.nan
     if not capacitance > 0.0:  # no antiresonance in the band, or overtones spoil the estimate: take the far end's
         susceptance = max(float(spectrum.admittance.imag[-1]), 0.1 / (start.z_min * start.q))
         capacitance = susceptance / omega[-1]

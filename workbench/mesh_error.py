@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from skfem import Dofs
 
+from workbench.brief import Brief
 from workbench.elements import Lagrange, gauss_lobatto
 from workbench.operators import FullOperators, assemble
 from workbench.physics.term import Values
@@ -67,8 +68,8 @@ def samples(frequency: Real, impedance: Complex, count: int = SAMPLES) -> tuple[
     return np.array(indices), np.array(weights)
 
 
-@dataclass(frozen=True, eq=False)
-class MeshError:
+@dataclass(frozen=True, eq=False, repr=False)
+class MeshError(Brief):
     """Estimated ln Z of the exact model less that of the mesh, ``log_impedance`` (n,), e^{-i w t}, at ``frequency``
     (n,) in Hz. By their ``weights`` (n,) these stand for a whole spectrum."""
 

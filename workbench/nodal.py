@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench import curved_cells
+from workbench.brief import Brief
 from workbench.elements import gauss_lobatto, lobatto_weights, polynomials
 from workbench.grid import TOLERANCE, Grid, grid_of
 
@@ -39,8 +40,8 @@ BEYOND = 2
 SMOOTH = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class NodalMesh:
+@dataclass(frozen=True, eq=False, repr=False)
+class NodalMesh(Brief):
     """Cells with Gauss-Lobatto nodes that are not shared between regions.
 
     ``points`` (N, 2) r, z in metres; ``cells`` (M, p + 1, p + 1) node numbers of every cell, the first index along r

@@ -1,4 +1,4 @@
-"""What a notebook shows of a result: a table and a figure of its spectra."""
+"""What a notebook shows of a result, a table and a figure of its spectra, and a prompt the table in words."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from workbench.brief import Brief, lines_of
 
 if TYPE_CHECKING:
     from workbench.render.plots import SpectrumLike
@@ -24,15 +26,27 @@ class Summary:
     measured: tuple[str, ...] = ()
 
 
-class Shown:
-    """A result that a notebook shows by its :meth:`summary`."""
+class Shown(Brief):
+    """A result that a notebook shows by its :meth:`summary`, and a prompt by that in words.
+
+    Its dataclass has ``repr=False``.
+    """
 
     def summary(self) -> Summary:
         """The result in short."""
         raise NotImplementedError
 
+    def __repr__(self) -> str:
+        summary = self.summary()
+        return lines_of([summary.title, *(_line(row) for row in summary.rows)])
+
     def _repr_html_(self) -> str:
         return page(self.summary())
+
+
+def _line(row: tuple[str, ...]) -> str:
+    first, *rest = row
+    return "  " + (f"{first}: " if first else "") + ", ".join(cell for cell in rest if cell)
 
 
 def page(summary: Summary) -> str:

@@ -19,6 +19,7 @@ from skfem import Basis
 
 from geometry.mesh import SectionMesh
 from geometry.names import whole
+from workbench.brief import Brief
 from workbench.coefficients import Coefficients
 from workbench.dense import Span
 from workbench.elements import Lagrange
@@ -75,8 +76,8 @@ class Operators(Protocol):
         """
 
 
-@dataclass(frozen=True, eq=False)
-class FullOperators:
+@dataclass(frozen=True, eq=False, repr=False)
+class FullOperators(Brief):
     """The assembled model on a mesh: basis functions at quadrature points, and the numbering of the unknowns.
 
     ``places`` are found by the :attr:`~workbench.physics.term.Integral.domain` of an integral.

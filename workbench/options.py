@@ -9,6 +9,8 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from workbench import __version__
+
 #: Shown by every command that has a drive.
 DRIVE_HELP = ('"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator of that open-circuit voltage, '
               '"0.1 W" constant input power')
@@ -26,6 +28,7 @@ def parser() -> argparse.ArgumentParser:
         description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
         epilog="exit status: 0 done, 1 computation failed, 2 mistake in the command or a file, 130 interrupted",
     )
+    whole.add_argument("--version", action="version", version=f"workbench {__version__}")
     subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (text, add_options) in COMMANDS.items():
         add_options(subparsers.add_parser(name, help=text, description=text))
@@ -64,7 +67,8 @@ def _with_recording(sub: argparse.ArgumentParser) -> None:
                      help="which columns of the recording are what (default: as their headings say; where these do "
                           "not, the error proposes a map)")
     sub.add_argument("--format", metavar="NAME",
-                     help="format of the recording: workbench, e4990a, 4294a, touchstone or table (default: found out)")
+                     help="format of the recording: workbench, e4990a, 4294a, touchstone, labone, bode100, gamry, "
+                          "biologic, zplot, hioki, lines or table (default: found out)")
     sub.add_argument("--correction", choices=("negate", "conjugate"),
                      help="put a wrong phase right, on your word (default: as recorded)")
 
@@ -370,7 +374,8 @@ def _measure(sub: argparse.ArgumentParser) -> None:
 
 def _import(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("files", nargs="+", type=Path, metavar="FILE",
-                     help="waveforms, CSV or ISF, in pairs named alike but for CH1 and CH2; or folders of them")
+                     help="waveforms of an oscilloscope: CSV with all channels in one file, or CSV or ISF in pairs "
+                     "named alike but for CH1 and CH2; or folders of them")
     sub.add_argument("--total", type=int, default=1, metavar="N",
                      help="channel across device and reference resistor (default 1)")
     sub.add_argument("--reference", type=int, default=2, metavar="N",

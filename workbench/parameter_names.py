@@ -7,7 +7,8 @@ Names say what they are:
     transducer.thickness                 a dimension of the chip, metres
     sidewall.draft                       a shape of a layer (`geometry.shapes`), metres or radians
     bench.series_resistance              an element between the electrodes and the instrument
-    bench.gain@filled                    what that state alone adds to the number of that name
+    bench.gain[filled]                   what that state alone adds to the number of that name
+    pzt4/disc_7@2.c33                    of the second saved version of a material (`materials.versions`)
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from geometry.names import ROLES, role_of
 LOSS = ".loss"
 BENCH = "bench."
 
-#: Between a name and the one state that the number acts in. No name before it holds the sign; that of a state may.
-STATE = "@"
+#: About the one state that a number acts in, behind its name. No name holds the first sign; that of a state may.
+STATE, STATE_END = "[", "]"
 
 #: How the name of a dimension of a chip ends (`geometry.chip.Chip.dimensions`).
 LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
@@ -60,8 +61,9 @@ class ParameterName:
 
     @classmethod
     def parse(cls, text: str) -> ParameterName:
-        """The parts of ``owner.coefficient``, with or without ``.loss`` (a bench element has none) and ``@state``."""
+        """The parts of ``owner.coefficient``, with or without ``.loss`` (a bench element has none) and ``[state]``."""
         name, _, state = text.partition(STATE)
+        state = state.removesuffix(STATE_END)
         if name.startswith(BENCH):
             return cls(BENCH.removesuffix("."), name.removeprefix(BENCH), False, Kind.BENCH, state)
         key, is_loss = name.removesuffix(LOSS), name.endswith(LOSS)
@@ -76,11 +78,11 @@ class ParameterName:
         return cls(owner, coefficient, is_loss, Kind.DIMENSION if is_dimension else Kind.TERM, state)
 
     def __str__(self) -> str:
-        return self.shared + (STATE + self.state if self.state else "")
+        return self.shared + (STATE + self.state + STATE_END if self.state else "")
 
     @property
     def shared(self) -> str:
-        """The name of the number that all states have: without ``@state``."""
+        """The name of the number that all states have: without ``[state]``."""
         return self.key + (LOSS if self.is_loss else "")
 
     def of_state(self, state: str) -> ParameterName:
@@ -89,7 +91,7 @@ class ParameterName:
 
     @property
     def key(self) -> str:
-        """Name of the complex value that the number is a part of: the name without ``.loss`` and ``@state``."""
+        """Name of the complex value that the number is a part of: the name without ``.loss`` and ``[state]``."""
         return f"{self.owner}.{self.coefficient}" if self.owner else self.coefficient
 
     @property

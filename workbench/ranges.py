@@ -34,6 +34,7 @@ from geometry.chip import Chip
 from geometry.names import whole
 from geometry.stretch import movable, tied
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.coefficients import Coefficients
 from workbench.dimensions import flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
@@ -93,7 +94,7 @@ class NotCovered(RuntimeError):
         return (NotCovered, (self.model,))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Response(Shown):
     """A spectrum of a range model: ``values`` the numbers asked for, by name, and the ``prediction`` made for them."""
 
@@ -140,8 +141,8 @@ class Response(Shown):
         return np.stack(columns, axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class RangeModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeModel(Brief):
     """The spectrum of one problem for parameters within ``ranges`` (SI, by name, ``.loss`` for imaginary parts).
 
     ``frequency`` (n,) Hz is where it answers; ``tolerance`` the relative error it was made for, ``error`` the largest
@@ -192,12 +193,12 @@ class RangeModel:
         """
         return _last(_growth(self, self.tolerance if tolerance is None else tolerance, limit, seed, progress))
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Keep the model in a file, to be read by :func:`load` with the chip it is of."""
         content = {"format": FORMAT, "ranges": dict(self.ranges), "tolerance": self.tolerance, "error": self.error,
                    "seconds": self.seconds, "solves": self.reduced.solves, "residual": self.reduced.residual,
                    "problem": fingerprint(self.problem)}
-        with replacing(path) as written:
+        with replacing(Path(path)) as written:
             np.savez(written, content=np.frombuffer(json.dumps(content).encode(), dtype=np.uint8),
                      frequency=self.frequency, basis=self.reduced.basis, weights=self.reduced.weights,
                      test=self.reduced.test, matrices=self.reduced.operators.matrices, sketch=self.reduced.sketch)
@@ -465,7 +466,7 @@ def fingerprint(problem: Problem) -> str:
 
 
 def load(
-    path: Path, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
+    path: Path | str, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
     accuracy: float | Discretisation = ACCURACY,
 ) -> RangeModel:
     """A model that :meth:`RangeModel.save` has kept, with the chip it is of.
@@ -473,6 +474,7 @@ def load(
     Raises:
         InputError: the file is no such model, or one of another chip, state, material or mesh.
     """
+    path = Path(path)
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             stored = {name: archive[name] for name in archive.files}

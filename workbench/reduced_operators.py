@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from workbench.brief import Brief
 from workbench.coefficients import Coefficients
 from workbench.dense import Span
 from workbench.forms import bilinear, real_times
@@ -18,8 +19,8 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
-class ReducedOperators:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReducedOperators(Brief):
     """The affine model on a small basis: ``matrices`` (distinct forms, r, r), dense and real.
 
     ``forms`` (integrals,) says which of them is that of every integral.

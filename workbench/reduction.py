@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from workbench.brief import Brief
 from workbench.dense import chebyshev
 from workbench.energy_norm import energy_matrix, estimated_error, random_probes
 from workbench.forms import combined
@@ -36,7 +37,7 @@ from workbench.operators import FullOperators
 from workbench.physics.term import Values
 from workbench.reduced_basis import DEPENDENT, joined, needed, new_directions
 from workbench.reduced_operators import ReducedOperators
-from workbench.solve import Solution, System, one_thread, solve_reduced
+from workbench.solve import NotConverged, Solution, System, one_thread, solve_reduced
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -50,6 +51,10 @@ CORNER_DEPTH = 3
 #: Frequencies that the first solves are made at, and how many of those asked for are looked at while a basis grows; all
 #: of no more than the last number.
 FIRST, WATCHED, FEW = 7, 97, 256
+
+#: Where the full model is solved in place of a frequency at which that does not converge, relative to it: within a line
+#: of a quality factor of 5000. Doubled, the basis holds a little less of such a resonance.
+BESIDE = 1.0 + 1e-4
 
 #: What is left out of a basis has at most this times the root of the error that Z may have, in the root of energy
 #: over charge: the error of the charge is at most the energy of what is left out of the state.
@@ -71,8 +76,8 @@ class NotEnriched(RuntimeError):
         return (NotEnriched, (self.estimate, self.tolerance, self.solves))
 
 
-@dataclass(frozen=True, eq=False)
-class ReducedModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReducedModel(Brief):
     """A reduced model with what it takes to judge and to improve it.
 
     ``basis`` (size, r), last column with unit electrode voltage and the others with none; ``weights`` (size,) the unit
@@ -239,6 +244,7 @@ def reduced(
     depth: int = DEPTH,
     confirmed: bool = True,
     worst: float | None = None,
+    skip_singular: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[ReducedModel, Solution]:
     """A reduced model whose impedance is within `tolerance` (relative) of the full one at all `frequencies`.
@@ -246,37 +252,39 @@ def reduced(
     Full solves are added where the estimate is largest, until it is within the tolerance everywhere. A full solve at
     the worst frequency then confirms it, unless `confirmed` is unset: the estimate is believed. With `start`, a model
     made for other parameter values is extended for these. The basis also holds what the parameters in `tangents` change
-    the states by when they move by so much, so that it keeps serving then. Each factorisation gives `depth` vectors,
-    tangents apart. `worst` is the frequency (Hz) at which `start` is known to be off most, if it is.
+    the states by when they move by so much. Each factorisation gives `depth` vectors, tangents apart. `worst` is the
+    frequency (Hz) at which `start` is off most, if that is known. With `skip_singular` a frequency is left out at which
+    a full solve does not converge but does beside it, or at which reduced and full model keep apart.
 
     Returns:
-        the model, and what it gives at all frequencies.
+        the model, and what it gives at all frequencies but those left out.
 
     Raises:
         NotEnriched: `limit` full solves were not enough.
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
     frequencies = np.asarray(frequencies, dtype=float)
-    looked_at = watched(frequencies)
-    wanted = np.zeros(0) if worst is None else np.array([worst])
+    looked_at, wanted = watched(frequencies), np.zeros(0) if worst is None else np.array([worst])
     if start is None:
         wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]]
-    model, spent, unneeded = start, 0, smallest(tolerance)
+    model, spent, unneeded, tried = start, 0, smallest(tolerance), set[float]()
 
     def report() -> None:
-        # How many solves it takes is not known beforehand; most models are done after six or seven.
         if progress is not None:
-            progress(1.0 - 0.7**spent)
+            progress(1.0 - 0.7**spent)  # most models are done after six or seven solves
 
     with one_thread():
         system = System(operators, values)
         while True:
             if wanted.size:
                 solved = _Solves(model, frequencies)
-                for frequency in wanted:
-                    solved.add(system, float(frequency), depth, tangents)
+                for frequency in map(float, wanted):
+                    if solved.add(system, frequency, depth, tangents) != frequency and skip_singular:
+                        frequencies = frequencies[frequencies != frequency]
+                    tried.add(frequency)
                     spent += 1
                     report()
+                looked_at = watched(frequencies)
                 model = solved.grown([(looked_at, values)], unneeded, tolerance)
                 # Where the new directions were not enough, too much may have been left out before them.
                 unneeded *= TIGHTER
@@ -292,15 +300,34 @@ def reduced(
             if spent >= limit:
                 raise NotEnriched(estimate, tolerance, model.solves)
             if believed:
-                states, residual = system.krylov(worst, 1)
                 spent += 1
                 report()
-                off = abs(solution.charge[index] / system.charge(worst, states[:, 0]) - 1.0)
-                model = counted(model, residual)
+                model, off = _confirmed(model, system, solution, index, skip_singular)
                 if off <= tolerance:
                     break
+                if skip_singular and (worst in tried or np.isinf(off)):
+                    frequencies, wanted = frequencies[frequencies != worst], np.zeros(0)
+                    looked_at = watched(frequencies)
+                    continue
             wanted = np.array([worst])
     return model, solution
+
+
+def _confirmed(
+    model: ReducedModel, system: System, solution: Solution, index: int, skip_singular: bool
+) -> tuple[ReducedModel, float]:
+    """The model with one more full solve counted, and how far (relative) it is off that solve's charge.
+
+    Infinite where the full solve does not converge and that is to be skipped.
+    """
+    frequency = float(solution.frequency[index])
+    try:
+        states, residual = system.krylov(frequency, 1)
+    except NotConverged:
+        if not skip_singular:
+            raise
+        return model, np.inf
+    return counted(model, residual), float(abs(solution.charge[index] / system.charge(frequency, states[:, 0]) - 1.0))
 
 
 def smallest(tolerance: float) -> float:
@@ -362,15 +389,24 @@ class _Solves:
     states: list[Complex] = field(default_factory=list)
     changes: list[Complex] = field(default_factory=list)
 
-    def add(self, system: System, frequency: float, depth: int, moves: Mapping[str, float] = NO_TANGENTS) -> None:
-        """One more, with its neighbours in frequency, for parameters that move by so much."""
-        found, residual = system.krylov(frequency, depth, tangents=tuple(moves))
+    def add(self, system: System, frequency: float, depth: int, moves: Mapping[str, float] = NO_TANGENTS) -> float:
+        """One more, with its neighbours in frequency, for parameters that move by so much; the frequency that it is of.
+
+        Where the solve does not converge, it is made beside: at an undamped resonance any state nearby is that of the
+        resonance.
+        """
+        try:
+            found, residual = system.krylov(frequency, depth, tangents=tuple(moves))
+        except NotConverged:
+            frequency *= BESIDE
+            found, residual = system.krylov(frequency, depth, tangents=tuple(moves))
         if self.model is None:
             self.model = begun(system, self.frequencies, found[:, 0])
         self.model = counted(self.model, residual)
         self.states.append(found[:, :depth])
         size = np.sqrt(abs(system.charge(frequency, found[:, 0])))
         self.changes.append(found[:, depth:] * np.array(list(moves.values())) / size)
+        return frequency
 
     def grown(
         self, needed_at: Sequence[tuple[Real, Values]], unneeded: float, tolerance: float

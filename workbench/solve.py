@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from threadpoolctl import ThreadpoolController
 
+from workbench.brief import Brief
 from workbench.coefficients import Groups, summed
 from workbench.dense import Span, solve_dense
 from workbench.factorisation import Factorisation, SuperLU
@@ -52,8 +53,8 @@ class NotConverged(RuntimeError):
         return (NotConverged, (self.frequency, self.residual, self.iterate))
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Brief):
     """States at unit electrode voltage, e^{-i w t}.
 
     ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``groups`` the model at these
@@ -352,12 +353,27 @@ def factorise(
     return Factor(frequency, scaled, scale, solve)
 
 
-def sweep(operators: FullOperators, frequencies: Real, values: Values) -> Iterator[Solution]:
-    """The full model at one frequency after the other, each as soon as it is solved, so that a stop loses nothing."""
+def sweep(
+    operators: FullOperators, frequencies: Real, values: Values, *,
+    failed: Callable[[NotConverged], None] | None = None,
+) -> Iterator[Solution]:
+    """The full model at one frequency after the other, each as soon as it is solved, so that a stop loses nothing.
+
+    A frequency at which the solve does not converge is left out if there is a function `failed`, which is told.
+
+    Raises:
+        NotConverged: there is no such function.
+    """
     system = System(operators, values)
     for frequency in np.asarray(frequencies, dtype=float):
-        with one_thread():
-            state, residual = system.solve(float(frequency))
+        try:
+            with one_thread():
+                state, residual = system.solve(float(frequency))
+        except NotConverged as error:
+            if failed is None:
+                raise
+            failed(error)
+            continue
         groups = operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), values)
         charge = np.array([system.charge(float(frequency), state)])
         yield Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,7 +63,7 @@ class Origin:
                 raise ValueError(f"origin setting name {name!r} must not be empty or hold a colon")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Spectrum(Shown):
     """Impedance against frequency, e^{+j w t}.
 
@@ -234,6 +234,26 @@ class Spectrum(Shown):
         return replace(self, frequency=at, impedance=self.interpolant()(at), uncertainty=uncertainty)
 
 
+class WithSpectrum(Protocol):
+    """A result that has one spectrum: a reading of a recording, a simulation, a fit."""
+
+    @property
+    def spectrum(self) -> Spectrum: ...
+
+
+def spectrum_of(given: Spectrum | WithSpectrum) -> Spectrum:
+    """The spectrum itself, or that of a result.
+
+    Raises:
+        TypeError: what is given is neither.
+    """
+    found = given if isinstance(given, Spectrum) else getattr(given, "spectrum", None)
+    if not isinstance(found, Spectrum):
+        raise TypeError(f"received a {type(given).__name__}; expected a Spectrum, or what has one in .spectrum: a "
+                        "Reading, a Simulation, a MaterialFit")
+    return found
+
+
 def _refuse(
     wrong: NDArray[np.bool_], values: NDArray[np.float64] | NDArray[np.complex128], name: str, expected: str
 ) -> None:
@@ -263,7 +283,7 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     return replace(spectrum, impedance=impedance, origin=replace(spectrum.origin, settings=settings))
 
 
-def write_csv(spectrum: Spectrum, path: Path) -> None:
+def write_csv(spectrum: Spectrum, path: Path | str) -> None:
     """Write the workbench's own file: ``# key: value`` lines of the origin, the column names, the rows.
 
     Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read

@@ -3,7 +3,7 @@ in."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, LengthUncertainty, is_film, length_uncertainty
@@ -227,3 +227,14 @@ def _ends(name: str, text: str, dimension: str) -> tuple[float, float]:
         raise InputError("command line", field, text, f"two numbers with {ENDS!r} between them")
     one, other = (parse_quantity(end.strip(), dimension, source="command line", field=field) for end in (low, high))
     return one, other
+
+
+def is_inside(ranges: Mapping[str, tuple[float, float]], values: Mapping[str, float]) -> bool:
+    """Whether `values` lie in `ranges`, but for rounding."""
+    return all(low - 1e-9 * abs(low) <= values[name] <= high + 1e-9 * abs(high)
+               for name, (low, high) in ranges.items())
+
+
+def wraps(one: Mapping[str, tuple[float, float]], other: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether the ranges `one` hold the `other` ones."""
+    return all(one[name][0] <= low and high <= one[name][1] for name, (low, high) in other.items())

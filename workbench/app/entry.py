@@ -48,3 +48,8 @@ def typed_tolerance(text: object, control: Control) -> float | None:
     if not typed or (control.tolerance is None and typed == control.told_tolerance):
         return None
     return typed_number(typed, control, f"tolerance of {control.name}")
+
+
+def slider_number(number: float) -> float:
+    """A number as a slider has it: to seven digits."""
+    return float(f"{number:.7g}")

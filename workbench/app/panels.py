@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterator
 from typing import Any, Protocol
 
 import numpy as np
@@ -139,3 +140,9 @@ def picture(drawn: Drawn) -> dict[str, Any]:
             "note": "" if drawn.tall == 1.0 else f"heights × {drawn.tall:g}",
             "outline": "".join(f"M{x(a)} {y(b)}L{x(c)} {y(d)}" for a, b, c, d in drawn.outline),
             "marks": [{"x": x(r), "y": y(z), "text": text} for r, z, text in drawn.marks]}
+
+
+def next_picture(drawing: Iterator[Drawn]) -> dict[str, Any] | None:
+    """The next picture as the page shows it; None behind the last one."""
+    drawn = next(drawing, None)
+    return None if drawn is None else picture(drawn)

@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -22,9 +22,9 @@ import numpy as np
 
 from workbench.app import guard, plot
 from workbench.app.background import FAILURES, Background
-from workbench.app.entry import typed_number, typed_tolerance
+from workbench.app.entry import slider_number, typed_number, typed_tolerance
 from workbench.app.page import lay_out
-from workbench.app.panels import Drawn, curve, described, embedded, figure_cards, picture
+from workbench.app.panels import Drawn, curve, described, embedded, figure_cards, next_picture
 from workbench.app.section_fields import SectionFields
 from workbench.app.session import NotReady, Session
 from workbench.app.spectrum_view import SpectrumView
@@ -159,7 +159,7 @@ class LiveView:
         """A slider was moved."""
         control, told = self.session.controls[index], self._state[f"x_{index}"]
         try:
-            if told == _rounded(self.session.values[control.name] * control.factor):
+            if told == slider_number(self.session.values[control.name] * control.factor):
                 return
             self.session.move(control.name, typed_number(told, control, control.name))
         except InputError as error:
@@ -349,7 +349,7 @@ class LiveView:
     def _show_numbers(self) -> None:
         values = self.session.values
         for index, each in enumerate(self.session.controls):
-            self._state[f"x_{index}"] = _rounded(values[each.name] * each.factor)
+            self._state[f"x_{index}"] = slider_number(values[each.name] * each.factor)
 
     def _show_rows(self) -> None:
         outside, rows = self.session.outside(), []
@@ -476,7 +476,7 @@ class LiveView:
         else:
             pictures: list[dict[str, Any]] = []
             drawing = iter(self.drawing.section(section))
-            while (found := await self._loop.run_in_executor(pool, _next_picture, drawing)) is not None:
+            while (found := await self._loop.run_in_executor(pool, next_picture, drawing)) is not None:
                 pictures.append(found)
                 if self._moved:
                     return
@@ -496,14 +496,3 @@ class LiveView:
         with contextlib.suppress(ValueError):
             inside = recording.restricted(low, high)
             self._state.recorded = {**plot.curves(scale, inside), "name": self.session.recording_name}
-
-
-def _next_picture(drawing: Iterator[Drawn]) -> dict[str, Any] | None:
-    """The next picture as the page shows it; None behind the last one."""
-    drawn = next(drawing, None)
-    return None if drawn is None else picture(drawn)
-
-
-def _rounded(number: float) -> float:
-    """A number as a slider has it: to seven digits."""
-    return float(f"{number:.7g}")

@@ -25,7 +25,7 @@ from geometry.names import TRANSDUCER
 from geometry.stretch import movable, moving_together
 from materials.kinds import IsotropicSolid
 from materials.registry import Registry
-from workbench.app.controls import REACH, Control, controls
+from workbench.app.controls import REACH, Control, controls, is_inside, wraps
 from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
 from workbench.app.local import SMALL, LocalModel, along, around, in_halves, local_model
@@ -39,7 +39,6 @@ from workbench.parameter_names import placed
 from workbench.particles import Particle, particle_from
 from workbench.problem import build, fill
 from workbench.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
-from workbench.simulation import particle_of
 from workbench.solve import sweep
 from workbench.spectrum import Spectrum
 
@@ -115,7 +114,8 @@ class Session:
             InputError: something in the chip, its materials, or what is wanted.
         """
         self.chip, self.state = chip, chip.state(state).name
-        self.registry = Registry() if registry is None else registry
+        # What it shows is what a simulation of the saved chip gives.
+        self.registry = replace(Registry() if registry is None else registry, assumed_losses=True)
         self.band = chip.band if band is None else band
         self.drive: Drive = VoltageDrive() if drive is None else drive
         self.recording, self.recording_name = recording, recording_name
@@ -123,7 +123,7 @@ class Session:
         self._points, self._tolerance, self.accuracy = points, tolerance, accuracy
         device = fill(chip, self.state, self.registry)
         self.problem = build(device, band=self.band, accuracy=accuracy)
-        stated = particle_of(device, self.registry)
+        stated = device.particle
         self.particle, self.particle_stated = stated or _bead(self.registry), stated is not None
         self._lock = RLock()
         self._controls = {each.name: each for each in controls(chip, self.problem, wanted)}
@@ -321,8 +321,8 @@ class Session:
         stages = self._stages()
         for title, ranges in stages.items():
             values, others = self.values, [each for name, each in stages.items() if name not in (title, NEAR)]
-            if self._has(ranges) or not _inside(ranges, values) or (
-                    title == WHOLE and any(_inside(each, values) for each in others)):
+            if self._has(ranges) or not is_inside(ranges, values) or (
+                    title == WHOLE and any(is_inside(each, values) for each in others)):
                 continue
             for told in self._grown(ranges, stopped, LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
                 yield told if len(stages) == 1 else f"{title}: {told}"
@@ -350,12 +350,12 @@ class Session:
     def is_covered(self) -> bool:
         """Whether a model answers for the present numbers."""
         with self._lock:
-            return any(_inside(each.ranges, self._values) for each in self._models)
+            return any(is_inside(each.ranges, self._values) for each in self._models)
 
     def _has(self, ranges: Ranges) -> bool:
         """Whether there is a model within the tolerance that holds these ranges."""
         with self._lock:
-            return any(each.error <= each.tolerance and _wraps(each.ranges, ranges) for each in self._models)
+            return any(each.error <= each.tolerance and wraps(each.ranges, ranges) for each in self._models)
 
     def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
         """Models of `ranges` from at most `limit` full solves, in words; given up once numbers are elsewhere."""
@@ -366,7 +366,7 @@ class Session:
             for model in models:
                 self._take(model)
                 yield _told(model)
-                if stopped() or not _inside(ranges, self.values):
+                if stopped() or not is_inside(ranges, self.values):
                     return
         except NotCovered as reached:
             # The last model that was yielded answers.
@@ -381,7 +381,7 @@ class Session:
         with self._lock:
             # One of narrower ranges answers there until this one has been found to be as good.
             kept = [each for each in self._models if each.ranges != model.ranges
-                    and not (_wraps(model.ranges, each.ranges) and model.error <= each.error)]
+                    and not (wraps(model.ranges, each.ranges) and model.error <= each.error)]
             self._models = (*kept, model)
 
     def _best(self, values: Mapping[str, float]) -> RangeModel:
@@ -393,7 +393,7 @@ class Session:
         """
         if not self._models:
             raise NotReady("the first model is being made")
-        fit = [each for each in self._models if _inside(each.ranges, values)]
+        fit = [each for each in self._models if is_inside(each.ranges, values)]
         if not fit:
             wide = self._models[-1]
             beyond = [name for name, (low, high) in wide.ranges.items() if not low <= values[name] <= high]
@@ -485,17 +485,6 @@ def _bead(registry: Registry) -> Particle:
     material = registry.load(BEAD[0])
     assert isinstance(material, IsotropicSolid)
     return particle_from(material, BEAD[1])
-
-
-def _inside(ranges: Ranges, values: Mapping[str, float]) -> bool:
-    """Whether `values` lie in `ranges`, but for rounding."""
-    return all(low - 1e-9 * abs(low) <= values[name] <= high + 1e-9 * abs(high)
-               for name, (low, high) in ranges.items())
-
-
-def _wraps(one: Ranges, other: Ranges) -> bool:
-    """Whether the ranges `one` hold the `other` ones."""
-    return all(one[name][0] <= low and high <= one[name][1] for name, (low, high) in other.items())
 
 
 def _told(model: RangeModel) -> str:

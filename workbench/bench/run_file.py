@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.brief import Brief
 from workbench.files.errors import InputError
 from workbench.files.writing import replacing, sync_folder
 
@@ -86,8 +87,8 @@ class Event:
     text: str
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Brief):
     """A run as it is on disk. ``setup_text`` is BENCH.toml as it was read; ``instruments`` what they answered;
     ``complete`` whether every point that was asked for is there."""
 

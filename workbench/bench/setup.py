@@ -175,7 +175,7 @@ def _positive(table: Table, key: str, dimension: str, default: float | None = No
 
 
 def _fraction(table: Table, key: str, default: float) -> float:
-    value = table.quantity(key, "dimensionless", default)
+    value = table.quantity(key, "share", default)
     if not 0.0 <= value < 1.0:
         raise table.error(key, 'from "0 %" to less than "100 %"')
     return value

@@ -18,6 +18,7 @@ from workbench.bench.impedance import common_uncertainty
 from workbench.bench.plan import combined
 from workbench.bench.run_file import Point, Run, read_run
 from workbench.bench.setup import BenchSetup, Standards
+from workbench.brief import Brief
 from workbench.files.errors import InputError
 from workbench.spectrum import Origin, Spectrum
 
@@ -28,8 +29,8 @@ _USUAL_LEAD = 0.2e-6
 _DRIFT = 1.5
 
 
-@dataclass(frozen=True, eq=False)
-class LevelSpectrum:
+@dataclass(frozen=True, eq=False, repr=False)
+class LevelSpectrum(Brief):
     """The spectrum at one drive level (V peak to peak, open circuit).
 
     ``spectrum`` carries the whole standard uncertainty: ``noise`` (n,) ohm, different at every point, and ``common``,

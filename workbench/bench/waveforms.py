@@ -1,5 +1,7 @@
-"""Waveforms that an oscilloscope saved: Tektronix CSV (as the TDS1000 and TDS2000 series write it) and ISF.
+"""Waveforms that an oscilloscope saved: one channel a file, or all of them in one.
 
+Tables of time and channels are read by `workbench.instruments.waveform_table`, whatever their maker; here are the CSV
+that the TDS1000 and TDS2000 series of Tektronix write, and ISF.
 CSV: what is set stands in columns 1 and 2 of the first rows, beside the samples, which are time in column 4 and volts
 in column 5; there is no row of headings. Numbers may look like ``-00.018940000000``, and a line may have been added by
 hand.
@@ -10,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.instruments.instrument import Waveform
+from workbench.instruments.waveform_table import READ, decoded, read_table, waveform_table
 
 _PAIR = re.compile(r"CH(\d)", re.IGNORECASE)
 
@@ -28,48 +32,105 @@ _FLAT = 3.0
 
 
 def read_waveform(path: Path) -> Waveform:
-    """Read one saved waveform, whichever of the two formats it is in.
+    """Read the one saved waveform of a file, whichever of the formats it is in.
 
     Raises:
-        InputError: neither of them, cut short, not in volts, an envelope, or not on even time steps.
+        InputError: as of :func:`read_channels`, or several channels.
+    """
+    found = read_channels(path)
+    if len(found) != 1:
+        raise InputError(str(path), "channels", ", ".join(f"CH{number}" for number in found), "one channel")
+    return next(iter(found.values()))
+
+
+def read_channels(path: Path) -> dict[int, Waveform]:
+    """The waveforms of a file by channel, whichever of the formats it is in.
+
+    Raises:
+        InputError: none of them, cut short, not in volts, an envelope, or not on even time steps.
     """
     path = Path(path)
+    data = _content(path)
+    if data[:6].upper().startswith((b":WFMP", b"WFMP")):
+        found = _read_isf(str(path), data)
+    elif _is_tds(data):
+        found = _read_csv(str(path), data)
+    else:
+        lines = decoded(data)
+        table = waveform_table(lines)
+        if table is None:
+            raise InputError(str(path), "format", _first(lines), READ)
+        return {number: replace(each, clipped=_flat_topped(each.raw.astype(float)))
+                for number, each in read_table(str(path), lines, table).items()}
+    return {found.channel: found}
+
+
+def _content(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None
-    if data[:6].upper().startswith((b":WFMP", b"WFMP")):
-        return _read_isf(str(path), data)
-    if b"Record Length," in data[:2000]:
-        return _read_csv(str(path), data)
-    first = data[:60].decode("latin-1").splitlines()
-    raise InputError(str(path), "format", first[0] if first else "", "a waveform of a Tektronix oscilloscope: CSV with "
-                     "'Record Length' among its first rows, or ISF beginning with :WFMPRE")
+
+
+def _is_tds(data: bytes) -> bool:
+    """Whether settings stand beside samples, which are in columns 4 and 5: the CSV of the TDS1000 and TDS2000."""
+    return b"Record Length," in data[:2000] and any(
+        re.match(rb'"?(Record Length|Sample Interval)"?,[^,]*,\s*,\s*"?[-+.\d][^,]*,\s*"?[-+.\d]', line)
+        for line in data[:4000].splitlines()[:12])
+
+
+def _first(lines: Sequence[str]) -> str:
+    return next((line[:60] for line in lines if line.strip()), "")
 
 
 def pair_files(paths: Sequence[Path], *, total: int, reference: int) -> dict[str, tuple[Path, Path]]:
     """Files in pairs, (total, reference) by what their names have in common; folders stand for the files in them.
 
-    The names must differ in the channel alone: F0003CH1.CSV and F0003CH2.CSV.
+    The names must differ in the channel alone: F0003CH1.CSV and F0003CH2.CSV. A file that holds several channels is a
+    pair with itself, whatever its name.
 
     Raises:
-        InputError: a name without a channel, or half a pair.
+        InputError: a name without a channel of a file that holds not both, or half a pair.
     """
     given: dict[str, dict[int, Path]] = {}
     for path in _files(paths):
+        held = _held(path)
         channel = _PAIR.search(path.name)
+        if len(held) > 1 or (held and channel is None):
+            for wanted in (total, reference):
+                if wanted not in held:
+                    raise InputError(str(path), "channels", ", ".join(f"CH{number}" for number in held),
+                                     f"CH{wanted} among them; --total and --reference say which are meant")
+            given[str(path)] = dict.fromkeys(held, path)
+            continue
         if channel is None:
-            raise InputError(str(path), "file name", path.name, "a name with the channel in it, such as F0003CH1.CSV")
+            _content(path)  # that there is no such file comes first
+            raise InputError(str(path), "file", path.name, "a table with all channels in it (time, CH1, CH2), or a "
+                             "name with the channel in it, such as F0003CH1.CSV")
         name = path.name[:channel.start()] + path.name[channel.end():]
         given.setdefault(str(path.parent / name), {})[int(channel.group(1))] = path
-    pairs = {}
+    pairs: dict[str, tuple[Path, Path]] = {}
     for name, channels in sorted(given.items()):
         for wanted in (total, reference):
             if wanted not in channels:
                 raise InputError(name, f"channel {wanted}", ", ".join(str(p) for p in channels.values()),
                                  f"a file of channel {wanted} beside it")
-        pairs[Path(name).stem.strip("_- ") or Path(name).parent.name] = channels[total], channels[reference]
+        called = Path(name).stem.strip("_- ") or Path(name).parent.name
+        if called in pairs:  # of another folder, or of another format
+            called = name
+        pairs[called] = channels[total], channels[reference]
     return pairs
+
+
+def _held(path: Path) -> tuple[int, ...]:
+    """The channels that a file holds by its head, none where that is not a table of time and channels."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(8192)
+    except OSError:
+        return ()
+    table = None if _is_tds(head) else waveform_table(decoded(head))
+    return () if table is None else tuple(table.channels)
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
@@ -77,9 +138,11 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         if path.is_dir():
             inside = [file for file in sorted(path.iterdir())
-                      if file.suffix.lower() in (".csv", ".isf") and _PAIR.search(file.name)]
+                      if file.suffix.lower() in (".csv", ".isf", ".txt") and (
+                          _held(file) or (file.suffix.lower() != ".txt" and _PAIR.search(file.name)))]
             if not inside:
-                raise InputError(str(path), "folder", path.name, "a folder with waveforms such as F0003CH1.CSV")
+                raise InputError(str(path), "folder", path.name, "a folder with waveforms such as F0003CH1.CSV, or "
+                                 "with tables of all channels")
             found += inside
         else:
             found.append(path)

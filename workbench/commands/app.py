@@ -16,7 +16,7 @@ from workbench.app.growth import growing_elsewhere
 from workbench.app.section_fields import SectionFields
 from workbench.app.server import Drawing, LiveView
 from workbench.app.session import Session
-from workbench.commands.asked import asked_model, asked_reading
+from workbench.commands.asked import asked_model, asked_reading, check_order
 from workbench.commands.terminal import print_line
 from workbench.files.errors import InputError
 
@@ -37,6 +37,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
         raise InputError("command line", "--port", options.port, f"0, or {_PORTS[0]} to {_PORTS[-1]}")
     if importlib.util.find_spec("trame_vuetify") is None:
         raise RuntimeError("the live view needs trame and trame-vuetify (./setup installs them)")
+    if options.recording is not None:
+        check_order(options.recording, options.chip)
     chip = read_chip(options.chip)
     asked = asked_model(options, chip)
     recording = None if options.recording is None else asked_reading(options, options.recording, console).spectrum

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import argparse
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip
+from geometry.plausible import check_band
 from materials.registry import Registry, user_folder, user_registry
 from workbench.discretisation import Discretisation, discretisation
 from workbench.drive import Drive, parse_drive
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
+from workbench.files.writing import writable_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from workbench.readers import Reading
+
+
+#: Bytes that there has to be room for before a command begins: a report with its pictures. Doubled, a nearly full disk
+#: is refused sooner.
+ROOM = 20e6
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,7 @@ def asked_accuracy(options: argparse.Namespace) -> float:
     Raises:
         InputError: no number or per cent, or an accuracy there is no mesh for.
     """
-    accuracy = parse_quantity(options.accuracy, "dimensionless", source="command line", field="--accuracy")
+    accuracy = parse_quantity(options.accuracy, "share", source="command line", field="--accuracy")
     try:
         discretisation(accuracy)
     except InputError as error:
@@ -76,7 +84,29 @@ def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
     band = end(options.low, chip.band[0], "--from"), end(options.high, chip.band[1], "--to")
     if not 0.0 < band[0] < band[1]:
         raise InputError("command line", "--from, --to", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
+    if "band" not in chip.unusual:
+        check_band(chip.layers, band, "command line", "--from, --to")
     return band
+
+
+def check_order(recording: Path, chip: Path) -> None:
+    """See that a recording and a chip file do not stand in each other's place on the command line.
+
+    Raises:
+        InputError: the recording is a TOML file, as chip files are.
+    """
+    def is_toml(path: Path) -> bool:
+        try:
+            return bool(tomllib.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError):  # of decoding and of TOML as well
+            return False
+
+    if is_toml(recording) and chip.is_file() and not is_toml(chip):
+        raise InputError("command line", "recording", str(recording), f"a recording of impedance; it is swapped with "
+                         f"the chip file: {chip} is the recording, {recording} the chip file")
+    if is_toml(recording):
+        raise InputError("command line", "recording", str(recording),
+                         "a recording of impedance; this is a TOML file, as chip files are")
 
 
 def asked_reading(options: argparse.Namespace, recording: Path, console: Console) -> Reading:
@@ -102,14 +132,26 @@ def say_read_as(read_as: str, name: str, console: Console) -> None:
 
 
 def saving_folder(folders: Sequence[Path]) -> Path:
-    """Where materials are saved: the last of the `folders` that the options name, or else the user's own."""
-    return folders[-1] if folders else user_folder()
+    """Where materials are saved: the last of the `folders` that the options name, made if need be, or else the user's
+    own.
 
-
-def output_folder(path: Path) -> Path:
-    """The output folder, made if need be."""
+    Raises:
+        InputError: a file is where the folder should be.
+    """
+    if not folders:
+        return user_folder()
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        folders[-1].mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise InputError("command line", "--output", str(path), "a folder; a file is in the way") from None
-    return path
+        raise InputError("command line", "--materials", str(folders[-1]), "a folder to save materials in; a file is in "
+                         "the way") from None
+    return folders[-1]
+
+
+def output_folder(path: Path, *, room: float = ROOM) -> Path:
+    """The output folder, made if need be, with `room` (bytes) on its disk.
+
+    Raises:
+        InputError: see `workbench.files.writing.writable_folder`.
+    """
+    return writable_folder(path, source="command line", field="--output", room=room)

@@ -20,7 +20,7 @@ from workbench.bench.rig import Rig, marker_path
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.sine_fit import NoSine, fit_sines
 from workbench.commands.asked import asked_model, asked_reading
-from workbench.commands.terminal import print_line, print_table
+from workbench.commands.terminal import print_line, print_table, say_finding
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
 from workbench.instruments.circuit import IDEAL, TYPICAL, Device, device_of, open_circuit, resistor
@@ -193,8 +193,10 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     state = chip.state(options.state).name
     frequencies = frequency_grid(asked.band, asked.points)
     # What is measured is to be finer than what it is fitted with, and a liquid sticks to its walls.
-    problem = with_boundary_layers(
-        build(fill(chip, state, asked.registry), accuracy=asked.accuracy, band=asked.band))
+    device = fill(chip, state, replace(asked.registry, assumed_losses=True))
+    for text in device.findings:
+        say_finding(text, console)
+    problem = with_boundary_layers(build(device, accuracy=asked.accuracy, band=asked.band))
     model = reduce(assemble(problem.mesh, problem.terms), frequencies, problem.values, tolerance=asked.tolerance)
     solved = model.solve(frequencies, problem.values)
     return device_of(Spectrum.from_solver(frequencies, solved.impedance)), f"{chip.name} ({state})"

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import shutil
+import textwrap
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import read_chip
-from workbench.commands.asked import asked_model, asked_reading, output_folder
+from workbench.commands.asked import asked_model, asked_reading, check_order, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.tables import model_table, origin_table
-from workbench.commands.terminal import print_table, progress_bars
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.report.figures import figures_record, measured_figures
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
@@ -23,12 +26,20 @@ from workbench.spectrum import write_csv
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from workbench.comparison import Comparison
+
+
+#: Reduced chi-square below which a simulation is said to agree with a recording whose uncertainty is known. Doubled,
+#: a systematic difference as large as the noise is called agreement.
+AGREES = 1.5
+
 
 def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
     from workbench.comparison import compare as compare_spectra
     from workbench.render import plots
 
+    check_order(options.recording, options.chip)
     reading = asked_reading(options, options.recording, console)
     measured = reading.spectrum
     chip = read_chip(options.chip)
@@ -61,7 +72,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
         "comparison": comparison_record(comparison),
     })
     rows = Table(("", "measured", "simulated", "difference (%)"), tuple(
-        (row.metric, number(row.measured, 6), number(row.simulated, 6), f"{row.difference_percent:+.2f}")
+        (row.metric.removesuffix(" factor"), number(row.measured, 6), number(row.simulated, 6),
+         f"{row.difference_percent:+.2f}")
         for row in comparison.rows))
     summary = Table(("over the common band", "value"), (
         ("MAPE of |Z| (%)", number(comparison.mape_percent)),
@@ -72,21 +84,35 @@ def run(options: argparse.Namespace, console: Console) -> int:
          f"{comparison.worst_frequency / 1e6:.4f} MHz"),
         ("measured points used", f"{100.0 * comparison.fraction_used:.1f} %"),
     ))
-    notes: list[Block] = [Note(str(finding)) for finding in reading.findings]
+    notes: list[Block] = [Note(text) for text in (*map(str, reading.findings), *run.findings)]
     if comparison.rows_missing:
         notes.append(Note(comparison.rows_missing))
+    next_step = what_next(comparison, options.chip, options.recording)
     materials_used = ", ".join(f"{region}: {m.name}" for region, m in run.problem.materials.items())
     write_report(folder / "report.html", f"{chip.name}: measured and simulated", [
-        ("How far apart", [*notes, rows, summary, f"Nothing was fitted. Materials as filed: {materials_used}."]),
+        ("How far apart", [*notes, rows, summary, f"Nothing was fitted. Materials as filed: {materials_used}.",
+                          next_step]),
         ("Where in frequency", list(pictures)),
         ("The recording", [origin_table(measured.origin)]),
         ("The model", [model_table([run])]),
     ])
     print_table(f"{chip.name}, {run.state}", rows)
     print_table("", summary)
-    for finding in reading.findings:
-        console.print(f"finding: {finding.message}", style="yellow", markup=False)
+    print_line(textwrap.fill(next_step, shutil.get_terminal_size((80, 24)).columns, break_on_hyphens=False))
+    for text in (*(finding.message for finding in reading.findings), *run.findings):
+        say_finding(text, console)
     return 0
+
+
+def what_next(comparison: Comparison, chip: Path, recording: Path) -> str:
+    """What to do after a comparison: nothing, or find out what the difference comes from."""
+    if comparison.reduced_chi_square is not None and comparison.reduced_chi_square < AGREES:
+        return ("The simulation agrees with the recording within their uncertainties: there is nothing here to fit or "
+                "to diagnose.")
+    return (f"Next: `workbench sensitivity {chip}` ranks the numbers that move this spectrum. To find which of them "
+            f"explain the difference, name {recording}, the state and what is known of the device in a campaign file "
+            "(docs/diagnosis.md has one) and run `workbench diagnose CAMPAIGN.toml`; of a bare transducer or a polymer "
+            "on one, `workbench fit` finds the material.")
 
 
 def _common_band(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +18,7 @@ from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from materials.registry import user_registry
 from workbench.commands.asked import asked_accuracy, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.design.candidate import Candidate, Confirmed
 from workbench.design.design_report import (
     active_table,
@@ -38,6 +40,7 @@ from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
 from workbench.design.programme import KEPT
 from workbench.files.errors import InputError
+from workbench.problem import fill
 from workbench.report.page import Block, Note, Picture, write_json, write_report
 
 if TYPE_CHECKING:
@@ -52,8 +55,10 @@ def run(options: argparse.Namespace, console: Console) -> int:
     workers = os.cpu_count() or 1 if options.workers is None else options.workers
     if workers < 1:
         raise InputError("command line", "--workers", options.workers, "one or more")
-    registry, accuracy = user_registry(options.materials), asked_accuracy(options)
+    registry, accuracy = replace(user_registry(options.materials), assumed_losses=True), asked_accuracy(options)
     goal = read_goal(options.goal, registry=registry)
+    for text in fill(goal.chip, goal.state, registry).findings:
+        say_finding(text, console)
     folder = output_folder(options.output)
     so_far, best_file = folder / SO_FAR, folder / "best.toml"
     # Or the chip of an earlier run would pass for this one's.
@@ -93,11 +98,14 @@ def _pictures(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool
     """Pictures by section; the solids of the best chip are written on the way."""
     from workbench.render.plots import draw_spectra
 
-    pictures: dict[str, list[Picture]] = {"spectra": [], "search": [], "front": [], "solids": []}
+    pictures: dict[str, list[Picture]] = {"spectra": [], "fields": [], "search": [], "front": [], "solids": []}
     if found.best is not None:
         spectra = {"before": solver.spectrum(found.goal.chip), "after": solver.spectrum(found.best.chip)}
         path = draw_spectra(spectra, folder / "impedance.png", title=found.goal.chip.name)
         pictures["spectra"].append(Picture(path, "impedance before and after"))
+        for label, chip, evaluation in (("before", found.goal.chip, found.before),
+                                        ("after", found.best.chip, found.best.after)):
+            pictures["fields"] += _fields(label, chip, evaluation.frequency, solver, folder)
         if with_cad:
             pictures["solids"].append(_solids(found.best.chip, folder))
     if found.chosen.attempts:
@@ -105,6 +113,20 @@ def _pictures(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool
     if found.front:
         pictures["front"].append(_front(found, folder))
     return pictures
+
+
+def _fields(label: str, chip: Chip, frequency: float, solver: ChipSolver, folder: Path) -> list[Picture]:
+    """The potential of the particles in the cavity, or else the pressure there, at the frequency of the chip's figures.
+
+    None without a fluid in it, or without a frequency.
+    """
+    from workbench.render.gallery import draw_state
+
+    shot = solver.snapshot(chip, frequency) if math.isfinite(frequency) else None
+    if shot is None:
+        return []
+    drawn = draw_state(shot, folder / label, only=("pressure",) if shot.traps is None else ("gorkov",))
+    return [Picture(drawn[0].path, f"{label}, {drawn[0].caption}")]
 
 
 def _solids(chip: Chip, folder: Path) -> Picture:
@@ -161,9 +183,10 @@ def _report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> 
     outcome: list[Block] = [f"Asked for: {objectives} at {goal.operation.drive}, state {goal.state}."]
     outcome += [Note(line) if found.best is None else line for line in summary_lines(found)]
     outcome += [Note(each.statement) for each in found.rejected]
-    outcome += [before_after_table(found), *pictures["spectra"]]
+    outcome.append(before_after_table(found))
     if best is not None:
-        outcome[-1:-1] = [lengths_table(found, best)]
+        outcome.append(lengths_table(found, best))
+    outcome += [*pictures["spectra"], *pictures["fields"]]
     sections: list[tuple[str, list[Block]]] = [("Before and after", outcome)]
     if best is not None and best.candidate.optimum is not None:
         held = active_table(best.candidate, goal.objectives[0])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import time
 from typing import TYPE_CHECKING
 
 from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
-from workbench.commands.diagnosis_report import print_diagnosis, write_diagnosis_report
+from workbench.commands.diagnosis_report import print_diagnosis, write_diagnosis_report, write_stopped
 from workbench.commands.terminal import progress_bars
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import read_campaign
@@ -19,23 +20,39 @@ from workbench.report.page import write_json
 if TYPE_CHECKING:
     from rich.console import Console
 
+#: Exit statuses of a diagnosis that was cut short: by Ctrl-C, and by the end of its minutes.
+INTERRUPTED, NOT_FINISHED = 130, 3
+
 
 def run(options: argparse.Namespace, console: Console) -> int:
-    """``workbench diagnose``: what differs, where, which physics, how sure, what else it could be."""
+    """``workbench diagnose``: what differs, where, which physics, how sure, what else it could be.
+
+    Cut short, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and what it writes claims nothing.
+    """
     accuracy, (jobs, minutes) = asked_accuracy(options), _asked_effort(options)
     campaign = read_campaign(options.campaign, materials=options.materials)
     folder = output_folder(options.output)
     for state in campaign.states:
         say_read_as(state.measured.origin.settings.get(READ_AS, ""), state.name, console)
-    with progress_bars(console) as show:
-        found = diagnose(campaign, accuracy=accuracy, jobs=jobs, minutes=minutes,
-                         progress=lambda text, share: show(campaign.name, text, share))
-        show(campaign.name, "done", 1.0)
+    started = time.perf_counter()
+    try:
+        with progress_bars(console) as show:
+            found = diagnose(campaign, accuracy=accuracy, jobs=jobs, minutes=minutes,
+                             progress=lambda text, share: show(campaign.name, text, share))
+            show(campaign.name, "done" if found.provisional is None else "not finished", 1.0)
+    except KeyboardInterrupt:
+        write_stopped(campaign, folder, time.perf_counter() - started)
+        raise
+    # Whatever ends what follows, the result is kept.
+    write_json(folder / "diagnosis.json", {**record(found), "known_physics": []})
     known = contributions(found)
     write_json(folder / "diagnosis.json", {**record(found), "known_physics": [row._asdict() for row in known]})
     write_diagnosis_report(found, known, folder)
     print_diagnosis(found)
-    return 0
+    if found.provisional is None:
+        return 0
+    console.print(f"not finished; what is known so far is in {folder}", style="yellow", markup=False)
+    return INTERRUPTED if found.interrupted else NOT_FINISHED
 
 
 def _asked_effort(options: argparse.Namespace) -> tuple[int, float | None]:

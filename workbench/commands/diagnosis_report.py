@@ -10,13 +10,17 @@ from pathlib import Path
 from geometry.names import whole
 from workbench.commands.tables import known_physics_table, merit_cells, origin_table
 from workbench.commands.terminal import print_line, print_table
-from workbench.diagnosis.outcome import Diagnosis, Estimate
-from workbench.diagnosis.record import Contribution
+from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.outcome import Diagnosis, Estimate, in_plain_words
+from workbench.diagnosis.record import Contribution, stopped_record
 from workbench.diagnosis.state import spectrum_of
 from workbench.fields import section_nodes
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.report.figures import measured_figures
-from workbench.report.page import Block, Note, Picture, Table, number, write_report
+from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
+
+#: What the table of what is left shows.
+LEFT = "what is left of Z, rms of both parts (%)"
 
 #: Rows of a table of hypotheses, and columns of a terminal whose width is not known.
 LISTED, COLUMNS = 12, 80
@@ -27,7 +31,7 @@ def print_diagnosis(found: Diagnosis) -> None:
     print_line(_wrapped(found.headline))
     if found.established:
         print_table("", established_table(found))
-    print_table("what is left of Z, rms (%)", left_table(found))
+    print_table(LEFT, left_table(found))
     for text in (*found.findings, found.next_measurement):
         if text:
             print_line(_wrapped(text))
@@ -38,11 +42,17 @@ def _wrapped(text: str) -> str:
 
 
 def established_table(found: Diagnosis) -> Table:
-    """Effects with the share they take and their parameters with intervals."""
-    return Table(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(
-        (each.effect.name if k == 0 else "", f"{100.0 * each.share:.3g} %" if k == 0 else "", e.name,
-         number(e.shown[0]), f"{number(e.shown[1])} to {number(e.shown[2])}", shown_unit(e.unit))
-        for each in found.established for k, e in enumerate(each.estimates)))
+    """Effects with the share that they take, those that belong together as one, and their parameters with intervals."""
+    rows = []
+    for group, share in found.shares:
+        told = f"{100.0 * share:.3g} %" + (", together" if len(group) > 1 else "")
+        for each in group:
+            for k, e in enumerate(each.estimates):
+                rows.append((in_plain_words(each.effect.name) if k == 0 else "", told, e.name, number(e.shown[0]),
+                             f"{number(e.shown[1])} to {number(e.shown[2])}",
+                             "of what is stated" if e.relative else shown_unit(e.unit)))
+                told = ""
+    return Table(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
 def left_table(found: Diagnosis) -> Table:
@@ -50,9 +60,10 @@ def left_table(found: Diagnosis) -> Table:
     held = {state.name for state in found.campaign.held_out}
     rows = []
     for state, *fits in zip(found.states, found.stated, found.base, found.best, strict=True):
-        noise = 100.0 * math.sqrt(2.0 * float((state.noise**2).mean()))
+        stated = 100.0 * math.sqrt(float((state.noise**2).mean()))
         told = [number(100.0 * fit.rms, 3) for fit in fits]
-        rows.append((state.name + (", held out" if state.name in held else ""), number(noise, 3),
+        rows.append((state.name + (", held out" if state.name in held else ""),
+                     f"{number(stated, 3)} leaves {number(math.sqrt(2.0) * stated, 3)}",
                      *(told if found.established else told[:2])))
     columns = ("state", "noise", "as stated", "known parameters", "with what was found")
     return Table(columns if found.established else columns[:-1], tuple(rows))
@@ -60,21 +71,28 @@ def left_table(found: Diagnosis) -> Table:
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
     """``report.html``: the headline, what it looks like, what to do next and what was taken as known; then evidence."""
-    first: list[Block] = [Note(found.headline), "\n".join(found.findings)]
+    first: list[Block] = [Note(found.headline), f"Verdict: {found.verdict.replace('_', ' ')}.",
+                           "\n\n".join(found.findings)]
     if found.established:
         first.append(established_table(found))
-    first += [left_table(found), *_pictures(found, folder)]
+    first += [f"{LEFT[0].upper()}{LEFT[1:]}:", left_table(found), *_pictures(found, folder)]
     if found.next_measurement:
         first.append(Note(f"Next measurement. {found.next_measurement}"))
+    so_far = found.provisional
+    provisional: list[tuple[str, Sequence[Block]]] = []
+    if so_far is not None and so_far.established:
+        provisional.append(("Provisional", ["What explains best of what was looked at. What was not may explain as "
+                                            "much, or more.", established_table(so_far)]))
+    cut = "" if so_far is None else ", as far as it went"
     sections: Sequence[tuple[str, Sequence[Block]]] = [
-        ("What was found", first),
+        ("What was found" if so_far is None else "Not finished", first), *provisional,
         ("What was taken as known", ["Standard uncertainties, and where they come from; what is not listed is exact.",
-                                     _taken(found)]),
-        ("Odds of the hypotheses", [
+                                     _taken(found.campaign)]),
+        (f"Odds of the hypotheses{cut}", [
             "Posterior odds against nothing being wrong. Evidences are natural logarithms relative to that.",
             _odds(found), "What was given up on the way, by its evidence there:", _given_up(found)]),
-        ("Where", ["What anything within one region, or modes that the model does not have, would add to what explains "
-                   "best.", _location(found)]),
+        (f"Where{cut}", ["What anything within one region, or modes that the model does not have, would add to what "
+                         "explains best.", _location(found)]),
         ("Score test", ["What each hypothesis promises where the known parameters alone explain most; it decides "
                         "nothing.", _scores(found)]),
         ("Known parameters", [_known(found.known)]),
@@ -84,7 +102,22 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
             known_physics_table(known)]),
         ("The recordings", [block for state in found.states
                             for block in (f"State {state.name}:", origin_table(state.measured.origin))])]
-    return write_report(folder / "report.html", f"Diagnosis: {found.campaign.name}", sections)
+    title = "Diagnosis" if so_far is None else "Diagnosis, not finished"
+    return write_report(folder / "report.html", f"{title}: {found.campaign.name}", sections)
+
+
+def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
+    """``diagnosis.json`` and ``report.html`` of a diagnosis that was stopped before its first result: what was read."""
+    said = stopped_record(campaign, seconds)
+    write_json(folder / "diagnosis.json", said)
+    states = Table(("state", "points", "from (MHz)", "to (MHz)", "held out"), tuple(
+        (state.name, str(state.measured.frequency.size), number(state.measured.frequency[0] / 1e6),
+         number(state.measured.frequency[-1] / 1e6), "yes" if state.held_out else "no") for state in campaign.states))
+    write_report(folder / "report.html", f"Diagnosis, not finished: {campaign.name}", [
+        ("Not finished", [Note(said["headline"]), "Verdict: not finished."]),
+        ("The recordings that were read", [states]),
+        ("What was taken as known", ["Standard uncertainties, and where they come from; what is not listed is exact.",
+                                     _taken(campaign)])])
 
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
@@ -102,7 +135,8 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     pictures: list[Block] = [Picture(draw_states(states, folder / "states.png", before=labels[0], after=labels[1]),
                                      "Every state as recorded, before and after, and below what is left of it")]
     if found.established:
-        shares = {each.effect.name: each.share for each in found.established}
+        shares = {" and ".join(in_plain_words(each.effect.name) for each in group): share
+                  for group, share in found.shares}
         pictures.append(Picture(draw_shares(shares, folder / "shares.png", title="What explains the mismatch"),
                                 "Of the mismatch that the known parameters leave, beyond noise"))
     mesh = max((recording.problem.mesh for recording in found.model.fitted.recordings),
@@ -117,10 +151,10 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     return pictures
 
 
-def _taken(found: Diagnosis) -> Table:
+def _taken(campaign: Campaign) -> Table:
     return Table(("parameter", "standard uncertainty", "unit", "from"), tuple(
         (each.name, number(each.uncertainty * shown_factor(each.unit), 3), shown_unit(each.unit), each.source)
-        for each in found.campaign.taken))
+        for each in campaign.taken))
 
 
 def _odds(found: Diagnosis) -> Table:
@@ -178,4 +212,4 @@ def _merit(found: Diagnosis) -> Table:
             fits["with what was found"] = best
         rows += [(state.name, label, *merit_cells(measured_figures(spectrum_of(fit, state))[0]), number(fit.reduced, 3))
                  for label, fit in fits.items()]
-    return Table(("state", "", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))
+    return Table(("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))

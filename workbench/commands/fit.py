@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
+from workbench.commands.asked import asked_accuracy, check_order, output_folder, saving_folder, say_read_as
 from workbench.commands.fit_job import (
     Done,
     derived_table,
@@ -57,8 +57,11 @@ def run(options: argparse.Namespace, console: Console) -> int:
     if options.kind == "batch":
         return _batch(options, console, settings)
     settings = dataclasses.replace(settings, gel_thicknesses=_thicknesses(options.gel_study))
+    check_order(options.recording, options.chip)
     job = Job(options.recording.stem, (_member(options),), save=options.save)
     folder = output_folder(options.output)
+    if job.save is not None:
+        saving_folder(settings.materials)  # before it is read from
     with progress_bars(console) as show:
         done = run_job(job, settings, folder, progress=partial(show, job.name))
         show(job.name, "done", 1.0)
@@ -133,6 +136,8 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
         raise InputError("command line", "--workers", options.workers, "one or more")
     batch = read_batch(options.file)
     folder = output_folder(options.output)
+    if any(job.save is not None for job in batch.jobs):
+        saving_folder(settings.materials)
     # Every file is looked at before the first fit, so that a mistake in the last one does not cost an hour.
     records = {job.name: None if options.again else known(job, settings, folder) for job in batch.jobs}
     waiting = [job for job in batch.jobs if records[job.name] is None]

@@ -208,7 +208,7 @@ def parameter_table(result: FitResult, prepared: Prepared) -> Table:
         prior = "" if p.prior is None else f"± {shown(p.prior, p.unit, digits=2)}{' (assumed)' if p.assumed else ''}"
         rows.append((short_name(e, prepared), shown(p.start, p.unit), *shown_estimate(e.value, e.low, e.high, p.unit),
                      shown_unit(p.unit), difference, prior, "; ".join(filter(None, remarks))))
-    return Table(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", ""),
+    return Table(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", "remark"),
                  tuple(rows))
 
 
@@ -273,7 +273,8 @@ def write_fit_report(
     verdict += [Note(f"{s.recording}: {text}") for s in sources for text in s.findings]
     if saved_as:
         verdict.append(f"Saved as {saved_as}.")
-    found: list[Block] = [*verdict, "\n".join(result.findings), parameter_table(result, prepared), match_table(result)]
+    found: list[Block] = [*verdict, "\n\n".join(result.findings), parameter_table(result, prepared),
+                          match_table(result)]
     table = derived_table(result, prepared)
     if table is not None:
         found += [f"At {reference_frequency(result) / 1e6:.4f} MHz:", table]
@@ -313,7 +314,7 @@ def _background(result: FitResult, sources: Sequence[Source]) -> list[tuple[str,
               for m in result.recordings))]))
     provenance: list[Block] = []
     for m, s in zip(result.recordings, sources, strict=True):
-        provenance += [Table((m.name, ""), (("recording", s.recording), ("SHA-256", s.sha256), ("chip", s.chip),
+        provenance += [Table((m.name, "value"), (("recording", s.recording), ("SHA-256", s.sha256), ("chip", s.chip),
                                             ("SHA-256 of the chip", s.chip_sha256))), origin_table(m.measured.origin)]
     sections.append(("The recordings", provenance))
     return sections

@@ -5,18 +5,20 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from workbench.bench.impedance import PointImpedance, impedance
 from workbench.bench.sine_fit import NoSine, SineFit, fit_sines
-from workbench.bench.waveforms import pair_files, read_waveform
+from workbench.bench.waveforms import pair_files, read_channels, read_waveform
 from workbench.commands.asked import output_folder
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_atomic
+from workbench.instruments.instrument import Waveform
 from workbench.report.page import Table
 from workbench.spectrum import Origin, Spectrum, write_csv
 
@@ -45,7 +47,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     refused = []
     for name, (total, reference) in pairs.items():
         try:
-            waveforms = read_waveform(total), read_waveform(reference)
+            waveforms = _waveforms(options, total, reference)
             fit = fit_sines(waveforms)
         except (InputError, NoSine) as error:
             refused.append(f"{name}: {error}")
@@ -67,8 +69,12 @@ def run(options: argparse.Namespace, console: Console) -> int:
     values = None
     if resistance is not None:
         values = [impedance([pair.fit], resistance) for pair in found]
-        write_csv(_spectrum(found, values, resistance, tolerance), folder / "spectrum.csv")
+        if len(found) > 1:
+            write_csv(_spectrum(found, values, resistance, tolerance), folder / "spectrum.csv")
     print_table(f"CH{options.total} over CH{options.reference}", _table(found, values))
+    if len(found) == 1 and values is not None:
+        console.print("one frequency: no spectrum.csv was written, which takes captures at two frequencies or more",
+                      style="yellow", markup=False)
     for pair in found:
         if pair.clipped:
             console.print(f"{pair.name}: a crest is cut flat; the ratio is not to be trusted", style="yellow",
@@ -76,9 +82,17 @@ def run(options: argparse.Namespace, console: Console) -> int:
     return 1 if refused else 0
 
 
+def _waveforms(options: argparse.Namespace, total: Path, reference: Path) -> tuple[Waveform, Waveform]:
+    """The two channels of a pair, in one file or in two."""
+    if total == reference:
+        channels = read_channels(total)
+        return channels[options.total], channels[options.reference]
+    return read_waveform(total), read_waveform(reference)
+
+
 def _resistor(options: argparse.Namespace) -> tuple[float | None, float]:
     """Resistance (ohm) or None, and its limits as a fraction."""
-    tolerance = parse_quantity(options.tolerance, "dimensionless", source="command line", field="--tolerance")
+    tolerance = parse_quantity(options.tolerance, "share", source="command line", field="--tolerance")
     if not 0.0 <= tolerance < 1.0:
         raise InputError("command line", "--tolerance", options.tolerance, 'from "0 %" to less than "100 %"')
     if options.resistance is None:
@@ -95,12 +109,12 @@ def _spectrum(
     """The pairs as a spectrum.
 
     Raises:
-        InputError: fewer than two frequencies, or one twice.
+        InputError: a frequency twice.
     """
     frequency = np.array([pair.fit.frequency for pair in pairs])
-    if len(frequency) < 2 or np.any(np.diff(frequency) <= 0.0):
+    if np.any(np.diff(frequency) <= 0.0):
         raise InputError("command line", "FILE", [f"{f:.6g} Hz" for f in frequency],
-                         "two pairs or more of different frequencies; without --resistance only ratios are written")
+                         "pairs of different frequencies; without --resistance only ratios are written")
     impedances = np.array([value.value for value in values])
     noise = np.array([value.random for value in values])
     common = np.abs(impedances) * tolerance / math.sqrt(3.0)

@@ -25,7 +25,7 @@ from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.report.figures import FIGURE_COLUMNS, figures_row, measured_figures
-from workbench.report.page import Block, Note, Picture, Table, number, write_report
+from workbench.report.page import Block, Note, Picture, Table, Verbatim, number, write_report
 from workbench.spectrum import write_csv
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def write_measurement(setup: BenchSetup, run: Run, levels: tuple[LevelSpectrum, 
             ("The recording", [origin_table(levels[0].spectrum.origin), Table(("time (UTC)", "what happened"), tuple(
                 (datetime.fromtimestamp(event.time, tz=UTC).isoformat(sep=" ", timespec="seconds"), event.text)
                 for event in run.events))]),
-            ("BENCH.toml", [run.setup_text]),
+            ("BENCH.toml", [Verbatim(run.setup_text)]),
         ]
         return write_report(path, title, sections)
 
@@ -183,4 +183,4 @@ def _uncertainty_table(found: LevelSpectrum) -> Table:
             ("shared by all points (% of Z)", number(100.0 * found.common, 2))]
     if not math.isnan(found.drift):
         rows.append(("disagreement of repeated points over their noise", number(found.drift, 2)))
-    return Table(("standard uncertainty", ""), tuple(rows))
+    return Table(("standard uncertainty", "value"), tuple(rows))

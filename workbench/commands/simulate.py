@@ -4,28 +4,36 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import subprocess
 import sys
 import tempfile
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from geometry.chip import Chip, read_chip
 from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
-from workbench.commands.terminal import Show, print_table, progress_bars
+from workbench.commands.terminal import Show, print_line, print_table, progress_bars, say_finding
+from workbench.discretisation import discretisation
+from workbench.gathering import Gathering, gathering
+from workbench.interruption import Stopped, shielded
+from workbench.job_size import job_size, memory_to_use
 from workbench.parameter_names import ParameterName
 from workbench.problem import fill
-from workbench.report.figures import FIGURE_COLUMNS, figures_row
-from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
-from workbench.report.simulations import simulation_record
+from workbench.report.figures import MODEL_COLUMNS, capacitance_cells, figures_row
+from workbench.report.page import Answer, Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.simulations import field_table, simulation_record, traps_table
 from workbench.simulation import Simulation
 from workbench.spectrum import write_csv
-from workbench.traps import TrapReport, focus_time
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,8 +53,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     pictures: dict[str, list[Picture]] = {}
     unfinished = {name: folder / f"unfinished_{name}.csv" for name in states} if options.full else {}
     with _solid_model(options.chip, folder, wanted=not options.no_cad) as parts, progress_bars(console) as show:
-        for run in _simulated(chip, states, asked, show, unfinished):
-            write_csv(run.spectrum, folder / f"spectrum_{run.state}.csv")
+        for run in _simulated(chip, states, asked, show, folder, unfinished):
             pictures[run.state] = []
             if not options.no_pictures:
                 from workbench.render.gallery import draw_state
@@ -60,44 +67,69 @@ def run(options: argparse.Namespace, console: Console) -> int:
         solids = parts()
     # The last state is the one the device works in: the filled chip comes after the empty one.
     write_csv(runs[-1].spectrum, folder / "spectrum.csv")
+    answers = [found for found in map(gathering, runs) if found is not None]
     write_json(folder / "merit.json", {
         "chip": chip.name, "chip_file": str(options.chip), "spectrum_csv": runs[-1].state,
         "states": {run.state: simulation_record(run) for run in runs},
+        "gathering": {answer.state: {"gathers": answer.gathers, "sentences": list(answer.sentences)}
+                      for answer in answers},
     })
     solid_view: list[Picture] = []
     if solids and not options.no_pictures:
         from workbench.render.gallery import draw_chip
 
         solid_view.append(draw_chip(chip, solids, folder / "cad.png"))
-    _simulation_report(chip, runs, pictures, solid_view, folder)
+    _simulation_report(chip, runs, answers, pictures, solid_view, folder)
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
         path.unlink(missing_ok=True)
     print_table(chip.name, _figures_table(chip, runs))
+    for answer in reversed(answers):
+        print_line(textwrap.fill(str(answer), shutil.get_terminal_size((80, 24)).columns))
+    for text in dict.fromkeys(text for run in runs for text in run.findings):
+        say_finding(text, console)
     for note in _without_resonance(runs):
         console.print(note.text, style="yellow", markup=False)
     return 0
 
 
 def _simulated(
-    chip: Chip, states: Sequence[str], asked: Asked, show: Show, unfinished: Mapping[str, Path]
+    chip: Chip, states: Sequence[str], asked: Asked, show: Show, folder: Path, unfinished: Mapping[str, Path]
 ) -> Iterator[Simulation]:
-    """The simulation of every state in turn, the next one computed while what is made of this one is drawn.
+    """The simulation of every state in turn, its spectrum in the `folder` as soon as it is known; the next one is
+    computed while what is made of this one is drawn, if there is memory for both.
 
     Full spectra are computed one after the other: they take long, and must stop when they are interrupted.
     """
+    files = {name: folder / f"spectrum_{name}.csv" for name in states}
     if unfinished:
         for name in states:
-            yield run_state(chip, name, asked, show, unfinished=unfinished[name])
+            yield run_state(chip, name, asked, show, unfinished=unfinished[name], spectrum=files[name])
         return
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        jobs = [pool.submit(run_state, chip, name, asked, show) for name in states]
-        try:
-            for job in jobs:
-                yield job.result()
-        finally:
-            for job in jobs:
-                job.cancel()
+    stopped = Event()
+
+    def heard(state: str, activity: str, fraction: float) -> None:
+        if stopped.is_set():
+            raise Stopped
+        show(state, activity, fraction)
+
+    pool = ThreadPoolExecutor(max_workers=_at_a_time(chip, states, asked))
+    try:
+        jobs = [pool.submit(run_state, chip, name, asked, heard, spectrum=files[name]) for name in states]
+        for job in jobs:
+            yield job.result()
+    finally:
+        # Not waited for: what is in native code stops where it next says how far it is.
+        stopped.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _at_a_time(chip: Chip, states: Sequence[str], asked: Asked) -> int:
+    """Two states at a time where there is memory for them, else one."""
+    made, room = discretisation(asked.accuracy), memory_to_use()
+    devices = [fill(chip, name, asked.registry) for name in states]
+    sizes = sorted(job_size(each.section, each.materials, made, asked.band).memory for each in devices)
+    return 2 if room is None or sum(sizes[-2:]) <= room else 1
 
 
 @contextmanager
@@ -115,7 +147,12 @@ def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Cal
     # A process of its own rather than multiprocessing's, which would run the caller's script a second time. CadQuery's
     # own warnings stay in it.
     command = [sys.executable, "-P", "-W", "ignore", "-m", "workbench.cli", "export", str(chip_file), "-o", str(folder)]
-    with tempfile.TemporaryFile("w+") as words, subprocess.Popen(command, stdout=words, stderr=words) as process:
+    with ExitStack() as stack:
+        words = stack.enter_context(tempfile.TemporaryFile("w+"))
+        with shielded():
+            process = stack.enter_context(subprocess.Popen(command, stdout=words, stderr=words))
+            stack.callback(process.kill)
+
         def wait() -> dict[str, Path]:
             status = process.wait()
             words.seek(0)
@@ -124,23 +161,29 @@ def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Cal
                 raise RuntimeError(f"the solid model was not made; --no-cad leaves it out ({said[-500:]})")
             return {path.stem: path for path in map(Path, said.splitlines()) if path.suffix == ".stl"}
 
-        try:
-            yield wait
-        finally:
-            process.kill()
+        yield wait
 
 
 def _figures_table(chip: Chip, runs: list[Simulation]) -> Table:
     rows = []
     for run in runs:
-        rows.append(figures_row(f"{run.state}, simulated", run.figures))
-        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number(r.z_min), number(r.q), "", "")
+        rows.append((*figures_row(f"{run.state}, simulated", run.figures), *capacitance_cells(run.capacitance)))
+        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number(r.z_min), number(r.q), "", "", "")
                  for r in chip.state(run.state).reported]
-    return Table(FIGURE_COLUMNS, tuple(rows))
+    return Table(MODEL_COLUMNS, tuple(rows))
 
 
 def _without_resonance(runs: list[Simulation]) -> list[Note]:
     return [Note(f"{run.state}: {run.no_resonance}") for run in runs if run.figures is None]
+
+
+def _findings(runs: list[Simulation]) -> list[Note]:
+    """What was assumed and left out, each once with the states that it holds in."""
+    found: dict[str, list[str]] = {}
+    for run in runs:
+        for text in run.findings:
+            found.setdefault(text, []).append(run.state)
+    return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
 
 
 def _millimetres(name: str, value: float, factor: float) -> str:
@@ -151,32 +194,40 @@ def _millimetres(name: str, value: float, factor: float) -> str:
 
 
 def _simulation_report(
-    chip: Chip, runs: list[Simulation], pictures: Mapping[str, list[Picture]], solid_view: list[Picture], folder: Path
+    chip: Chip, runs: list[Simulation], answers: Sequence[Gathering], pictures: Mapping[str, list[Picture]],
+    solid_view: list[Picture], folder: Path,
 ) -> None:
     from workbench.render.plots import draw_spectra
 
     spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
-    dimensions = Table(("dimension", "value (mm)", "tolerance (um)", ""), tuple(
+    dimensions = Table(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
         (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
          ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
-    sections: list[tuple[str, list[Block]]] = [
-        ("Figures of merit", [chip.description, f"Source: {chip.source}" if chip.source else "",
-                              _figures_table(chip, runs), *_without_resonance(runs), Picture(spectra, "impedance")]),
-    ]
+    sections: list[tuple[str, list[Block]]] = []
+    if answers:
+        # That of the last state first: it is the one the device works in.
+        sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
+    sections.append(("Figures of merit", [
+        chip.description, f"Source: {chip.source}" if chip.source else "", _figures_table(chip, runs),
+        *_without_resonance(runs), *_findings(runs), Picture(spectra, _resolution(runs))]))
     for run in runs:
-        blocks: list[Block] = list(pictures[run.state])
+        blocks: list[Block] = []
         if run.traps is not None:
-            blocks.insert(0, _particles_text(run.traps))
-        sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}", blocks))
+            blocks += [field_table(run.traps), traps_table(run.traps)]
+        sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}",
+                         [*blocks, *pictures[run.state]]))
     used = Table(("state", "region", "material", "source"), tuple(
         (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
     sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
     write_report(folder / "report.html", chip.name, sections)
 
 
-def _particles_text(traps: TrapReport) -> str:
-    """The traps, the forces with the field they belong to, and how long focusing takes."""
-    seconds = focus_time(traps)
-    if seconds is None:
-        return f"{traps}\nA particle a quarter wavelength above the deepest trap does not get there."
-    return f"{traps}\nFocusing time from 90 to 10 % of a quarter wavelength above the deepest trap: {seconds:.3g} s"
+def _resolution(runs: Sequence[Simulation]) -> str:
+    """The caption of the spectra: how many points lie on each resonance, and what is drawn between them."""
+    resolved = [f"{count} of {run.state}" for run in runs if run.figures is not None
+                for count in [int(np.sum((run.spectrum.frequency >= run.figures.f1)
+                                         & (run.spectrum.frequency <= run.figures.f2)))]]
+    words = "impedance; between the points that were computed the curve is their interpolant, from which f0 and Q are"
+    if not resolved:
+        return words
+    return f"{words}. Points within the half-power width of the resonance: {', '.join(resolved)}"

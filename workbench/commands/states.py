@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,21 +15,25 @@ from workbench.files.writing import write_atomic
 from workbench.problem import fill
 from workbench.simulation import Simulation, Snapshot
 from workbench.simulation import simulate as simulate_state
+from workbench.spectrum import write_csv
 
 #: Share of the progress bar of a state that is the simulation; the pictures are the rest.
 SIMULATED = 0.9
 
 
 def run_state(
-    chip: Chip, state: str | None, asked: Asked, show: Show, *, unfinished: Path | None = None
+    chip: Chip, state: str | None, asked: Asked, show: Show, *, unfinished: Path | None = None,
+    spectrum: Path | None = None,
 ) -> Simulation:
-    """The simulation of a state (the last one unless named); full spectra go on from the file `unfinished`."""
+    """The simulation of a state (the last one unless named); full spectra go on from the file `unfinished`. The
+    spectrum is in the file `spectrum` as soon as it is known: interrupted later, it is not lost."""
     name = chip.state(state).name
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
     return simulate_state(
         chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
         tolerance=asked.tolerance, drive=asked.drive, accuracy=asked.accuracy,
         on_point=points.add if points else None, known=points.known if points else None,
+        on_spectrum=(lambda _found: None) if spectrum is None else partial(write_csv, path=spectrum),
         progress=partial(simulated, show, name),
     )
 
@@ -46,7 +51,7 @@ class _UnfinishedSpectrum:
     """
 
     def __init__(self, path: Path, chip: Chip, state: str, asked: Asked) -> None:
-        filling = fill(chip, state, asked.registry).materials
+        filling = fill(chip, state, replace(asked.registry, assumed_losses=True)).materials
         deciding = repr((chip, state, sorted(filling.items()), asked.band[1], discretisation(asked.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()

@@ -13,7 +13,7 @@ import numpy as np
 
 from workbench.commands.asked import output_folder
 from workbench.commands.study_tables import confirmed_table, extremes_table, missing_table, statistics_table
-from workbench.commands.terminal import print_table, progress_bars
+from workbench.commands.terminal import print_table, progress_bars, say_finding
 from workbench.design.axes import NumberAxis
 from workbench.design.figures import figure
 from workbench.design.plan import read_study
@@ -21,6 +21,7 @@ from workbench.design.study import study
 from workbench.design.study_result import STATE, StudyResult
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.problem import fill
 from workbench.report.page import Block, Note, Picture, Table, write_report
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
         raise InputError("command line", "--jobs", options.jobs, "one or more")
     plan = read_study(options.study, materials=options.materials)
     folder = output_folder(options.output)
+    for text in dict.fromkeys(text for state in plan.states for text in fill(plan.chip, state, plan.registry).findings):
+        say_finding(text, console)
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
     with _executor(options.dask) as (executor, threads), progress_bars(console) as show:
         found = study(plan, folder, jobs=options.jobs or threads, executor=executor, overwrite=options.overwrite,
@@ -112,7 +115,7 @@ def _label(name: str, unit: str) -> str:
 def _report(found: StudyResult, pictures: list[Picture], folder: Path) -> None:
     plan = found.study
     missing = missing_table(found)
-    words = Table(("figure", ""), tuple((name, figure(name).words) for name in plan.figures))
+    words = Table(("figure", "meaning"), tuple((name, figure(name).words) for name in plan.figures))
     asked: list[Block] = [
         f"{plan.size} points of {plan.chip.name} ({plan.sampling.method}), driven by {plan.operation.drive}.", words]
     confirmed: list[Block] = ["Points solved in full, on a mesh of their own, against the reduced model:",

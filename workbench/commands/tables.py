@@ -43,4 +43,4 @@ def origin_table(origin: Origin) -> Table:
     """Where a recording comes from."""
     rows = [("kind", origin.kind), ("file", origin.source), ("SHA-256", origin.sha256),
             ("instrument", origin.instrument), ("date", origin.date), *origin.settings.items()]
-    return Table(("recording", ""), tuple((name, value) for name, value in rows if value))
+    return Table(("recording", "value"), tuple((name, value) for name, value in rows if value))

@@ -34,6 +34,11 @@ def progress_bars(console: Console) -> Iterator[Show]:
         yield show
 
 
+def say_finding(text: str, console: Console) -> None:
+    """A finding, beside the results."""
+    console.print(f"finding: {text}", style="yellow", markup=False)
+
+
 def print_line(text: str) -> None:
     """A result, to standard output so that it can be piped; all that is said on the way goes to the error console."""
     sys.stdout.write(text + "\n")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
 from workbench.commands.asked import asked_model, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.design.figures import check_figures
 from workbench.design.requirement import parse_requirements
 from workbench.design.stated import Statement, parse_statement, read_statements, stated_uncertainty
@@ -21,11 +22,13 @@ from workbench.design.tolerance_report import (
     sobol_table,
     tightening_table,
     tolerance_record,
+    unclear_tightenings,
     write_samples,
     yields_table,
 )
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
+from workbench.problem import fill
 from workbench.report.page import Block, Note, Table, write_json, write_report
 
 if TYPE_CHECKING:
@@ -36,11 +39,14 @@ def run(options: argparse.Namespace, console: Console) -> int:
     """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
     chip = read_chip(options.chip)
     asked = asked_model(options, chip)
+    registry = replace(asked.registry, assumed_losses=True)
+    for text in fill(chip, options.state, registry).findings:
+        say_finding(text, console)
     required = parse_requirements(options.require, chip.regions)
     figures = check_figures([name.casefold() for name in options.figure], chip.regions, source="command line",
                             field="--figure")
     uncertainty = stated_uncertainty(
-        chip, options.state, registry=asked.registry, law=options.distribution, statements=_statements(options),
+        chip, options.state, registry=registry, law=options.distribution, statements=_statements(options),
         posteriors=options.posterior)
     resistance = _thermal_resistance(options.thermal_resistance, chip)
     check(uncertainty, required, options.samples, options.sobol, chip, names=("--samples", "--sobol"))
@@ -49,7 +55,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         found = tolerance(
             chip, options.state, required, uncertainty=uncertainty, figures=figures, drive=asked.drive,
             thermal_resistance=resistance, tracking=options.tracking, samples=options.samples,
-            sobol_points=options.sobol, every=options.every, seed=options.seed, registry=asked.registry,
+            sobol_points=options.sobol, every=options.every, seed=options.seed, registry=registry,
             band=asked.band, accuracy=asked.accuracy,
             progress=lambda text, share: show(chip.state(options.state).name, text, share))
         show(found.state, "done", 1.0)
@@ -92,7 +98,10 @@ def _tell(found: Tolerance, console: Console) -> None:
         print_table("shares of the variance", sobol_table(found))
     if found.yields is not None:
         print_table("yield", yields_table(found))
-        print_table("what to make more exactly", tightening_table(found))
+        if any(each.is_clear for each in found.yields.tightenings):
+            print_table("what to make more exactly", tightening_table(found))
+        if words := unclear_tightenings(found):
+            print_line(words)
     for text in found.findings:
         print_line(text)
     if found.model is not None and found.outcomes is not None:
@@ -111,7 +120,7 @@ def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
 
     pictures = draw_tolerance(found, folder)
     blocks: list[tuple[str, list[Block]]] = []
-    first: list[Block] = [Note(text) for text in found.findings]
+    first: list[Block] = []
     first.append(f"{_driven(found)}; {found.drive}" + ("" if found.outcomes is None else
                  f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
     first.append(figures_table(found))
@@ -122,12 +131,14 @@ def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
             "full solves at their means. Beside it is what the samples' yield has more, on the same samples.")
         blocks.append(("Yield", first))
         blocks.append(("What to make more exactly", [
-            tightening_table(found),
+            *([tightening_table(found)] if any(each.is_clear for each in found.yields.tightenings) else []),
+            unclear_tightenings(found),
             "Found by weighing the samples as if they were of the narrower law (importance sampling), with the linear "
             "estimate on many more samples as control variate. A normal number is taken to be measured once more, so "
             "well that half of its uncertainty is left; what a fit correlates with it becomes narrower too."]))
     else:
         blocks.append(("Figures", first))
+    first += [Note(text) for text in found.findings]
     matters: list[Block] = [pictures["tornado"]] if "tornado" in pictures else []
     blocks.append(("What matters", [*matters, sensitivities_table(found)]))
     if found.sobol is not None:
@@ -147,4 +158,4 @@ def _model_table(found: Tolerance) -> Table:
             ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
     rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
              for label, off in found.model.off.items()]
-    return Table(("", ""), tuple(rows))
+    return Table(("of the model", "value"), tuple(rows))

@@ -22,6 +22,7 @@ from geometry.chip import Chip
 from geometry.dimension import millimetres
 from geometry.names import CAVITY, VACUUM
 from geometry.parts import Layer, State
+from geometry.plausible import check_length
 from geometry.stretch import between, movable, tied
 from materials.entry import KINDS
 from materials.registry import Registry
@@ -139,11 +140,13 @@ def _check_points(entry: Table, method: str, *, ranged: bool) -> None:
 @dataclass(frozen=True)
 class Numbers:
     """The numbers of a chip that can vary: ``common`` what all its states with all alternatives have, the values by
-    name (SI; several where they differ), ``others`` what only some of these have; ``tolerances`` (m) of lengths."""
+    name (SI; several where they differ), ``others`` what only some of these have; ``tolerances`` (m) of lengths;
+    ``unusual`` what the chip says is (`geometry.plausible`)."""
 
     common: Mapping[str, frozenset[float]]
     others: frozenset[str]
     tolerances: Mapping[str, float | None]
+    unusual: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, chip: Chip, states: Sequence[str], choices: Sequence[MaterialAxis], registry: Registry) -> Numbers:
@@ -160,7 +163,7 @@ class Numbers:
         everywhere = set.intersection(*(set(each) for each in found))
         common = {name: frozenset(each[name] for each in found) for name in found[0] if name in everywhere}
         return cls(common, frozenset(set().union(*found) - everywhere),
-                   {name: each.tolerance for name, each in lengths.items()})
+                   {name: each.tolerance for name, each in lengths.items()}, chip.unusual)
 
     def full_name(self, written: str) -> str:
         """``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name."""
@@ -182,15 +185,24 @@ def _number_axis(written: str, field: str, entry: Table, numbers: Numbers) -> Nu
     dimension = dimension_of(name)
     unit = next(iter(UNITS[dimension]))
     if "values" in entry:
-        return NumberAxis(name, unit, *_values(entry, dimension))
+        axis = NumberAxis(name, unit, *_values(entry, dimension))
+        _check_plausible(name, axis.values, entry, numbers)
+        return axis
     if "tolerance" in entry:
         low, high = _tolerance(name, entry, dimension, numbers)
     else:
         low, high = (_quantity(entry, key, dimension) for key in ("from", "to"))
     if not low < high:
         raise InputError(entry.source, field, f"{low:g} to {high:g} {unit}", "from a lower number to a higher one")
+    _check_plausible(name, (low, high), entry, numbers)
     points = entry.content.get("points")
     return NumberAxis(name, unit, low, high, points=points)
+
+
+def _check_plausible(name: str, values: Sequence[float], entry: Table, numbers: Numbers) -> None:
+    """Refuse lengths that no such part has."""
+    for value in values:
+        check_length(name, value, source=entry.source, field=entry.field, unusual=numbers.unusual)
 
 
 def _quantity(entry: Table, key: str, dimension: str) -> float:

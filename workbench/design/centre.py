@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from geometry.chip import Chip
+from materials.assumed import with_assumed_loss
 from materials.kinds import Material
 from materials.registry import Registry
 from workbench.design.model import all_of_one_length
@@ -19,9 +20,11 @@ class CentredRegistry(Registry):
 
     numbers: Mapping[str, float] = field(default_factory=dict)
 
-    def load(self, name: str, *, temperature: float | None = None) -> Material:
+    def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
         """The material called `name`, with the numbers that are stated of it in the place of its own."""
-        material = super().load(name, temperature=temperature)
+        material = super().load(name, temperature=temperature, notes=notes)
+        if self.assumed_losses:  # the numbers are those of the ceramic as it is simulated
+            material, _ = with_assumed_loss(material)
         mine = {key: number for key, number in self.numbers.items() if ParameterName.parse(key).owner == material.name}
         before = {f"{material.name}.{key}": value for key, value in material.parameters().items()}
         after = placed(before, mine)
@@ -41,4 +44,5 @@ def centred(chip: Chip, registry: Registry | None, numbers: Mapping[str, float])
                if ParameterName.parse(name).kind is Kind.DIMENSION and number != known[name].value}
     others = {name: number for name, number in numbers.items() if ParameterName.parse(name).kind is not Kind.DIMENSION}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths)) if lengths else chip
-    return moved, CentredRegistry((registry or Registry()).folders, others)
+    registry = registry or Registry()
+    return moved, CentredRegistry(registry.folders, registry.assumed_losses, others)

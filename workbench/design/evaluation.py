@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.names import whole
+from workbench.brief import Brief
 from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
 from workbench.design.dual import Dual, slope
 from workbench.design.figures import LOSS_SHARE
@@ -50,8 +51,8 @@ class Operation:
     thermal_resistance: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Brief):
     """Figures of one chip.
 
     ``values`` the numbers it was asked for (SI, by parameter name); ``figures`` SI, by name, NaN where there is none

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from workbench.files.errors import InputError
+from workbench.interruption import shielded
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -35,9 +38,18 @@ def processes(jobs: int) -> Iterator[Executor]:
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
     try:
+        with shielded(), contextlib.suppress(BrokenProcessPool):
+            # Every first task begins a process, which never hears of Ctrl-C if this thread does not just then. Who
+            # submits a task learns of processes that cannot begin.
+            for _ in range(jobs):
+                pool.submit(_nothing)
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _nothing() -> None:
+    """A task that begins a process."""
 
 
 def _begin_worker() -> None:

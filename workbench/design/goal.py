@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.chip import Chip, read_chip
+from geometry.plausible import check_length
 from geometry.stretch import moving_together
 from materials.registry import Registry
 from workbench.design.bounds import Bound, parse_bounds
@@ -233,7 +234,10 @@ def _variables(table: Table, chip: Chip, registry: Registry | None) -> Iterator[
         if name.endswith(MATERIAL):
             yield _material(inner, name, chip, registry)
         else:
-            yield _length(inner, first_name(chip, name))
+            found = _length(inner, first_name(chip, name))
+            for each in found.values if isinstance(found, Stock) else (found.low, found.high):
+                check_length(found.name, each, source=inner.source, field=inner.field, unusual=chip.unusual)
+            yield found
 
 
 def _flat(table: Table) -> Iterator[tuple[str, Table]]:
@@ -248,7 +252,7 @@ def _flat(table: Table) -> Iterator[tuple[str, Table]]:
             yield f"{name}.{rest}", inner.table(rest, expected=expected)
 
 
-def _length(table: Table, name: str) -> Variable:
+def _length(table: Table, name: str) -> Stock | Length:
     if "values" in table:
         table.only(("values",))
         values = [parse_quantity(text, "length", source=table.source, field=table.at(f"values[{index}]"))
@@ -295,7 +299,7 @@ def _robust(table: Table) -> Robust:
 
 def _search(table: Table) -> Search:
     table.only(Search.__dataclass_fields__)
-    reach, tolerance = (table.quantity(key, "dimensionless", getattr(Search, key)) for key in ("reach", "tolerance"))
+    reach, tolerance = (table.quantity(key, "share", getattr(Search, key)) for key in ("reach", "tolerance"))
     if not 0.0 < reach < 1.0:
         raise table.error("reach", "a share of a length between 0 and 100 %")
     if not 1e-5 <= tolerance <= 0.1:

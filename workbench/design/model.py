@@ -22,9 +22,10 @@ from geometry.names import CAVITY
 from geometry.stretch import moving_together, tied
 from materials.kinds import Fluid
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.design.bases import Bases, bases_of
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
-from workbench.design.evaluation import OF_FIELD, Evaluation, Operation, Question, answer, needs_resonance
+from workbench.design.evaluation import OF_FIELD, Answer, Evaluation, Operation, Question, answer, needs_resonance
 from workbench.design.figures import LOSS_SHARE, check_figures
 from workbench.dimensions import flexible, flexible_within
 from workbench.discretisation import ACCURACY, Discretisation
@@ -36,8 +37,7 @@ from workbench.parameter_names import Kind, ParameterName, placed
 from workbench.problem import FilledChip, Problem, build, fill
 from workbench.ranges import LIMIT, Progress, RangeModel, Ranges, range_model, within
 from workbench.reduction import reduced
-from workbench.simulation import particle_of
-from workbench.solve import one_thread
+from workbench.solve import NotConverged, one_thread
 from workbench.spectrum import Spectrum
 
 Real = NDArray[np.float64]
@@ -69,8 +69,8 @@ class Evaluator(Protocol):
         """
 
 
-@dataclass(frozen=True, eq=False)
-class DesignModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignModel(Brief):
     """An :class:`Evaluator` on reduced models, which can be pickled for other processes.
 
     ``values`` the problem's own complex parameters; ``bases`` what it is computed on; ``cavity`` the places of the
@@ -183,7 +183,7 @@ def of_range_model(
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
     operation = operation or Operation()
     device, problem = fill(chip, state, registry), made.problem
-    cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted, registry)
+    cavity, reason = _cavity(device, made.reduced.full, tuple(made.ranges), made.frequency[-1], wanted)
     by_place = any(name == "heating" or name.startswith(LOSS_SHARE) for name in wanted)
     bases = bases_of(made, operation.frequency, [] if cavity is None else [cavity], tolerance=tolerance,
                      by_place=by_place, seed=seed, progress=progress)
@@ -212,7 +212,6 @@ def full_evaluation(
 
     Raises:
         InputError: something in the chip, its materials, the values or the figures.
-        NotConverged: a full solve.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
     lengths = {n: v for n, v in values.items() if ParameterName.parse(n).kind is Kind.DIMENSION}
@@ -242,13 +241,8 @@ def all_of_one_length(chip: Chip, lengths: Mapping[str, float]) -> dict[str, flo
 
 def _cavity(
     device: FilledChip, operators: FullOperators, names: Sequence[str], highest: float, figures: Sequence[str],
-    registry: Registry | None,
 ) -> tuple[Cavity | None, str]:
-    """The cavity and its particle, or why there is none; looked at only if a figure needs it.
-
-    Raises:
-        InputError: a particle that is no isotropic solid.
-    """
+    """The cavity and its particle, or why there is none; looked at only if a figure needs it."""
     fluid = device.materials.get(CAVITY)
     if not set(figures) & set(OF_FIELD):
         return None, ""
@@ -256,7 +250,7 @@ def _cavity(
         return None, f"there is no fluid in the cavity in state {device.state.name!r}"
     lengths = [n for n in names if ParameterName.parse(n).kind is Kind.DIMENSION]
     try:
-        found = cavity_of(operators, device.chip, fluid, particle_of(device, registry), lengths, highest)
+        found = cavity_of(operators, device.chip, fluid, device.particle, lengths, highest)
     except NoCavity as error:
         return None, str(error)
     return found, ""
@@ -268,17 +262,21 @@ def _evaluated(
 ) -> Evaluation:
     operators = assemble(problem.mesh, problem.terms)
     frequency = np.linspace(*problem.band, points)
-    small, sweep = reduced(operators, frequency, problem.values, tolerance=TOLERANCE, confirmed=False)
+    small, sweep = reduced(operators, frequency, problem.values, tolerance=TOLERANCE, confirmed=False,
+                           skip_singular=True)
     first = tied(device.chip)
     names = tuple(first.get(name, name) for name in numbers) if gradient else ()
-    cavity, reason = _cavity(device, operators, names, frequency[-1], figures, registry)
+    cavity, reason = _cavity(device, operators, names, frequency[-1], figures)
 
     def pressure(states: Complex) -> Complex:
         assert cavity is not None
         return np.asarray(np.append(states, np.zeros((1, states.shape[1])), axis=0)[cavity.rows])
 
     question = Question(figures, names, problem.values, operation, cavity, reason, pressure)
-    with one_thread():
-        found = answer(question, ReducedSystem(small.operators, problem.values), frequency, sweep.charge,
-                       FullSystem(operators, problem.values))
+    try:
+        with one_thread():
+            found = answer(question, ReducedSystem(small.operators, problem.values), sweep.frequency, sweep.charge,
+                           FullSystem(operators, problem.values))
+    except NotConverged as error:  # an undamped resonance: this chip has no figures, others have
+        found = Answer(question, {}, dict.fromkeys(figures, str(error)), error.frequency, None)
     return found.evaluation(numbers, None)

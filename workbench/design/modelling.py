@@ -11,6 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from geometry.chip import Chip
+from geometry.names import CAVITY
+from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.design.boxes import Box, Reach, middle, within
 from workbench.design.evaluation import OF_FIELD, Evaluation
@@ -27,6 +29,7 @@ from workbench.parameter_names import Kind, ParameterName
 from workbench.problem import build, fill
 from workbench.ranges import NotCovered, Progress
 from workbench.reduction import reduced
+from workbench.simulation import Snapshot, snapshot
 from workbench.spectrum import Origin, Spectrum
 
 #: Called with a row of the progress, what is done there, and the share of it that is done.
@@ -96,6 +99,14 @@ class ChipSolver:
         frequency = np.linspace(*problem.band, DRAWN)
         _, solution = reduced(assemble(problem.mesh, problem.terms), frequency, problem.values, tolerance=DRAWN_WITHIN)
         return Spectrum.from_solver(frequency, solution.impedance, origin=Origin("simulated"))
+
+    def snapshot(self, chip: Chip, frequency: float) -> Snapshot | None:
+        """The fields of `chip` at one frequency (Hz) under the goal's drive; None without a fluid in its cavity."""
+        goal = self.goal
+        if not isinstance(fill(chip, goal.state, self.registry).materials.get(CAVITY), Fluid):
+            return None
+        return snapshot(chip, goal.state, frequency, registry=self.registry, band=goal.band,
+                        drive=goal.operation.drive, accuracy=self.accuracy)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from functools import partial
 
 from geometry.chip import Chip
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.design.candidate import Candidate, Confirmed, confirmed
 from workbench.design.choice import Keep, Searched, search_choice
 from workbench.design.evaluation import Evaluation
@@ -31,8 +32,8 @@ from workbench.discretisation import ACCURACY, Discretisation
 CONFIRMED_AT_MOST = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Brief):
     """The outcome of a goal.
 
     ``before`` are the figures of the present chip by full solves; ``best`` the best chip that a full solve confirmed,

@@ -27,7 +27,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -113,7 +113,7 @@ class Study:
         return self.sample[:, [self.axes.index(axis) for axis in axes]]
 
 
-def read_study(path: Path | str, *, materials: Sequence[Path] = ()) -> Study:
+def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Study:
     """Read and check a study's file and the chip it names; `materials` are further folders of materials.
 
     Raises:
@@ -124,7 +124,7 @@ def read_study(path: Path | str, *, materials: Sequence[Path] = ()) -> Study:
     table.required("study", "a table [study] with the chip and the figures")
     head = table.table("study", expected="a table [study]").only(_KEYS)
     chip = read_chip(path.parent / head.text("chip", expected='the chip file, such as "chip.toml"'))
-    registry, states = user_registry(materials), _states(head, chip)
+    registry, states = replace(user_registry(materials), assumed_losses=True), _states(head, chip)
     figures = check_figures(head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]'),
                             chip.regions, source=head.source, field=head.at("figures"))
     if not figures:
@@ -174,14 +174,14 @@ def _frequency(head: Table, band: tuple[float, float]) -> float | None:
 
 
 def _share(head: Table, key: str, default: float) -> float:
-    value = head.quantity(key, "dimensionless", default)
+    value = head.quantity(key, "share", default)
     if not 0.0 < value < 1.0:
         raise head.error(key, 'a relative error between 0 and 1, such as "0.1 %"')
     return value
 
 
 def _accuracy(head: Table) -> float:
-    value = head.quantity("accuracy", "dimensionless", ACCURACY)
+    value = head.quantity("accuracy", "share", ACCURACY)
     try:
         discretisation(value)
     except InputError as error:

@@ -103,7 +103,7 @@ def stated_uncertainty(
     registry: Registry | None = None,
     law: Law = "uniform",
     statements: Sequence[Statement | str] = (),
-    posteriors: Sequence[Path] = (),
+    posteriors: Sequence[Path | str] = (),
 ) -> Uncertainty:
     """All that is uncertain of a chip in a state.
 
@@ -120,7 +120,7 @@ def stated_uncertainty(
     given = [parse_statement(each) if isinstance(each, str) else each for each in statements]
     found = _of_files(device, law)
     for path in posteriors:
-        _posterior(path, device, found)
+        _posterior(Path(path), device, found)
     known = numbers_of(device)
     for each in given:
         _say(each, device, known, law, found)

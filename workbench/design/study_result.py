@@ -69,7 +69,7 @@ class Confirmation:
         return self.reduced - self.full
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StudyResult(Shown):
     """The table of a ``study``: ``rows`` are all of its points, ``full`` those solved in full besides."""
 
@@ -161,10 +161,11 @@ class StudyResult(Shown):
             for name, each in columns.items()], metadata={"study": self.study.name, "chip": self.study.chip.name})
         return pyarrow.table(columns, schema=schema)
 
-    def write(self, folder: Path) -> None:
+    def write(self, folder: Path | str) -> None:
         """Write ``study.parquet``, ``study.nc`` and ``study.json`` into a folder."""
         import pyarrow.parquet
 
+        folder = Path(folder)
         with replacing(folder / "study.parquet") as path:
             pyarrow.parquet.write_table(self.to_arrow(), path)
         with replacing(folder / "study.nc") as path:

@@ -66,7 +66,7 @@ class ModelFacts:
     off: Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tolerance(Shown):
     """What tolerances and uncertainties leave of a chip in a ``state``.
 

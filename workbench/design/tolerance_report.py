@@ -93,12 +93,23 @@ def yields_table(found: Tolerance) -> Table:
 
 
 def tightening_table(found: Tolerance) -> Table:
-    """What half of each uncertainty would add to the yield of all requirements together."""
+    """What half of an uncertainty would add to the yield of all requirements together, where that is clear."""
     assert found.yields is not None
     inputs = {each.name: each for each in found.uncertainty.inputs}
     return Table(("halve the uncertainty of", "now", "adds to the yield", "standard error", "linear estimate"), tuple(
         (each.name, law_in_words(inputs[each.name]), _per_cent(each.gain, signed=True),
-         _per_cent(each.error), _per_cent(each.linear, signed=True)) for each in found.yields.tightenings))
+         _per_cent(each.error), _per_cent(each.linear, signed=True)) for each in found.yields.tightenings
+        if each.is_clear))
+
+
+def unclear_tightenings(found: Tolerance) -> str:
+    """The uncertainties of which it is not clear that half of them adds to the yield, in a sentence; empty if none."""
+    assert found.yields is not None
+    names = [each.name for each in found.yields.tightenings if not each.is_clear]
+    if not names:
+        return ""
+    return (f"Not offered, because what half of the uncertainty adds is not more than twice its standard error: "
+            f"{', '.join(names)}.")
 
 
 def sensitivities_table(found: Tolerance) -> Table:

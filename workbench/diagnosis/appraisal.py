@@ -6,13 +6,14 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.assignment import check_assignment
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, share
+from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, not_finished, share
 from workbench.diagnosis.decision import HINT
 from workbench.diagnosis.descent import LEVELS
 from workbench.diagnosis.device import Model, model
@@ -94,9 +95,22 @@ def as_stated(search: Search) -> tuple[StateFit, ...]:
 def appraised(
     model: Model, found: Found, stated: tuple[StateFit, ...], *, criteria: Criteria | None = None, started: float
 ) -> Diagnosis:
-    """The diagnosis that a search comes to; `stated` as of :func:`as_stated`, `started` (s) when it was begun."""
+    """The diagnosis that a search comes to; `stated` as of :func:`as_stated`, `started` (s) when it was begun.
+
+    Of a search that was cut short it says what the known parameters alone do, and keeps what else was found apart.
+    """
     criteria = criteria or Criteria()
     conclusion = conclude(model, found, criteria)
+    whole = _of(model, found, stated, conclusion, criteria, started)
+    if not found.undone:
+        return whole
+    cut = _of(model, found, stated, not_finished(model, found, conclusion), criteria, started)
+    return replace(cut, left=replace(cut.left, region=""), provisional=whole)
+
+
+def _of(
+    model: Model, found: Found, stated: tuple[StateFit, ...], conclusion: Conclusion, criteria: Criteria, started: float
+) -> Diagnosis:
     # What is outside the catalogue moves nothing that predicts: the known parameters do.
     settled = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
     best = settled.explanation

@@ -53,6 +53,7 @@ from pathlib import Path
 from geometry.names import TRANSDUCER
 from geometry.stretch import tied
 from materials.registry import Registry, user_registry
+from workbench.brief import Brief
 from workbench.diagnosis.knowledge import Taken, read_knowledge
 from workbench.diagnosis.numbers import unit_of as unit_of
 from workbench.diagnosis.numbers import value_of as value_of
@@ -66,12 +67,12 @@ from workbench.parameter_names import ParameterName
 STATED, NAMED = "stated", "named"
 
 
-@dataclass(frozen=True, eq=False)
-class Campaign:
+@dataclass(frozen=True, eq=False, repr=False)
+class Campaign(Brief):
     """A device, its states, and what is known of it.
 
     ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
-    names of what one state adds (``bench.gain@filled``); ``fixed`` names what may not move. Radii that coincide in a
+    names of what one state adds (``bench.gain[filled]``); ``fixed`` names what may not move. Radii that coincide in a
     chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
     ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``model_accuracy`` is the
     standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
@@ -108,7 +109,7 @@ class Campaign:
         return tuple(state for state in self.states if state.held_out)
 
 
-def read_campaign(path: Path | str, *, materials: Sequence[Path] = ()) -> Campaign:
+def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Campaign:
     """Read and check a campaign file, its chips and its recordings; `materials` are further folders of materials.
 
     Raises:
@@ -155,7 +156,7 @@ def _states(table: Table, folder: Path, registry: Registry) -> Iterator[DeviceSt
 def _accuracy(table: Table) -> float | None:
     """The accuracy of the model, relative; None where nobody says."""
     model = table.table("model", expected="a table [model]").only(("accuracy",))
-    found = model.optional_quantity("accuracy", "dimensionless")
+    found = model.optional_quantity("accuracy", "share")
     if found is not None and not 0.0 <= found < 1.0:
         raise model.error("accuracy", 'a relative deviation from 0 to below 1, such as "0.2 %"')
     return found

@@ -109,9 +109,10 @@ def effects(device: Device) -> tuple[Effect, ...]:
 
 
 def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """The same, and in words those that would make sense if a layer's outline were no profile."""
-    found, others = [], []
-    for effect in (effect for source in SOURCES for effect in source(device)):
+    """The same, and in words those that would make sense if a layer's outline were no profile, or that cannot be made.
+    """
+    found, others = list[Effect](), list[str]()
+    for effect in (effect for source in SOURCES for effect in _made(source, device, others)):
         profiled = _profiled(device, effect)
         if set(effect.names) & set(device.fixed):
             continue
@@ -120,6 +121,14 @@ def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, .
         else:
             found.append(effect)
     return tuple(found), tuple(others)
+
+
+def _made(source: Callable[[Device], Iterator[Effect]], device: Device, others: list[str]) -> Iterator[Effect]:
+    """The hypotheses of one source, as far as it comes; that the rest cannot be made goes to `others`."""
+    try:
+        yield from source(device)
+    except ValueError as error:
+        others.append(f"what else may be wrong with {source.__name__.replace('_', ' ')}, because {error}")
 
 
 def _profiled(device: Device, effect: Effect) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from workbench.diagnosis.decision import Decision, Evidence, decide
+from workbench.diagnosis.decision import NOT_FINISHED, Decision, Evidence, decide
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.likelihood import Explanation
@@ -36,6 +36,13 @@ def conclude(model: Model, found: Found, criteria: Criteria | None = None) -> Co
                       stated_explains=_is_as_stated(model, base), criteria=criteria)
     return Conclusion(decision, evidences[decision.chosen.name][1],
                       tuple(evidences[each.name][1] for each in decision.rivals))
+
+
+def not_finished(model: Model, found: Found, so_far: Conclusion) -> Conclusion:
+    """What a search that was cut short comes to: no verdict on anything, whatever it found `so_far`."""
+    nothing = evidence(model, found.base, found.base.explanation)
+    decision = replace(so_far.decision, verdict=NOT_FINISHED, chosen=nothing, rivals=())
+    return Conclusion(decision, found.base, ())
 
 
 def evidence(model: Model, settled: Settled, base: Explanation, points: float = 1.0) -> Evidence:

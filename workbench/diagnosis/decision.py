@@ -19,7 +19,10 @@ from workbench.diagnosis.odds import Criteria
 #: The verdicts.
 NO_MISMATCH, EXPLAINED, HINT = "no_mismatch", "parameters_explain", "below_detection"
 MISSING, AMBIGUOUS, UNEXPLAINED = "missing_physics", "ambiguous", "unexplained"
-VERDICTS = (NO_MISMATCH, EXPLAINED, HINT, MISSING, AMBIGUOUS, UNEXPLAINED)
+
+#: That of a search that was cut short: none of the others, whatever the evidences say so far.
+NOT_FINISHED = "not_finished"
+VERDICTS = (NO_MISMATCH, EXPLAINED, HINT, MISSING, AMBIGUOUS, UNEXPLAINED, NOT_FINISHED)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.diagnosis.evidence import WrongEvidence
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.odds import CLOSE
 from workbench.fitting.search import NO_END, Optimum, Search
@@ -48,6 +49,9 @@ KEPT = 3
 
 #: Chi-square relative to noise from which on other basins are looked at.
 EXCESS = 1.5
+
+#: What ends one start of several.
+REFUSED: tuple[type[Exception], ...] = (*NO_END, WrongEvidence)
 
 #: Two optima are one where their parameters differ by less than so many uncertainties.
 ALIKE = 0.3
@@ -117,20 +121,26 @@ class Candidate:
         return self.weighed.left < EXCESS
 
 
-def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], level: float) -> Candidate | None:
+def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Real], level: float) -> Candidate:
     """The ends (:data:`KEPT`) that the `starts` (p,) lead to where points have a further deviation of `level`.
 
-    None if nothing can be predicted.
+    Raises:
+        NotConverged, NotEnriched, MeshError, InputError, ValueError, ArithmeticError: no start leads anywhere; the
+            reason is that of the last one.
     """
     search = likelihood.search(hypothesis)
     for i in (likelihood.model.index(name) for effect in hypothesis.effects for name in effect.names):
         # What is admissible may be a million times what is there.
         moved = max(abs(float(start[i]) - search.centre[i]) for start in starts)
         search.scale[i] = moved or search.scale[i]
-    ends = []
+    ends: list[Weighed] = []
+    refused: Exception | None = None
     for start in starts:
         try:
             ends.append(likelihood.descended(hypothesis, search, start, level, DESCENT))
-        except NO_END:
-            continue
-    return Candidate.of(hypothesis, ends)
+        except REFUSED as error:
+            refused = error
+    found = Candidate.of(hypothesis, ends)
+    if found is None:
+        raise refused or ValueError(f"{hypothesis.name}: no place to start from")
+    return found

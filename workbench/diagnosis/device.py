@@ -227,9 +227,12 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, error / value, "1", relative=True)
     found = material_parameter(problem, parsed.owner, parsed.local)
     low, high = found.low, found.high
-    if not found.is_loss:
-        low, high = min(low, found.start - REACH * error), max(high, found.start + REACH * error)
-    return Parameter(name, found.start, low, high, error, unit)
+    if found.is_loss:
+        # What is stated is where it begins, however little: a fit would begin with more of it.
+        low, high = min(low, value), max(high, value)
+    else:
+        low, high = min(low, value - REACH * error), max(high, value + REACH * error)
+    return Parameter(name, value, low, high, error, unit)
 
 
 def _is_fluid(problem: Problem, material: str) -> bool:

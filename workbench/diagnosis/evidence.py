@@ -18,9 +18,50 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp
+from scipy.optimize import lsq_linear
+from scipy.special import erfcx, logsumexp
 
 Real = NDArray[np.float64]
+
+
+#: Rounding of a log evidence, relative to the numbers that it is a sum of, beyond which it is wrong. Doubled, errors
+#: twice as large pass; rounding leaves some 1e-12 of them, and mistakes many times as much as the numbers.
+ROUNDING = 1e-6
+
+#: A parameter is at the end of its range within this share of it. Doubled, nothing changes: an optimum is at it or far.
+END = 1e-9
+
+#: A fall of the logarithm across a range below which it is a straight line. Doubled, its curve is left out to 2e-8.
+FLAT = 1e-8
+
+
+class WrongEvidence(ArithmeticError):
+    """A log evidence that is none: not finite, or above the log likelihood at its optimum, of which it is a mean.
+
+    Carries both. It is a defect of the program, and says nothing of the hypothesis.
+    """
+
+    def __init__(self, evidence: float, likelihood: float) -> None:
+        super().__init__(f"a log evidence of {evidence:.6g}, where the log likelihood is {likelihood:.6g} at its "
+                         "optimum, is an error of this program, not a result")
+        self.evidence, self.likelihood = evidence, likelihood
+
+    def __reduce__(self) -> tuple[type[WrongEvidence], tuple[float, float]]:
+        return WrongEvidence, (self.evidence, self.likelihood)
+
+
+def checked(evidence: float, likelihood: float, size: float = 0.0) -> float:
+    """A log `evidence`, with the log `likelihood` at the optimum that it is about, both up to one constant.
+
+    `size` is that of the numbers that both are sums of, for their rounding.
+
+    Raises:
+        WrongEvidence: it is not finite, or the larger one.
+    """
+    margin = ROUNDING * max(1.0, abs(likelihood), abs(size))
+    if not (math.isfinite(evidence) and math.isfinite(likelihood) and evidence <= likelihood + margin):
+        raise WrongEvidence(evidence, likelihood)
+    return evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,26 +157,52 @@ class Linearised:
         ranged = ~np.isnan(self.widths)
         covariance = _inverse(hessian)
         step = -covariance @ slope
-        # A parameter without a prior that a bound holds stays there; along it alone, the Gaussian is cut off.
-        held = ranged & ((step < -self.below) | (step > self.above))
         occam = 0.0
-        if held.any():
+        if (ranged & ((step < -self.below) | (step > self.above))).any():
+            # A parameter without a prior that a bound holds stays there; from there, the Gaussian is cut off.
+            step, held = self._within_bounds(hessian, slope, ranged)
             inside = np.ix_(~held, ~held)
             covariance = np.zeros_like(hessian)
             covariance[inside] = _inverse(hessian[inside])
-            step = -covariance @ slope
             for j in np.flatnonzero(held):
                 curvature = float(hessian[j, j] - hessian[j] @ covariance @ hessian[:, j])
-                along = float(slope[j] + hessian[j] @ step)
-                occam += math.log(self.widths[j]) - _between(along, curvature, self.below[j], self.above[j])
-        left = ranged & ~held
-        if left.any():
-            occam += 0.5 * occam_factor(covariance[np.ix_(left, left)], self.widths[left])
-        known = np.ix_(~ranged, ~ranged)
+                inwards = abs(float(slope[j] + hessian[j] @ step))
+                occam += math.log(self.widths[j]) - _cut_off(inwards, max(curvature, 0.0), self.widths[j])
+            ranged = ranged & ~held
+        if ranged.any():
+            occam += 0.5 * occam_factor(covariance[np.ix_(ranged, ranged)], self.widths[ranged])
+        known = np.ix_(np.isnan(self.widths), np.isnan(self.widths))
         learnt = np.linalg.slogdet(hessian[known])[1] - np.linalg.slogdet(self.precision[known])[1]
-        chi_square = square + float(slope @ step)
+        chi_square = square + float(2.0 * slope @ step + step @ hessian @ step)
         worth = -0.5 * (chi_square + log_determinant + float(learnt)) - occam
-        return Average(worth, step, covariance, occam, chi_square)
+        # What is left is a sum of squares, and so is the determinant of what is 1 or more.
+        best = -0.5 * (max(chi_square, 0.0) + max(log_determinant, 0.0))
+        return Average(checked(worth, best, square), step, covariance, occam, chi_square)
+
+    def _within_bounds(self, hessian: Real, slope: Real, ranged: NDArray[np.bool_]) -> tuple[Real, NDArray[np.bool_]]:
+        """The step (p,) to the least of the quadratic within all ranges, and which parameters (p,) their ends hold."""
+        # Known parameters have no bounds: they follow.
+        own, known = np.flatnonzero(ranged), np.flatnonzero(~ranged)
+        follow = _inverse(hessian[np.ix_(known, known)]) @ np.column_stack([hessian[np.ix_(known, own)], slope[known]])
+        size = self.widths[own]
+        reduced = (hessian[np.ix_(own, own)] - hessian[np.ix_(own, known)] @ follow[:, :-1]) * np.outer(size, size)
+        force = (slope[own] - hessian[np.ix_(own, known)] @ follow[:, -1]) * size
+        values, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
+        kept = values > 1e-13 * max(float(values[-1]), 1e-300)
+        root = np.sqrt(values[kept])
+        low, high = np.minimum(-self.below[own], 0.0) / size, np.maximum(self.above[own], 0.0) / size
+        if kept.any():
+            found = lsq_linear(root[:, None] * vectors[:, kept].T, -(vectors[:, kept].T @ force) / root, (low, high),
+                               method="bvls", tol=1e-12)
+            relative = np.clip(found.x, low, high)
+        else:
+            relative = np.zeros(own.size)
+        at_end = (relative - low < END) | (high - relative < END)
+        relative = np.where(relative - low < END, low, np.where(high - relative < END, high, relative))
+        step, held = np.zeros(slope.size), np.zeros(slope.size, dtype=bool)
+        step[own], held[own] = size * relative, at_end
+        step[known] = -follow @ np.append(step[own], 1.0)
+        return step, held
 
 
 def _inverse(matrix: Real) -> Real:
@@ -144,16 +211,18 @@ def _inverse(matrix: Real) -> Real:
     return np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
 
 
-def _between(slope: float, curvature: float, below: float, above: float) -> float:
-    """ln of the integral of exp(-(slope t + curvature t^2 / 2)) over -below < t < above."""
-    curvature = max(curvature, 1e-300)
-    root, centre = math.sqrt(curvature), -slope / curvature
-    low, high = root * (-below - centre), root * (above - centre)
-    if low > 0.0:
-        low, high = -high, -low
-    # Of two tails the difference, from the larger one.
-    between = float(log_ndtr(high) + np.log1p(-np.exp(min(log_ndtr(low) - log_ndtr(high), -1e-16))))
-    return 0.5 * slope * slope / curvature + 0.5 * math.log(2.0 * math.pi / curvature) + between
+def _cut_off(slope: float, curvature: float, width: float) -> float:
+    """ln of the integral of exp(-(slope t + curvature t^2 / 2)) over 0 < t < width, neither of the two below zero.
+
+    It is at most ln of the width.
+    """
+    if curvature * width**2 < FLAT:
+        along = slope * width
+        return math.log(width) + (math.log(-math.expm1(-along) / along) if along > FLAT else -0.5 * along)
+    root = math.sqrt(2.0 * curvature)
+    near, far = slope / root, (slope + curvature * width) / root
+    whole = float(erfcx(near) - math.exp(-min(slope * width + 0.5 * curvature * width**2, 700.0)) * erfcx(far))
+    return 0.5 * math.log(0.5 * math.pi / curvature) + math.log(whole)
 
 
 def occam_factor(covariance: Real, widths: Real) -> float:

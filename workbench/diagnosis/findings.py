@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,10 @@ from numpy.typing import NDArray
 from workbench.diagnosis.descent import Candidate
 from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.likelihood import Explanation, Hypothesis
+from workbench.diagnosis.odds import CLOSE
 from workbench.diagnosis.ranking import Score
+
+T = TypeVar("T")
 
 Real = NDArray[np.float64]
 
@@ -42,15 +47,42 @@ class Settled:
     anything: Patterns
 
 
+@dataclass(frozen=True)
+class NotTried:
+    """What of a search could not be done, by its ``name``, and the ``reason``."""
+
+    name: str
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """What a search found.
 
     ``base`` that nothing is wrong; ``final`` all explanations at their own places, best first, the base among them;
-    ``candidates`` how far the others came; ``undone`` what there was no time for.
+    ``candidates`` how far the others came; ``undone`` what there was no time for, ``not_tried`` what could not be done;
+    ``interrupted`` whether somebody stopped it.
     """
 
     base: Settled
     final: tuple[Settled, ...]
     candidates: tuple[Candidate, ...]
     undone: tuple[str, ...] = ()
+    not_tried: tuple[NotTried, ...] = ()
+    interrupted: bool = False
+
+
+def promise(candidate: Candidate) -> float:
+    """The log evidence of a candidate: the larger, the better."""
+    return candidate.log_evidence
+
+
+def weakness(settled: Settled) -> float:
+    """Minus the log evidence of an explanation: the smaller, the better."""
+    return -settled.explanation.log_evidence
+
+
+def leading_of(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:
+    """At most so many, best first, of a worth within `odds.CLOSE` of the best."""
+    ordered = sorted(found, key=lambda each: -worth(each))
+    return [each for each in ordered if worth(each) > worth(ordered[0]) - CLOSE][:most]

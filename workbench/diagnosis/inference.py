@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,19 +27,18 @@ from workbench.diagnosis.descent import (
     smoothed,
 )
 from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.findings import Begun, Found, Settled
+from workbench.diagnosis.findings import Begun, Found, NotTried, Settled, leading_of, promise, weakness
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
 from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
 from workbench.diagnosis.ranking import Score, ranked
+from workbench.diagnosis.refusal import EXPECTED, Refusal
 from workbench.diagnosis.starts import start, starts_of
 from workbench.diagnosis.sweep import corners, swept
 from workbench.diagnosis.workers import Workers
 from workbench.discretisation import Discretisation
 from workbench.fitting.search import NO_END
-
-T = TypeVar("T")
 
 Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -53,6 +52,9 @@ TRIED, SHARE = 3, 0.3
 
 #: Of all hypotheses in any size, so many are tried.
 SWEPT = 4
+
+#: Of the single hypotheses that are not far behind the best, so many are looked at with a second effect.
+ALIKE = 2
 
 #: Descents begin in so many basins.
 BASINS = 4
@@ -83,6 +85,7 @@ class Search:
     started: float = field(default_factory=time.perf_counter)
     interrupted: bool = False
     undone: list[str] = field(default_factory=list)
+    not_tried: list[NotTried] = field(default_factory=list)
     _workers: Workers | None = None
 
     @classmethod
@@ -115,7 +118,7 @@ class Search:
         """The explanations of the recordings.
 
         Raises:
-            NotEnriched, MeshError: the device as it is stated cannot be predicted.
+            NotEnriched, NotConverged, MeshError, InputError: the device as it is stated cannot be predicted.
         """
         self._workers = workers
         self.say("wide", [p.model.basis.shape[1] for p in dict.fromkeys(self.models.wide.predictors) if p.model])
@@ -127,18 +130,22 @@ class Search:
             if settled[plain].explanation.accuracy <= INCONSPICUOUS:
                 return self.concluded(plain, settled, [plain])
         self.progress("what is outside the catalogue", 0.2)
-        found: list[Candidate] = self.work([("what is outside the catalogue", "outside", (plain,))])[0] or []
-        searches = [lambda: self.by_score(plain, ends, settled), lambda: self.by_size(plain)]
+        found: list[Candidate] = [*(self.work([("what is outside the catalogue", "outside", (plain,))])[0] or ())]
+        searches = [("hypotheses by their scores", lambda: self.by_score(plain, ends, settled)),
+                    ("hypotheses of any size", lambda: self.by_size(plain))]
         # No tangent counts where more is left than the points were allowed to deviate by.
         if ends[0].cost > 0.5 * sum(2 * state.noise.size for state in self.model.campaign.fitted):
             searches.reverse()
-        for number, search in enumerate(searches):
+        for number, (name, search) in enumerate(searches):
+            if number and self.explained(settled[plain], settled.values()):
+                break
+            if number and self.is_over:
+                self.undone.append(name)
+                break
             self.progress("single hypotheses", 0.3 + 0.3 * number)
             found += search()
             self.progress("the best of them", 0.45 + 0.3 * number)
             self.settle(plain, found, settled)
-            if self.is_over or self.explained(settled[plain], settled.values()):
-                break
         best: dict[str, Candidate] = {}
         for each in sorted(found, key=lambda each: -each.log_evidence):
             best.setdefault(each.hypothesis.name, each)
@@ -209,18 +216,17 @@ class Search:
                 likelihood = likelihood.on(self.models.near(nothing, end.x, end.errors, ROUGH))
                 x = likelihood.tempered(likelihood.search(nothing), end.x, LEVELS[0]).x
                 end = likelihood.weighed(nothing, x, LEVELS[0])
+            return followed(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1]).weighed
         except NO_END:
             return None
-        found = followed(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1])
-        return None if found is None else found.weighed
 
     def by_score(
         self, plain: Candidate, ends: Sequence[Begun], settled: Mapping[Candidate, Settled]
     ) -> list[Candidate]:
         """Where the hypotheses lead that promise most, from where nothing being wrong ends."""
         *places, last = self.work([
-            *((f"scores {k}", "scored", (end.x, LEVELS[0])) for k, end in enumerate(ends)),
-            ("scores", "scored", (plain.x, LEVELS[1]))])
+            *(("scores of the hypotheses", "scored", (end.x, LEVELS[0])) for end in ends),
+            ("scores of the hypotheses", "scored", (plain.x, LEVELS[1]))])
         chosen = self.chosen([each for each in (*places, last, *(base.scores for base in settled.values())) if each])
         return self.tried(plain, plain.x, [(effect, starts_of(self.model, effect, ends, places)) for effect in chosen])
 
@@ -230,7 +236,7 @@ class Search:
         A hypothesis of which no number can change the recordings by as much as is left there does not explain them.
         """
         x = self.models.belief.x
-        scores = self.work([("scores of what is known", "scored", (x, LEVELS[0]))])[0] or []
+        scores = self.work([("scores of the hypotheses", "scored", (x, LEVELS[0]))])[0] or []
         bare = self.models.bare()
         left = math.sqrt(2.0 * bare.tempered(bare.search(Hypothesis()), x, LEVELS[0]).cost)
         effects = [each.effect for each in scores if each.most > left]
@@ -260,7 +266,8 @@ class Search:
             (effect.name, "explain", (effect.name, at, own)) for effect, own in starts if len(own)])
             if each is not None]
         further = [each for each in self.work([
-            (f"{each.hypothesis.name}, further", "onward", (each, at)) for each in _best(little, GO_ON[0], _promise)])
+            (f"{each.hypothesis.name}, further", "onward", (each, at))
+            for each in leading_of(little, GO_ON[0], promise)])
             if each is not None]
         for candidate in further:
             self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence,
@@ -270,19 +277,20 @@ class Search:
     def settle(self, plain: Candidate, found: Sequence[Candidate], settled: dict[Candidate, Settled]) -> None:
         """Add the best of what was found at its own place to what is settled, and nothing being wrong."""
         # What may be anything follows the recordings at once; the catalogue has to find its place first.
-        leading = _best([plain, *(each for each in found if not each.hypothesis.is_outside)], GO_ON[1], _promise)
-        leading += _best([each for each in found if each.hypothesis.is_outside and each.log_evidence
-                          > leading[0].log_evidence - CLOSE], 1, _promise)
+        leading = leading_of([plain, *(each for each in found if not each.hypothesis.is_outside)], GO_ON[1], promise)
+        leading += leading_of([each for each in found if each.hypothesis.is_outside and each.log_evidence
+                          > leading[0].log_evidence - CLOSE], 1, promise)
         new = [each for each in dict.fromkeys([leading[0], plain, *leading]) if each not in settled]
-        # The first of these are what is said, whatever the time.
+        # What is said needs nothing being wrong, whatever the time.
+        new.sort(key=lambda each: each is not plain)
         done = self.work([(each.hypothesis.name, "settled", (each, each not in leading)) for each in new],
-                         must=0 if settled else 2)
+                         must=0 if plain in settled else 1)
         settled |= {each: own for each, own in zip(new, done, strict=True) if own is not None}
 
     def explained(self, base: Settled, settled: Iterable[Settled]) -> bool:
         """Whether the best explanation that the catalogue has leaves no more than an accuracy that models have, or a
         trace."""
-        best = min((each for each in settled if not each.explanation.hypothesis.is_outside), key=_worth)
+        best = min((each for each in settled if not each.explanation.hypothesis.is_outside), key=weakness)
         return best.explanation.accuracy <= INACCURATE or self.takes_most(base, best)
 
     def leaves_a_trace(self, base: Settled, best: Settled) -> bool:
@@ -297,21 +305,34 @@ class Search:
     def concluded(self, plain: Candidate, settled: dict[Candidate, Settled], candidates: Sequence[Candidate]) -> Found:
         """What was found, with what promises most beside the best that is one effect."""
         base, found = settled[plain], dict[str, Settled]()
-        for each in sorted(settled.values(), key=_worth):
+        for each in sorted(settled.values(), key=weakness):
             found.setdefault(each.explanation.hypothesis.name, each)
         best: Settled | None = None
-        while best is not (leader := min(found.values(), key=_worth)):
+        while best is not (leader := min(found.values(), key=weakness)):
             best = leader
             hypothesis = best.explanation.hypothesis
             if len(hypothesis.effects) > 1 or hypothesis.is_outside or self.leaves_a_trace(base, best):
                 break
-            for each in self.work([task for task in self.further(best) if task[0] not in found]):
+            # Where the best alone leaves more than noise, its evidence rests on an inaccuracy: another one that is not
+            # far behind may be better with a second effect.
+            alike = [each for each in found.values() if best.explanation.accuracy > INCONSPICUOUS
+                     and len(each.explanation.hypothesis.effects) == 1 and not each.explanation.hypothesis.is_outside
+                     and weakness(each) < weakness(best) + CLOSE]
+            tasks = {task[0]: task for each in dict.fromkeys([best, *alike[:ALIKE]]) for task in self.further(each)}
+            for each in self.work([task for name, task in tasks.items() if name not in found]):
                 if each is not None:
                     found[each.explanation.hypothesis.name] = each
-        return Found(base, tuple(sorted(found.values(), key=_worth)), tuple(candidates), tuple(self.undone))
+        return Found(base, tuple(sorted(found.values(), key=weakness)), tuple(candidates), tuple(self.undone),
+                     tuple(dict.fromkeys(self.not_tried)), self.interrupted)
 
     def work(self, tasks: Sequence[Named], *, must: int = 0) -> list[Any]:
-        """What every task returns; None for what there was no time for. So many of the first are done in any case."""
+        """What every task returns; None for what there was no time for, or cannot be done.
+
+        So many of the first are done in any case.
+
+        Raises:
+            NotEnriched, NotConverged, MeshError, InputError, ValueError, ArithmeticError: one of these cannot be done.
+        """
         results: dict[int, Any] = {}
 
         def is_over(index: int) -> bool:
@@ -323,18 +344,32 @@ class Search:
             else:
                 for index, (_, name, given) in enumerate(tasks):
                     if not is_over(index):
-                        results[index] = getattr(self, name)(*given)
+                        results[index] = self.attempted(name, given)
         except KeyboardInterrupt:
-            if self.interrupted or must:
+            if self.interrupted or any(index not in results for index in range(min(must, len(tasks)))):
                 raise
-            self.interrupted = True
+            # The workers may still send what they were asked for, which nobody waits for now.
+            self.interrupted, self._workers = True, None
         self.undone += [task[0] for index, task in enumerate(tasks) if index not in results]
-        return [results.get(index) for index in range(len(tasks))]
+        for index, result in results.items():
+            if isinstance(result, Refusal):
+                if index < must:
+                    raise result.error
+                self.say("NOT TRIED", tasks[index][0], result.reason)
+                self.not_tried.append(NotTried(tasks[index][0], result.reason))
+        return [None if isinstance(found := results.get(index), Refusal) else found for index in range(len(tasks))]
 
     def within(self, places: tuple[Real, ...], name: str, given: tuple[Any, ...]) -> Any:
-        """What the method of that name returns on models that reach `places` (p,)."""
+        """What the method of that name returns on models that reach `places` (p,), or why it does not."""
         self.models.places = places
-        return getattr(self, name)(*given)
+        return self.attempted(name, given)
+
+    def attempted(self, name: str, given: tuple[Any, ...]) -> Any:
+        """What the method of that name returns, or why it does not."""
+        try:
+            return getattr(self, name)(*given)
+        except EXPECTED as error:
+            return Refusal(error)
 
     def scored(self, x: Real, level: float) -> list[Score]:
         """The scores of all hypotheses at x (p,)."""
@@ -351,19 +386,18 @@ class Search:
         self.say("chosen", list(found))
         return list(found.values())
 
-    def explain(self, name: str, at: Real, starts: Sequence[Real]) -> Candidate | None:
+    def explain(self, name: str, at: Real, starts: Sequence[Real]) -> Candidate:
         """Where a hypothesis leads from some `starts` (p,); the model's inaccuracy is that `at` a place (p,)."""
         hypothesis = Hypothesis((self.effect(name),))
         own = [self.model.index(each) for each in hypothesis.effects[0].names]
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.models.centre[own]).sum()))
         likelihood = self.models.likelihood(at).on(self.models.wider(hypothesis, [largest]))
         candidate = followed(likelihood, hypothesis, starts, LEVELS[0])
-        if candidate is not None:
-            self.say("   little", name, candidate.log_evidence, candidate.weighed.doubt,
-                     [float(candidate.x[i]) for i in own])
+        self.say("   little", name, candidate.log_evidence, candidate.weighed.doubt,
+                 [float(candidate.x[i]) for i in own])
         return candidate
 
-    def onward(self, candidate: Candidate, at: Real) -> Candidate | None:
+    def onward(self, candidate: Candidate, at: Real) -> Candidate:
         """Where an effect leads with the data weighing more, on models made again where these are in doubt.
 
         The model's inaccuracy is that `at` a place (p,).
@@ -372,17 +406,15 @@ class Search:
         if not self.models.doubts(candidate.weighed.doubt, LEVELS[0]):
             likelihood = likelihood.on(self.models.wider(hypothesis, [candidate.x]))
         likelihood, little = self.renewed(likelihood, candidate, LEVELS[0])
-        if little is None:
-            return None
         found = followed(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
         return self.renewed(likelihood, found, LEVELS[1])[1]
 
     def renewed(
-        self, likelihood: Likelihood, candidate: Candidate | None, level: float
-    ) -> tuple[Likelihood, Candidate | None]:
+        self, likelihood: Likelihood, candidate: Candidate, level: float
+    ) -> tuple[Likelihood, Candidate]:
         """A candidate followed on models made again about it, as long as these are in doubt, and the last of them."""
         for _ in range(PLACES):
-            if candidate is None or not self.models.doubts(candidate.weighed.doubt, level):
+            if not self.models.doubts(candidate.weighed.doubt, level):
                 break
             self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
             likelihood = self.models.about(likelihood, candidate)
@@ -463,17 +495,3 @@ class Search:
             tasks += [(each.name, "settled", (Candidate(each, (best.weighed,)),))
                       for each, worth in settled.beside[:TRIED] if worth - best.log_evidence > self.least]
         return tasks
-
-
-def _promise(candidate: Candidate) -> float:
-    return candidate.log_evidence
-
-
-def _worth(settled: Settled) -> float:
-    return -settled.explanation.log_evidence
-
-
-def _best(found: Iterable[T], most: int, worth: Callable[[T], float]) -> list[T]:
-    """At most so many, best first, of a worth within `odds.CLOSE` of the best."""
-    ordered = sorted(found, key=lambda each: -worth(each))
-    return [each for each in ordered if worth(each) > worth(ordered[0]) - CLOSE][:most]

@@ -19,7 +19,7 @@ from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import Table
-from workbench.parameter_names import BENCH, STATE, Kind, ParameterName
+from workbench.parameter_names import BENCH, STATE, STATE_END, Kind, ParameterName
 
 #: What any bench does between two recordings: how much, as a standard uncertainty in SI, and why. An instrument repeats
 #: a reading after its cables were moved to about 0.2 %; clips that are put on again have another contact resistance, by
@@ -54,7 +54,7 @@ class Knowledge:
     """Standard uncertainties (SI) of what is not exact, and what may not move.
 
     ``known`` by the names of numbers that all states share; ``offsets`` by those of what one state adds to them
-    (``bench.gain@filled``); ``fixed`` names of the former. ``correlations`` are coefficients between two of ``known``,
+    (``bench.gain[filled]``); ``fixed`` names of the former. ``correlations`` are coefficients between two of ``known``,
     each pair once. ``taken`` has an entry for each of ``known`` and ``offsets``, in that order.
     """
 
@@ -126,10 +126,14 @@ def _stated(
     known, written_as = of or numbers.states, dict[str, tuple[str, float]]()
     for written in table:
         name, field = numbers.named(written), table.at(written)
-        if STATE in written or not any(state in known for state in numbers.having(name)):
+        if STATE in written:
+            shared, _, state = written.removesuffix(STATE_END).partition(STATE)
+            raise InputError(table.source, field, written, f'"{shared}" in the table [states.{state}.known]: there '
+                             "stands what one state adds")
+        if not any(state in known for state in numbers.having(name)):
             raise InputError(table.source, field, written, "the name of a material's coefficient, a dimension of a "
                              f"chip or a bench element that {'this' if of else 'a'} state has",
-                             nearest_names(written.partition(STATE)[0], names(known)))
+                             nearest_names(written, names(known)))
         _check_inexact(table, written, name, numbers)
         found = [_Statement(name, state, _uncertainty(table, written, name, numbers, states),
                             f"{table.source}: [{table.field}]", field) for state, states in groups(name)]
@@ -153,8 +157,9 @@ def _uncertainty(
         chip = next(state.chip for state in states if name in state.chip.dimensions())
         return length_uncertainty(name, replace(chip.dimensions()[name], tolerance=None)).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
-    found = parse_quantity(entry, "dimensionless" if share else DIMENSIONS[unit], source=table.source,
-                           field=table.at(written))
+    # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
+    own = "share" if unit == "1" and ParameterName.parse(name).kind is Kind.BENCH else DIMENSIONS[unit]
+    found = parse_quantity(entry, "dimensionless" if share else own, source=table.source, field=table.at(written))
     if share:
         having = numbers.having(name)
         size = abs(numbers.value(name, next(state for state in states if state in having)))

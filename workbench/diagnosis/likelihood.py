@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.evidence import Average, Linearised, over_scales
+from workbench.diagnosis.evidence import Average, Linearised, checked, over_scales
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns, patterns
 from workbench.diagnosis.modes import Mode, columns, strongest
@@ -122,7 +122,9 @@ class Local:
             scales = self._expanded(each)
             every.append(self.problem.averaged(scales).log_evidence + self.problem.added(scales, blocks, sizes))
         whole = np.stack(every)
-        return np.asarray(logsumexp(whole, axis=(0, 2)) - math.log(whole.shape[0] * whole.shape[2]))
+        found = np.asarray(logsumexp(whole, axis=(0, 2)) - math.log(whole.shape[0] * whole.shape[2]))
+        # No likelihood is above that of data without a residual, and what deviates takes of it.
+        return np.array([checked(float(each), 0.0, float(np.abs(whole).max())) for each in found])
 
 
 class Weighed(NamedTuple):
@@ -280,10 +282,6 @@ class Likelihood:
         """The least-squares problem under a hypothesis, with noise alone."""
         free, released = self.model.free(hypothesis.effects)
         return Search(self.objective, free=free, released=released)
-
-    def search_of_all(self) -> Search:
-        """The least-squares problem in which everything is free."""
-        return Search(self.objective, free=range(len(self.model.parameters)))
 
     def tempered(
         self, search: Search, x: Real, level: float, *, smoothing: float = 0.0, accuracy: float = 0.0, limit: int = 8,

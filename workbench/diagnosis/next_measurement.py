@@ -83,8 +83,11 @@ def in_words(found: Sequence[Option], alive: Sequence[str], wanted: float) -> st
     times = "once" if best.times == 1 else f"{best.times} times"
     short = "" if best.odds >= wanted else f", short of the {wanted:.3g} that would settle it,"
     odds = f"{best.odds:.3g}" if best.odds < 1e4 else "more than 10000"
+    head = f"{best.name[0].upper()}{best.name[1:]}, {times}"
+    if short:
+        head = f"No number of further recordings tells it: {best.name}, {times}"
     listed = ", ".join(f"{option.name} {100.0 * option.share:.0f} %" for option in found[:5])
-    return (f"{best.name[0].upper()}{best.name[1:]}, {times}: odds of {odds}{short} are expected between {alive[0]} "
+    return (f"{head}: odds of {odds}{short} are expected between {alive[0]} "
             f"and {alive[1]}. Of what is open, once settles: {listed}. Not compared: {NOT_COMPARED}.")
 
 

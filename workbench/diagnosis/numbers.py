@@ -9,6 +9,7 @@ from functools import cached_property
 from geometry.dimension import SAME_LENGTH
 from geometry.stretch import tied
 from materials.kinds import Fluid
+from materials.versions import split_version
 from workbench.diagnosis.state import DeviceState
 from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
 from workbench.parameter_names import BENCH, Kind, ParameterName
@@ -73,10 +74,12 @@ class DeviceNumbers:
         return tied(*(state.chip for state in self.states))
 
     def named(self, written: str) -> str:
-        """The name of the number that was `written` perhaps without its material's source, or of one of tied radii."""
+        """The name of the number that was `written` perhaps without its material's source, without the version of a
+        saved material, or of one of tied radii."""
         parsed = ParameterName.parse(written)
-        full = {m.name for s in self.states for m in s.materials.values() if m.name.split("/")[0] == parsed.owner}
-        name = f"{full.pop()}.{parsed.local}" if len(full) == 1 and "/" not in parsed.owner else written
+        full = {m.name for s in self.states for m in s.materials.values()
+                if parsed.owner in (m.name.split("/")[0], (split_version(m.name) or ("",))[0])}
+        name = f"{full.pop()}.{parsed.local}" if len(full) == 1 else written
         return self.first.get(name, name)
 
     def together(self, name: str) -> tuple[str, ...]:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from workbench.brief import Brief
+from workbench.diagnosis.advice import advice
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
-from workbench.diagnosis.decision import VERDICTS
+from workbench.diagnosis.decision import NOT_FINISHED, VERDICTS
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.hypothesis import Effect
@@ -24,14 +28,20 @@ from workbench.diagnosis.state import DeviceState, StateFit, spectrum_of
 from workbench.fitting.joint import refused_steps
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.notebook import Shown, Summary
+from workbench.parameter_names import Kind, ParameterName
 
 if TYPE_CHECKING:
     import xarray
 
 
+#: So many of what was not looked at are named.
+NAMED = 6
+
+
 class Estimate(NamedTuple):
     """A parameter, SI: its ``value``, the ends of its 95 % interval, and what is ``stated``, or was where nothing is
-    wrong; ``sigmas`` it left that by, in standard uncertainties of what is known of it (None if nothing is)."""
+    wrong; ``sigmas`` it left that by, in standard uncertainties of what is known of it (None if nothing is). A
+    ``relative`` one is a factor of what each state has stated."""
 
     name: str
     value: float
@@ -40,6 +50,7 @@ class Estimate(NamedTuple):
     unit: str
     stated: float
     sigmas: float | None
+    relative: bool = False
 
     @property
     def shown(self) -> tuple[float, float, float, float]:
@@ -51,11 +62,14 @@ class Estimate(NamedTuple):
     def in_words(self) -> str:
         """Value and interval in that unit."""
         value, low, high, _ = self.shown
+        if self.relative:
+            told = (f"{100.0 * (each - 1.0):+.3g} %" for each in (value, low, high))
+            return "{} ({} to {}) of what is stated".format(*told)
         return f"{value:.4g} ({low:.4g} to {high:.4g}) {shown_unit(self.unit)}".strip()
 
 
-@dataclass(frozen=True, eq=False)
-class Established:
+@dataclass(frozen=True, eq=False, repr=False)
+class Established(Brief):
     """An effect, its parameters, whether all of these are ``admissible``, and the ``share`` of the mismatch beyond
     noise, of what the known parameters leave, that it takes away."""
 
@@ -88,14 +102,15 @@ class Place(NamedTuple):
     evidence: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Shown):
     """What was found.
 
     Of all states, those held out last: ``stated`` as they are stated, ``base`` with the known parameters fitted,
     ``best`` with what is ``established`` (the base itself if nothing is). ``location`` best first; ``known`` the known
     parameters, but for those that effects release; ``scores`` of all hypotheses; ``next_options`` what may be measured
-    to tell apart what is ``alive``, best first.
+    to tell apart what is ``alive``, best first. ``provisional`` is what a search that was cut short would come to by
+    what it looked at; None of one that was not.
     """
 
     model: Model
@@ -113,6 +128,7 @@ class Diagnosis(Shown):
     alive: tuple[str, ...]
     next_options: tuple[Option, ...]
     seconds: float
+    provisional: Diagnosis | None = None
 
     @property
     def campaign(self) -> Campaign:
@@ -121,6 +137,11 @@ class Diagnosis(Shown):
     @property
     def verdict(self) -> str:
         return self.conclusion.decision.verdict
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether somebody stopped the search."""
+        return self.found.interrupted
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -132,6 +153,18 @@ class Diagnosis(Shown):
         return sum(each.share for each in self.established)
 
     @property
+    def shares(self) -> tuple[tuple[tuple[Established, ...], float], ...]:
+        """What is established, with the share of the mismatch that it takes away.
+
+        Effects of one kind on one thing (two losses of a material) belong together: which of them takes how much
+        depends on which is asked first.
+        """
+        groups: dict[tuple[str, str], list[Established]] = {}
+        for each in self.established:
+            groups.setdefault((each.effect.kind, ParameterName.parse(each.effect.names[0]).owner), []).append(each)
+        return tuple((tuple(group), sum(each.share for each in group)) for group in groups.values())
+
+    @property
     def at_odds(self) -> tuple[Estimate, ...]:
         """The known parameters that left what is known of them, furthest first."""
         found = [each for each in self.known if abs(each.sigmas or 0.0) > self.criteria.at_odds]
@@ -139,9 +172,18 @@ class Diagnosis(Shown):
 
     @property
     def where(self) -> tuple[str, ...]:
-        """The regions of what is established, or the one that there is evidence for."""
-        found = [name for each in self.effects for name in each.region.split("|")] or [self.left.region]
+        """The regions of what is established, all that a material fills among them, or the one that there is evidence
+        for."""
+        found = [name for each in self.effects for name in self._regions(each)] or [self.left.region]
         return tuple(dict.fromkeys(filter(None, found)))
+
+    def _regions(self, effect: Effect) -> list[str]:
+        """Where an effect acts: a number of a material does wherever that is."""
+        owner = ParameterName.parse(effect.names[0]).owner
+        within = {getattr(term, "region", "") for held in effect.terms.values() for term in held}
+        filled = [region for state in self.states for region, material in state.materials.items()
+                  if material.name == owner and (not effect.terms or region in within)]
+        return filled if filled and "|" not in effect.region else effect.region.split("|")
 
     @property
     def states(self) -> tuple[DeviceState, ...]:
@@ -173,24 +215,44 @@ class Diagnosis(Shown):
                 text = (f"{'; '.join(_in_words(each) for each in self.established)}; this explains "
                         f"{100.0 * self.share:.3g} % of the mismatch")
                 if decision.rivals:
-                    text += f", but {' or '.join(each.name for each in decision.rivals)} would too"
+                    text += f", but {' or '.join(in_plain_words(each.name) for each in decision.rivals)} would too"
             case "no_mismatch":
                 text = f"the model as stated explains the recordings: {_left_in_words(left)}"
             case "parameters_explain":
                 most = max(self.known, key=lambda each: abs(each.sigmas or 0.0))
                 text = (f"the known parameters, within what is known of them, explain the recordings: "
-                        f"{_left_in_words(left)}; {most.name} moves most, by {most.sigmas:+.1f} standard uncertainties")
+                        f"{_left_in_words(left)}; the {_of_what(most.name)} moves most, by {most.sigmas:+.1f} standard "
+                        "uncertainties")
             case "below_detection":
                 name, odds = self._likeliest()
-                text = (f"something may be missing, {name} most likely, at odds of {odds:.2g}: not enough to name a "
-                        "cause")
+                text = (f"something may be missing, {in_plain_words(name)} most likely, at odds of {odds:.2g}: not "
+                        "enough to name a cause")
+            case "not_finished":
+                text = f"not finished: {self._not_looked_at()}"
             case "unexplained":
                 name = self._likeliest()[0] if decision.chosen.outside else ""
-                text = (f"nothing in the catalogue explains what is left: {_left_in_words(left)}"
+                which = "that could be tried " if self.found.not_tried else ""
+                text = (f"nothing in the catalogue {which}explains what is left: {_left_in_words(left)}"
                         + (f"; it looks like {name}" if name else ""))
             case _:
                 raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
-        return f"{text[0].upper()}{text[1:]}."
+        return f"{_capital(text)}."
+
+    def _not_looked_at(self) -> str:
+        """What a search that was cut short has still to look at."""
+        undone = Counter(self.found.undone)
+        told = [in_plain_words(name) + ("" if count == 1 else f" ({count} times)") for name, count in undone.items()]
+        listed = _listed([*told[:NAMED], *([f"{len(told) - NAMED} more"] if len(told) > NAMED else [])])
+        if not self.tried:
+            return f"none of the {len(self.model.effects)} hypotheses has been tried; still to be looked at: {listed}"
+        return f"still to be looked at: {listed}"
+
+    @property
+    def tried(self) -> tuple[str, ...]:
+        """Names of the hypotheses of the catalogue that were fitted to the recordings, best first."""
+        every = [*(each.explanation.hypothesis for each in self.found.final),
+                 *(each.hypothesis for each in self.found.candidates)]
+        return tuple(dict.fromkeys(each.name for each in every if each.effects))
 
     def _likeliest(self) -> tuple[str, float]:
         """The hypothesis that something is wrong with the best odds against nothing, and these."""
@@ -202,15 +264,19 @@ class Diagnosis(Shown):
     @property
     def findings(self) -> tuple[str, ...]:
         """What else is to be said, one sentence each."""
-        decision, result = self.conclusion.decision, []
+        decision, result = self.conclusion.decision, list[str]()
+        if self.provisional is not None:
+            result += self._so_far(self.provisional)
         if self.established:
             result.append(f"Beside that, {_left_in_words(self.left)}"
                           + (f"; it looks like something in the {self.left.region}." if self.left.region else "."))
-        result += [f"{each.effect.name} takes {100.0 * each.share:.3g} % of the mismatch."
-                   for each in self.established if len(self.established) > 1]
-        result += [f"A parameter of {each.effect.name} lies outside what is admissible: the sign of another cause."
+        result += [f"{_capital(_listed([in_plain_words(each.effect.name) for each in group]))} "
+                   f"{'takes' if len(group) == 1 else 'together take'} {100.0 * share:.3g} % of the mismatch."
+                   for group, share in self.shares if len(self.shares) > 1]
+        result += [f"A parameter of {in_plain_words(each.effect.name)} lies outside what is admissible: the sign of "
+                   "another cause."
                    for each in self.established if not each.admissible]
-        result += [f"The recordings cannot rule out {each.name}: odds of "
+        result += [f"The recordings cannot rule out {in_plain_words(each.name)}: odds of "
                    f"{math.exp(decision.log_odds[decision.chosen.name] - decision.log_odds[each.name]):.2g} against it."
                    for each in decision.rivals]
         if self.at_odds:
@@ -222,13 +288,35 @@ class Diagnosis(Shown):
                    for before, after in zip(self.base[count:], self.best[count:], strict=True)]
         result += [f"{name} stands for {' and '.join(others)} too, which are as long."
                    for name, others in self.campaign.tied.items() if name in self.campaign.known]
-        result += [f"Not looked at: {text}." for text in (*self.model.others, *self.found.undone)]
+        result += [f"Not looked at: {text}." for text in self.model.others]
+        result += [f"Not tried: {in_plain_words(each.name)}, because {each.reason}." for each in self.found.not_tried]
         return (*result, *refused_steps(self.model.fitted.refusals))
+
+    def _so_far(self, found: Diagnosis) -> Iterator[str]:
+        """Of a search that was cut short: what it found so far, which the rest may overturn."""
+        yield (f"Provisional: with the known parameters alone, {100.0 * self.left.rms:.2g} % of Z is left so far "
+               f"(rms of both parts; {_noise_in_words(self.left)}).")
+        tried = ", ".join(map(in_plain_words, self.tried))
+        if found.established:
+            told = "; ".join(_in_words(each) for each in found.established)
+            yield (f"Provisional: of what was tried ({tried}), best so far is {told}. What was not "
+                   "looked at may explain as much, or more.")
+        elif self.tried:
+            yield f"Provisional: of what was tried ({tried}), nothing explains it so far."
+        every = dict.fromkeys(map(in_plain_words, self.found.undone))
+        if len(every) > NAMED:
+            yield f"Not looked at: {', '.join(every)}."
+        yield f"This took {self.seconds:.0f} s; run it again with more time for a verdict."
 
     @property
     def next_measurement(self) -> str:
-        """What to measure next and what it is expected to tell; empty where nothing is open."""
-        return in_words(self.next_options, self.alive, self.criteria.rival)
+        """What to measure next and what it is expected to tell; empty where nothing is open, or not all looked at."""
+        if self.verdict == NOT_FINISHED:
+            return ""
+        alive = {each.explanation.hypothesis.name: each.explanation.hypothesis.effects for each in self.found.final}
+        told = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
+        compared = in_words(self.next_options, [in_plain_words(name) for name in self.alive], self.criteria.rival)
+        return " ".join(filter(None, (*told, compared)))
 
     def summary(self) -> Summary:
         """Headline, effects with their numbers, and findings, for a notebook."""
@@ -259,14 +347,35 @@ def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[E
     """Parameters by their names, as an explanation has them."""
     of = {name: model.parameters[model.index(name)] for name in names}
     return tuple(Estimate(name, *interval(model, found, name), p.unit, p.start, None if p.prior is None else
-                          (float(found.x[model.index(name)]) - p.start) / p.prior) for name, p in of.items())
+                          (float(found.x[model.index(name)]) - p.start) / p.prior, p.relative and not p.offset)
+                 for name, p in of.items())
 
 
 def _in_words(found: Established) -> str:
     """An effect with the values of its parameters."""
-    told = [f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
+    told = [f"{_short(each.name)} {100.0 * (each.value - 1.0):+.3g} % off what is stated" if each.relative else
+            f"{_short(each.name)} {each.shown[0]:.3g} {shown_unit(each.unit)}".strip()
             + (f" (stated: {each.shown[3]:.3g})" if each.stated else "") for each in found.estimates]
-    return f"{found.effect.name}: {_listed(told)}"
+    return f"{in_plain_words(found.effect.name)}: {_listed(told)}"
+
+
+def in_plain_words(name: str) -> str:
+    """The name of a hypothesis as it is read: without the sources of materials, and without joined words."""
+    return re.sub(r"(\w)/[\w@-]+", r"\1", name).replace("_", " ")
+
+
+def _of_what(name: str) -> str:
+    """A parameter as it is read: what of which thing, and in which state."""
+    parsed = ParameterName.parse(name)
+    owner = in_plain_words(parsed.owner)
+    if parsed.kind in (Kind.DIMENSION, Kind.BENCH):
+        owner = f"the {owner}"
+    return " of ".join(filter(None, [in_plain_words(parsed.local.replace(".", " ")), owner])) + (
+        f" in the state {parsed.state}" if parsed.state else "")
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _short(name: str) -> str:
@@ -279,6 +388,11 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _left_in_words(left: Left) -> str:
-    return (f"{100.0 * left.rms:.2g} % of Z is left (rms); noise is {100.0 * left.noise:.2g} %, and changes of "
+    return (f"{100.0 * left.rms:.2g} % of Z is left (rms of both parts); {_noise_in_words(left)}, and changes of "
             f"{100.0 * left.accuracy:.2g} % within parts, the accuracy of the model, may make "
             f"{100.0 * left.allows:.2g} %")
+
+
+def _noise_in_words(left: Left) -> str:
+    """The noise as it is stated, of the real and of the imaginary part, and what both leave together."""
+    return f"a noise of {100.0 * left.noise / math.sqrt(2.0):.2g} % leaves {100.0 * left.noise:.2g} %"

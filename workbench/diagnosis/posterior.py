@@ -32,6 +32,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr, ndtri
 
+from workbench.brief import Brief
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Local, Scales
@@ -61,8 +62,8 @@ class _Weighing(NamedTuple):
     log_determinant: float
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Brief):
     """The posterior of a hypothesis about the recordings of a campaign.
 
     Everywhere theta (k,) are the free parameters alone, those of :attr:`names`, in SI units (that of a ``relative``

@@ -49,15 +49,17 @@ def ranked(
     model = likelihood.model
     there = () if beside is None else beside.hypothesis.effects
     taken = {name for effect in there for name in effect.names}
-    search = likelihood.search_of_all()
+    # No inequality is looked at: those of one hypothesis must not hold all others up.
+    centre = np.array([p.start for p in model.parameters])
+    precision = np.array([0.0 if p.prior is None else 1.0 / p.prior for p in model.parameters])
     data = likelihood.objective.with_every(x)(x, deviation=likelihood.spreads(level))
     tangents, residual = data.jacobian, data.vector
     if beside is not None:
         whiten = likelihood.whitening(beside).whitened
         tangents, residual = whiten(tangents), whiten(residual)
     nuisances = np.array(sorted({*range(model.known), *(model.index(name) for name in taken)}))
-    offset = (x - search.centre) * search.precision
-    everything = _Imitated.by(tangents, residual, nuisances, search.precision, offset)
+    offset = (x - centre) * precision
+    everything = _Imitated.by(tangents, residual, nuisances, precision, offset)
     # What the known parameters leave where nothing is wrong besides.
     least = float(everything.left @ everything.left)
     found = []
@@ -65,7 +67,7 @@ def ranked(
         own = np.array([model.index(name) for name in effect.names])
         bounds = np.array([(model.parameters[i].low - x[i], model.parameters[i].high - x[i]) for i in own])
         imitated = everything if not effect.releases else _Imitated.by(
-            tangents, residual, np.setdiff1d(nuisances, own), search.precision, offset)
+            tangents, residual, np.setdiff1d(nuisances, own), precision, offset)
         found.append(_score(effect, tangents[:, own], imitated, least, bounds))
     return sorted(found, key=lambda score: -score.evidence)
 

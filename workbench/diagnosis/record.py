@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.decision import NOT_FINISHED
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.outcome import Diagnosis, Estimate
 from workbench.diagnosis.state import StateFit, state_record
@@ -78,9 +80,7 @@ def record(found: Diagnosis) -> dict[str, Any]:
     rivals = zip(decision.rivals, found.conclusion.rivals, strict=True)
     return {
         "campaign": found.campaign.name, "verdict": found.verdict, "headline": found.headline,
-        "effects": [
-            {"name": e.effect.name, "region": e.effect.region, "kind": e.effect.kind, "admissible": e.admissible,
-             "share": e.share, "parameters": {p.name: _estimate(p) for p in e.estimates}} for e in found.established],
+        "effects": _effects(found),
         "left": vars(found.left), "accuracy": found.left.accuracy,
         "moved_parameters": [{"name": p.name, "from": p.stated, "to": p.value, "unit": p.unit, "sigmas": p.sigmas}
                              for p in found.known],
@@ -103,8 +103,30 @@ def record(found: Diagnosis) -> dict[str, Any]:
                     "reduced_chi_square": float(np.mean(e.residual.vector**2))}
                    for settled in found.found.final for e in [settled.explanation]],
         "taken": [vars(taken) for taken in found.campaign.taken], "undone": list(found.found.undone),
+        "not_tried": [vars(each) for each in found.found.not_tried],
+        # Of a search that was cut short: what explains best of what it looked at.
+        "provisional": None if found.provisional is None else {"effects": _effects(found.provisional)},
         "findings": list(found.findings), "seconds": found.seconds, "full_solves": found.model.whole.solves,
     }
+
+
+def stopped_record(campaign: Campaign, seconds: float) -> dict[str, Any]:
+    """The content of ``diagnosis.json`` where a diagnosis was stopped after so many `seconds`, before its first result.
+    """
+    return {
+        "campaign": campaign.name, "verdict": NOT_FINISHED,
+        "headline": "Not finished: it was stopped before its first result, and nothing can be said of any hypothesis.",
+        "effects": [], "rivals": [], "provisional": None, "undone": ["everything"], "not_tried": [], "findings": [],
+        "read": {state.name: {"recording": state.measured.origin.source,
+                              "points": int(state.measured.frequency.size), "held_out": state.held_out}
+                 for state in campaign.states},
+        "taken": [vars(taken) for taken in campaign.taken], "seconds": seconds,
+    }
+
+
+def _effects(found: Diagnosis) -> list[dict[str, Any]]:
+    return [{"name": e.effect.name, "region": e.effect.region, "kind": e.effect.kind, "admissible": e.admissible,
+             "share": e.share, "parameters": {p.name: _estimate(p) for p in e.estimates}} for e in found.established]
 
 
 def _estimate(found: Estimate) -> dict[str, Any]:

@@ -57,7 +57,12 @@ def corners(model: Model, effect: Effect, x: Real) -> list[Real]:
 
 
 def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[Begun]:
-    """The sizes of an effect at x (p,) that leave least where the data weigh little, best first; none of no size."""
+    """The sizes of an effect at x (p,) that leave least where the data weigh little, best first.
+
+    Raises:
+        NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing can be predicted, or is admissible, at any
+            size; the reason is that of the first one.
+    """
     model, found = likelihood.model, dict[tuple[int, float], Begun]()
     hypothesis = Hypothesis((effect,))
     own = [model.index(name) for name in effect.names]
@@ -65,13 +70,15 @@ def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[Begun]:
     thin, spreads = search.on(search.objective.thinned(LOOKED_AT)), likelihood.spreads(LEVELS[0], every)
     free = np.setdiff1d(search.free, own)
     directions = list(ways(model, effect))
+    refused: list[Exception] = []
 
     def look(way: int, sizes: Sequence[float]) -> None:
         for size in sizes:
             place = _sized(model, effect, x, directions[way], size)
             try:
                 seen = thin.evaluate(place, spreads, free=frozenset(map(int, free)))
-            except NO_END:
+            except NO_END as error:
+                refused.append(error)
                 continue
             step = np.linalg.lstsq(seen.jacobian[:, free], -seen.vector, rcond=None)[0]
             found[way, size] = Begun(place, 0.5 * float(np.sum((seen.vector + seen.jacobian[:, free] @ step) ** 2)))
@@ -79,6 +86,8 @@ def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[Begun]:
     for way in range(len(directions)):
         look(way, SIZES)
     for _ in range(HALVED):
+        if not found and refused:
+            raise refused[0]
         if not found:
             return []
         way, size = min(found, key=lambda each: found[each].cost)

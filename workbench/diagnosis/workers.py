@@ -11,6 +11,8 @@ from typing import Any, Self
 
 from threadpoolctl import threadpool_limits
 
+from workbench.interruption import shielded
+
 #: The name of a method, and what it is given.
 Task = tuple[str, tuple[Any, ...]]
 
@@ -26,13 +28,14 @@ class Workers:
         context = multiprocessing.get_context("spawn")
         self._links: list[Connection] = []
         self._processes = []
-        for _ in range(count):
-            here, there = context.Pipe()
-            process = context.Process(target=_serve, args=(there, make, given), daemon=True)
-            process.start()
-            there.close()
-            self._links.append(here)
-            self._processes.append(process)
+        with shielded():
+            for _ in range(count):
+                here, there = context.Pipe()
+                process = context.Process(target=_serve, args=(there, make, given), daemon=True)
+                process.start()
+                there.close()
+                self._links.append(here)
+                self._processes.append(process)
 
     def __enter__(self) -> Self:
         return self

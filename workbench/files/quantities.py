@@ -15,7 +15,7 @@ VACUUM_PERMITTIVITY = 8.8541878128e-12
 #: Factor to SI of every unit accepted in a file, by dimension. Temperatures are handled in :func:`parse_quantity`.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
-    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9},
     "peak-to-peak voltage": {"Vpp": 1.0, "mVpp": 1e-3},
     "power": {"W": 1.0, "mW": 1e-3},
     "resistance": {"ohm": 1.0, "Ohm": 1.0, "mohm": 1e-3, "kohm": 1e3},
@@ -33,7 +33,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "diffusivity": {"m^2/s": 1.0},
     # A permittivity is held relative to that of free space, whichever way it is written.
     "permittivity": {"1": 1.0, "F/m": 1.0 / VACUUM_PERMITTIVITY, "nF/m": 1e-9 / VACUUM_PERMITTIVITY},
-    "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12},
+    "compliance": {"1/Pa": 1.0, "1/GPa": 1e-9, "1/TPa": 1e-12, "pm^2/N": 1e-24, "um^2/N": 1e-12,
+                   "m^2/N": 1.0, "1/MPa": 1e-6},
     "piezoelectric charge": {"C/N": 1.0, "pC/N": 1e-12, "m/V": 1.0, "pm/V": 1e-12},
     "thermal conductivity": {"W/(m K)": 1.0, "mW/(m K)": 1e-3},
     "heat capacity": {"J/(kg K)": 1.0, "kJ/(kg K)": 1e3},
@@ -42,13 +43,22 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "energy": {"J": 1.0, "fJ": 1e-15},
     "stiffness": {"N/m": 1.0, "pN/um": 1e-6},
     "temperature difference": {"K": 1.0},
+    "memory": {"B": 1.0, "MB": 1e6, "GB": 1e9, "TB": 1e12},
     "thermal resistance": {"K/W": 1.0},
     "dimensionless": {"1": 1.0, "%": 1e-2},
+    # A part of a whole: how noisy, how accurate, how exact. Without its sign nobody knows which of the two is meant.
+    "share": {"%": 1e-2, "ppm": 1e-6, "1": 1.0},
 }
 
 #: Characters that a text in the unit asked for first may be longer than in another (:func:`format_quantity`). Doubled,
 #: a rounding in the sixteenth digit still counts as a tail.
 SPARED = 6
+
+#: A number with a decimal comma.
+_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
+
+#: The unit that messages show of a dimension, where it is not the first one: nobody states a chip in metres.
+EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz"}
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
@@ -57,22 +67,30 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     """The SI value of a text such as ``"2.02 mm"``. `dimension` is a key of :data:`UNITS`.
 
     A bare number is refused unless the dimension is dimensionless: a length without its unit is the commonest
-    mistake in a chip file. Temperatures in degC are returned in kelvin.
+    mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin.
 
     Raises:
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
     """
     units = UNITS[dimension]
-    example, named = next(iter(units)), f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
+    example = EXAMPLES.get(dimension, next(iter(units)))
+    named = f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
     if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
         if not math.isfinite(text):
             raise InputError(source, field, text, "a finite number")
         return float(text)
+    if dimension == "share" and isinstance(text, int | float) and not isinstance(text, bool):
+        return _bare_share(text, float(text), source, field)
     if isinstance(text, bool) or not isinstance(text, str):
         raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
+    if _COMMA.match(text):
+        raise InputError(source, field, text,
+                         f'{named} with a decimal point, not a comma: "{text.replace(",", ".")}"')
     match = _NUMBER.match(text)
     if match is None:
         raise InputError(source, field, text, f'{named} with its unit, for example "1.5 {example}"')
+    if dimension == "share" and not match.group(2):
+        return _bare_share(text, float(match.group(1)), source, field)
     number, unit = float(match.group(1)), match.group(2) or ("1" if dimension == "dimensionless" else "")
     if unit not in units:
         expected = f"{named} in one of {', '.join(units)}"
@@ -80,6 +98,15 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     if not math.isfinite(number):
         raise InputError(source, field, text, "a finite number")
     return number + 273.15 if unit == "degC" else number * units[unit]
+
+
+def _bare_share(text: object, number: float, source: str, field: str) -> float:
+    """A share that is written without its sign: none at all, or a question."""
+    if number == 0.0:
+        return 0.0
+    # Both that it may mean, but for more than all.
+    meant = " or ".join(f'"{each:g} %"' for each in (number, 100.0 * number) if 0.0 < each < 100.0)
+    raise InputError(source, field, text, 'a share with its sign, such as "0.2 %"' + (f": {meant}?" if meant else ""))
 
 
 def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:

@@ -50,6 +50,7 @@ from workbench.files.errors import InputError, choose
 from workbench.files.tables import Table
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
+from workbench.interruption import shielded
 from workbench.parameter_names import Kind, ParameterName
 
 Real = NDArray[np.float64]
@@ -243,8 +244,9 @@ def run_commands(
                 label, command = waiting.pop(0)
                 report(label, "fitting")
                 words = stack.enter_context(tempfile.TemporaryFile("w+"))
-                running[label] = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words, text=True,
-                                                  env=surroundings), words
+                with shielded():
+                    running[label] = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=words, text=True,
+                                                      env=surroundings), words
             time.sleep(POLLING)
             for label, (process, stream) in list(running.items()):
                 status = process.poll()

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.brief import Brief
 from workbench.comparison import Comparison, compare
 from workbench.fitting import uncertainty
 from workbench.fitting.multistart import (
@@ -67,8 +68,8 @@ class Match:
     noise: Noise
 
 
-@dataclass(frozen=True, eq=False)
-class FitResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class FitResult(Brief):
     """What a fit found, and how far to trust it.
 
     ``estimates`` one for each free parameter, in their order; ``covariance`` (p, p) SI, prior included;

@@ -37,6 +37,7 @@ from scipy.optimize import minimize
 from geometry.names import TRANSDUCER
 from materials.conversions import young_and_poisson
 from materials.kinds import IsotropicSolid, Piezoelectric
+from workbench.brief import Brief
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.admissible import POISSON_RATIO, inequalities
 from workbench.fitting.objective import Recording
@@ -94,8 +95,8 @@ class Block:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class PaperFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class PaperFit(Brief):
     """What an algorithm of the paper found.
 
     ``values`` and ``start`` by full parameter name, SI, losses e^{-i w t}; ``resonance`` (Hz) the measured minimum of

@@ -19,6 +19,7 @@ from geometry.chip import Chip
 from geometry.names import TRANSDUCER
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
+from workbench.brief import Brief
 from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.files.errors import InputError, choose
 from workbench.fitting.objective import Recording
@@ -60,8 +61,8 @@ STRONG, FREQUENCY_FACTOR = 0.3, 2.0
 RADIAL_ROOT = 2.05
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prepared(Brief):
     """All that `joint.fit` is asked, and what it is about.
 
     ``material`` is the one whose coefficients are free, as it fills its region (with the chip's density for it), in
@@ -309,8 +310,8 @@ def _static_capacitances(measured: Spectrum, merit: Figures | None) -> list[floa
     # |Z| w C lies below one at resonances as far as above it at antiresonances.
     found = [float(np.exp(-np.mean(np.log(2.0 * np.pi * measured.frequency * measured.magnitude))))]
     anti: Antiresonance | None = None if merit is None else merit.antiresonance
-    if anti is not None and math.isfinite(anti.static_capacitance) and anti.static_capacitance > 0.0:
-        found.append(anti.static_capacitance)
+    if anti is not None and math.isfinite(anti.circuit_capacitance) and anti.circuit_capacitance > 0.0:
+        found.append(anti.circuit_capacitance)
     elif merit is not None:
         with suppress(ValueError, RuntimeError):
             found.append(fit_resonance(measured, "bvd").parameters["C0"].value)

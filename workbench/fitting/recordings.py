@@ -45,7 +45,7 @@ class NotAccepted(RuntimeError):
         self.reasons = reasons
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MaterialFit(Shown):
     """A material fitted to a recording.
 
@@ -84,7 +84,7 @@ class MaterialFit(Shown):
         return registry_entry(self.result, self.prepared, [self.source], date=datetime.now(UTC),
                               forced=bool(self.reasons_against), temperature=temperature)
 
-    def save(self, name: str, *, folder: Path | None = None, force: bool = False) -> str:
+    def save(self, name: str, *, folder: Path | str | None = None, force: bool = False) -> str:
         """Keep the material as the next version of `name` in a folder of materials, the user's own by default.
 
         Returns:
@@ -96,7 +96,7 @@ class MaterialFit(Shown):
         """
         if self.reasons_against and not force:
             raise NotAccepted(self.reasons_against)
-        return save(self.material, name, folder=user_folder() if folder is None else folder)
+        return save(self.material, name, folder=user_folder() if folder is None else Path(folder))
 
     def summary(self) -> Summary:
         """Values with their intervals and what speaks against the fit, for a notebook."""

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from geometry.names import TRANSDUCER
 from materials.kinds import Piezoelectric
+from workbench.brief import Brief
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.parameter import coefficients_of
 from workbench.fitting.predict import Predictor
@@ -66,8 +67,8 @@ class Rank:
     kept: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(Brief):
     """What Algorithm 1 found.
 
     ``names`` (p) full names of the parts, ``.loss`` for imaginary ones; ``baseline`` (p,) SI; ``scalings`` (s,);

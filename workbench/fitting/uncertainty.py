@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
+from workbench.brief import Brief
 from workbench.comparison import Comparison
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter
@@ -99,8 +100,8 @@ class BandLeftOut:
     predicted_rms: float
 
 
-@dataclass(frozen=True, eq=False)
-class FitUncertainty:
+@dataclass(frozen=True, eq=False, repr=False)
+class FitUncertainty(Brief):
     """Estimates with intervals, their covariance (p, p) in SI, undetermined directions and findings in words."""
 
     estimates: tuple[ParameterEstimate, ...]

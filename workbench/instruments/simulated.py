@@ -63,7 +63,7 @@ class SimulatedBench:
     def __init__(
         self, device: Device, *, circuit: Circuit = TYPICAL, errors: Errors = USUAL_ERRORS, drift: Drift = NO_DRIFT,
         frequency_error: float = 5e-6, generator_model: str = "FY3224S", oscilloscope_model: str = "TDS 2024B",
-        probes: tuple[int, int] = (10, 10), seed: int = 0, pace: float = 0.0, folder: Path | None = None,
+        probes: tuple[int, int] = (10, 10), seed: int = 0, pace: float = 0.0, folder: Path | str | None = None,
     ) -> None:
         self._device = device
         self._circuit = circuit
@@ -71,7 +71,7 @@ class SimulatedBench:
         self._frequency_error = frequency_error
         self._probes = probes
         self._pace = pace
-        self._folder = folder
+        self._folder = None if folder is None else Path(folder)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._clock = 0.0
         self._lock = threading.RLock()

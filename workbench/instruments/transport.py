@@ -29,8 +29,9 @@ ATTEMPTS = 3
 #: A reply that has not ended after so many bytes is not a reply.
 LONGEST_LINE = 4096
 
-#: Replies to earlier questions that may still be under way when a link looks for its place.
-LONGEST_BACKLOG = 20
+#: Lines that may still be under way when a link looks for its place: replies to earlier questions, or the pieces of a
+#: block of samples, one byte in 128 of which looks like an end of a line.
+LONGEST_BACKLOG = 40
 
 Reply = TypeVar("Reply")
 
@@ -253,7 +254,10 @@ class Query:
 
 
 class Link:
-    """A dialogue in lines of ASCII text ended by LF.
+    """A dialogue in lines of ASCII text ended by LF; replies may end with CR or CRLF too, or with nothing.
+
+    A reply without an end is taken for whole when what came is a reply and comes alike when it is asked for again: some
+    firmware leaves the end out, and a reply that was cut short is not cut twice at one place.
 
     ``hello`` is the question an instrument answers with its identification; ``timeout`` (s) is how long nothing may
     come while a reply is awaited; ``pause`` (s) is kept after every command.
@@ -265,6 +269,11 @@ class Link:
         self._timeout = timeout
         self._pause = pause
         self._received = b""
+        #: Whether the second byte of a CRLF is still to come.
+        self._ended = False
+        #: The last reply without an end by command, and the commands whose replies have none.
+        self._cut: dict[str, bytes] = {}
+        self._endless: set[str] = set()
 
     @property
     def name(self) -> str:
@@ -289,7 +298,7 @@ class Link:
         """The `count` bytes of a definite-length block (IEEE 488.2: ``#``, digits, bytes, LF), asked like :meth:`ask`.
 
         Raises:
-            Silence: too few bytes. InstrumentError: another count announced, or no LF behind the last byte.
+            Silence: too few bytes. InstrumentError: another count announced, or no end behind the last byte.
         """
         length = str(count)
         header = f"#{len(length)}{length}".encode("ascii")
@@ -298,10 +307,15 @@ class Link:
             got = self._exactly(len(header), command)
             if got != header:
                 raise self._wrong(command, f"a block of {count} bytes, beginning {header!r}", got)
-            data = self._exactly(count + 1, command)
-            if data[-1:] != b"\n":
-                raise self._wrong(command, f"LF after {count} bytes", data[-1:])
-            return data[:-1]
+            data = self._exactly(count, command)
+            try:
+                end = self._exactly(1, command)
+            except Silence:
+                return data  # whole by its length
+            if end not in (b"\n", b"\r"):
+                raise self._wrong(command, f"LF after {count} bytes", end)
+            self._skip_end(end)
+            return data
 
         return self._attempt(command, block)
 
@@ -327,6 +341,9 @@ class Link:
                         return found
                     came.append(line)
             except Silence:
+                found = self._without_end(self._hello)
+                if found is not None:
+                    return found
                 if self._received:
                     came.append(self._received)
             except InstrumentError:
@@ -354,19 +371,46 @@ class Link:
         raise AssertionError("ATTEMPTS is positive")
 
     def _matching(self, query: Query) -> re.Match[str]:
-        line = self._line(query.command)
+        try:
+            line = self._line(query.command)
+        except Silence:
+            found = self._without_end(query)
+            if found is None:
+                raise
+            return found
         found = query.reply.fullmatch(_text(line))
         if found is None:
             raise self._wrong(query.command, query.expected, line)
         return found
 
+    def _without_end(self, query: Query) -> re.Match[str] | None:
+        """What came and has no end, if it is a reply to `query` and came alike before."""
+        found = query.reply.fullmatch(_text(self._received))
+        if found is None:
+            return None
+        if query.command not in self._endless and self._cut.get(query.command) != self._received:
+            self._cut[query.command] = self._received
+            return None
+        self._endless.add(query.command)
+        self._received = b""
+        return found
+
     def _line(self, command: str) -> bytes:
-        while b"\n" not in self._received:
+        while True:
+            found = re.search(rb"[\r\n]", self._received)
+            if found is not None:
+                line, self._received = self._received[:found.start()], self._received[found.end():]
+                self._skip_end(found[0])
+                return line
             if len(self._received) > LONGEST_LINE:
                 raise self._wrong(command, f"a line of at most {LONGEST_LINE} bytes", self._received)
             self._receive(command, "a line ended by LF")
-        line, _, self._received = self._received.partition(b"\n")
-        return line.removesuffix(b"\r")
+
+    def _skip_end(self, end: bytes) -> None:
+        """Drop the LF behind a CR, which may come later."""
+        self._ended = end == b"\r" and not self._received
+        if end == b"\r":
+            self._received = self._received.removeprefix(b"\n")
 
     def _exactly(self, count: int, command: str) -> bytes:
         while len(self._received) < count:
@@ -379,6 +423,8 @@ class Link:
         if not more:
             raise Silence(f"{self.name}: sent {command!r}; expected {expected}; {_came(self._received)} and nothing "
                           f"more within {self._timeout:g} s")
+        if self._ended:
+            more, self._ended = more.removeprefix(b"\n"), False
         self._received += more
 
     def _wrong(self, command: str, expected: str, came: bytes) -> InstrumentError:
@@ -386,7 +432,7 @@ class Link:
 
 
 def _text(line: bytes) -> str:
-    return line.decode("latin-1")
+    return line.decode("latin-1").strip(" \t\0")
 
 
 def _came(data: bytes) -> str:

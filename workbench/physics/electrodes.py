@@ -20,3 +20,19 @@ class Electrodes(Term):
 
     def conditions(self) -> tuple[Condition, ...]:
         return (Condition("phi", self.ground), Condition("phi", self.live, live=True))
+
+
+@dataclass(frozen=True)
+class ShortCircuit(Term):
+    """phi = 0 on a ``boundary`` of a piezoelectric layer that is not driven: all of its surface is one electrode, at
+    ground.
+
+    Inside, the layer is piezoelectric in full: a wave whose field turns its sign across it is stiffened, one that is
+    uniform over its thickness meets the stiffness at constant field. Without piezoelectric constants the potential is
+    zero and the layer a transversely isotropic elastic solid.
+    """
+
+    boundary: str
+
+    def conditions(self) -> tuple[Condition, ...]:
+        return (Condition("phi", self.boundary),)

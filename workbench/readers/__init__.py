@@ -4,9 +4,9 @@
     reading.spectrum, reading.findings
 
 A table whose headings say what its columns are needs no more; of one whose headings do not, :func:`read_recording` asks
-for a column map, and proposes one. A file that cannot be trusted (cut short, out of order, not a number) is an
-`InputError` with the line. A file that can be read but contradicts physics gives findings, and is corrected only on
-request.
+for a column map, and proposes one. A file that cannot be trusted (cut short, not a number) is an `InputError` with the
+line. A sweep in another order than that of frequency is put in order, with a finding. A file that can be read but
+contradicts physics gives findings, and is corrected only on request.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING
 from workbench.files.errors import InputError, choose
 from workbench.notebook import Shown, Summary
 from workbench.readers import columns as _columns
-from workbench.readers import e4990a, headed, hp4294a, touchstone, workbench_csv
+from workbench.readers import e4990a, headed, hp4294a, instruments, labone, touchstone, workbench_csv
 from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
 from workbench.readers.findings import Finding, examine
 from workbench.readers.quantities import Quantity
+from workbench.readers.sweep import Recorded
 from workbench.readers.text import RecordingText, load, refuse_waveform
 from workbench.spectrum import Spectrum, corrected
 
@@ -39,20 +40,27 @@ class Format:
 
     description: str
     recognises: Callable[[RecordingText], bool]
-    parse: Callable[[RecordingText], Spectrum]
+    parse: Callable[[RecordingText], Recorded]
 
 
 FORMATS: Mapping[str, Format] = {
     "workbench": Format("the workbench's own CSV", workbench_csv.recognises, workbench_csv.parse),
     "e4990a": Format("Keysight/Agilent E4990A CSV", e4990a.recognises, e4990a.parse),
     "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises, hp4294a.parse),
-    "touchstone": Format("Touchstone .s1p", touchstone.recognises, touchstone.parse),
+    "touchstone": Format("Touchstone .s1p, .s2p, .ts", touchstone.recognises, touchstone.parse),
+    "labone": Format("Zurich Instruments LabOne sweep", labone.recognises, labone.parse),
+    **{name: Format(f"{instrument.name} table", instruments.recogniser(name), instruments.parser(name))
+       for name, instrument in instruments.INSTRUMENTS.items()},
+    "lines": Format("a table with one quantity a line", labone.recognises_lines, labone.parse_lines),
     # The last, since it takes whatever has three columns of numbers.
     "table": Format("a table whose headings say what its columns are", headed.recognises, headed.parse),
 }
 
+#: Findings of the reading itself, which a correction of the spectrum leaves as they are.
+_EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "stretch", "magnitude", "frequency"})
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Reading(Shown):
     """A spectrum as recorded and what was noticed in it."""
 
@@ -78,10 +86,11 @@ class Reading(Shown):
     def corrected(self, correction: str) -> Reading:
         """The reading with its spectrum put right by "negate" or "conjugate", noted in the origin, and re-examined."""
         spectrum = corrected(self.spectrum, correction)
-        return Reading(spectrum, examine(spectrum))
+        kept = tuple(finding for finding in self.findings if finding.code not in _EXAMINED)
+        return Reading(spectrum, (*kept, *examine(spectrum)))
 
 
-def detect(path: Path) -> str:
+def detect(path: Path | str) -> str:
     """The name of the file's format, a key of :data:`FORMATS`.
 
     Raises:
@@ -108,11 +117,12 @@ def read_recording(
     text = load(Path(path))
     refuse_waveform(text)
     if columns is not None:
-        spectrum = _columns.parse(text, columns)
+        found = _columns.parse(text, columns)
     else:
         name = _detect(text) if format is None else choose(format, FORMATS, source=text.path, field="format")
-        spectrum = FORMATS[name].parse(text)
-    reading = Reading(spectrum, examine(spectrum, shunt_gain=columns is not None and columns.quantity.kind == "gain"))
+        found = FORMATS[name].parse(text)
+    gain = columns is not None and columns.quantity.kind == "gain"
+    reading = Reading(found.spectrum, (*found.findings, *examine(found.spectrum, shunt_gain=gain)))
     return reading if correction is None else reading.corrected(correction)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workbench.spectrum import Spectrum
 
@@ -12,6 +13,11 @@ from workbench.spectrum import Spectrum
 #: 20 Hz; 25 milliohm to 40 megohm), with a margin: outside, a unit has probably been misread.
 PLAUSIBLE_OHM = (1e-3, 1e9)
 PLAUSIBLE_HZ = 20.0
+
+#: A step between two points is out of line if a mirror image of one side fits the other better by the first of these
+#: factors (squares of second differences), the other end of such a stretch if it fits better by the second, and if the
+#: misfit is the third as large as usual in the file (median). Doubled, flips at coarsely sampled resonances go unseen.
+OUT_OF_LINE = (8.0, 2.0, 6.0)
 
 
 @dataclass(frozen=True)
@@ -30,13 +36,26 @@ def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, .
     - ``conjugated``: the reflection coefficient turns anticlockwise with rising frequency. Foster's reactance
       theorem, dX/dw >= |X|/w for a lossless one-port, makes it turn clockwise, for an inductor as for a capacitor or
       a resonator, so a genuine inductor is not accused.
+    - ``stretch``: some points do not join their neighbours, as if their sign were turned. Then no correction is
+      advised, since each applies to every point.
     - ``magnitude``, ``frequency``: values no analyser of this kind reaches.
     """
     findings: list[Finding] = []
     resistance = spectrum.impedance.real
     active = int(np.count_nonzero(resistance < 0.0))
     points = len(resistance)
-    if active >= 0.9 * points:
+    stretches = _stretches(spectrum)
+    if stretches:
+        places = " and ".join(
+            f"{begin + 1} to {end} ({spectrum.frequency[begin]:.9g} to {spectrum.frequency[end - 1]:.9g} Hz)"
+            if end - begin > 1 else f"{begin + 1} ({spectrum.frequency[begin]:.9g} Hz)" for begin, end in stretches)
+        findings.append(Finding("stretch", f"points {places} do not join their neighbours, as if a sign were turned "
+                                "there: look at them in the file, or measure again; no correction mends them, since "
+                                "each turns every point"))
+        if active:
+            findings.append(Finding("active", f"Re Z < 0 at {active} of {points} points: a passive device cannot do "
+                                    "so"))
+    elif active >= 0.9 * points:
         if shunt_gain:
             findings.append(Finding("inverse_ratio", f"Re Z < 0 at {active} of {points} points: the gain is "
                                     "probably the inverse ratio; read with inverse=True (or False if it was set)"))
@@ -59,6 +78,73 @@ def examine(spectrum: Spectrum, *, shunt_gain: bool = False) -> tuple[Finding, .
         findings.append(Finding("frequency", f"the highest frequency is {spectrum.frequency[-1]:.6g} Hz: is the unit "
                                 "right?"))
     return tuple(findings)
+
+
+def _stretches(spectrum: Spectrum) -> list[tuple[int, int]]:
+    """Where (index of the first point, index behind the last) points stand that a mirror image would join to the rest.
+
+    The mirror images are those that a sign turned in an instrument makes: of Im S or Im Z, of Re S, of S, of Re Z and
+    of Z. Between smooth data and such an image the second difference of the reflection coefficient breaks at both ends
+    of the stretch, and is small there once the stretch is mirrored back.
+    """
+    points = len(spectrum.frequency)
+    if points < 6:
+        return []
+    # A recording of reversed polarity passes the pole of its reflection coefficient; its negative does not.
+    reversed_ = np.count_nonzero(spectrum.impedance.real < 0.0) > 0.5 * points
+    impedance = -spectrum.impedance if reversed_ else spectrum.impedance
+    best: list[tuple[int, int]] = []
+    least = np.inf
+    for z0 in (50.0, float(np.exp(np.mean(np.log(spectrum.magnitude))))):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value: NDArray[np.complex128] = np.asarray((impedance - z0) / (impedance + z0))
+            if not np.all(np.isfinite(value)) or np.any(value == 0.0):
+                continue
+            images: tuple[NDArray[np.complex128], ...] = (
+                np.conj(value), -np.conj(value), -value, np.asarray(1.0 / value), np.asarray(1.0 / np.conj(value)))
+        for image in images:
+            found, left = _turned(value, image)
+            if found and left < least:
+                best, least = found, left
+    return best
+
+
+def _turned(value: NDArray[np.complex128], image: NDArray[np.complex128]) -> tuple[list[tuple[int, int]], float]:
+    """The stretches of `value` (n,) that `image` (n,) would join to the rest, and the roughness left then."""
+    points = len(value)
+    usual = float(np.median(np.abs(np.diff(value, 2)) ** 2))
+
+    def misfit(left: NDArray[np.complex128], right: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """Squares of the second differences across every step between `left` and `right`, (n - 3,)."""
+        return np.asarray(np.abs(left[:-3] - 2.0 * left[1:-2] + right[2:-1]) ** 2
+                          + np.abs(left[1:-2] - 2.0 * right[2:-1] + right[3:]) ** 2)
+
+    plain, mirrored = misfit(value, value), misfit(value, image)
+    factor, weaker, rough = OUT_OF_LINE
+    gain = plain / np.maximum(mirrored, 1e-300)
+    if not np.any((gain > factor) & (plain > 2.0 * rough * usual)):
+        return [], np.inf
+    # Near the axis of the mirror both steps about a point may fit: the one that fits best is meant.
+    most = (gain >= np.concatenate((gain[1:], [0.0]))) & (gain > np.concatenate(([0.0], gain[:-1])))
+    places = np.flatnonzero((gain > weaker) & (plain > 2.0 * usual) & most)
+    if len(places) % 2 and len(places) > 1:
+        places = np.delete(places, np.argmin(gain[places]))
+    ends = (places + 2).tolist()
+    if len(ends) == 1:
+        # One end: the shorter side is turned. A sharp resonance between two points looks a little like it.
+        if gain[places[0]] < factor**2:
+            return [], np.inf
+        ends = [ends[0], points] if ends[0] > points / 2 else [0, ends[0]]
+    if sum(ends[1::2]) - sum(ends[::2]) > points / 2:
+        # The larger part is what the rest does not join.
+        ends = [0, *ends, points]
+    found = [(begin, end) for begin, end in zip(ends[::2], ends[1::2], strict=True) if begin < end]
+    mended = value.copy()
+    for begin, end in found:
+        mended[begin:end] = image[begin:end]
+    rest = float(np.sum(np.abs(np.diff(mended, 2)) ** 2))
+    whole = float(np.sum(np.abs(np.diff(value, 2)) ** 2))
+    return (found, rest / whole) if rest * 3.0 < whole else ([], np.inf)
 
 
 def _turns_anticlockwise(spectrum: Spectrum) -> bool:

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.readers.quantities import Quantity
-from workbench.readers.text import RecordingText, Rows, cells, check_frequencies, check_impedance, numbers
-from workbench.spectrum import Origin, Spectrum
+from workbench.readers.sweep import Recorded, in_order
+from workbench.readers.text import RecordingText, Rows, cells, numbers
+from workbench.spectrum import Origin
 
 PARAMETERS: Mapping[str, Quantity] = {
     "IMPEDANCE MAG PHASE (DEG)": Quantity("impedance", "polar", "ohm", "deg"),
@@ -34,7 +35,7 @@ def recognises(text: RecordingText) -> bool:
     return text.lines[0].lstrip('"').startswith("4294A")
 
 
-def parse(text: RecordingText) -> Spectrum:
+def parse(text: RecordingText) -> Recorded:
     """Read the file.
 
     Raises:
@@ -54,18 +55,16 @@ def parse(text: RecordingText) -> Spectrum:
     if not declared.isdigit():
         raise text.error(line, None, declared, "a whole number of points")
     first, second = (_trace(text, name, int(declared)) for name in "AB")
-    check_frequencies(text, first.values[:, 0], first.lines, column=1)
     differs = first.values[:, 0] != second.values[:, 0]
     if np.any(differs):
         index = int(np.argmax(differs))
         raise text.error(second.lines[index], 1, float(second.values[index, 0]),
                          f"the frequency of trace A, {first.values[index, 0]:.12g} Hz (line {first.lines[index]})")
     impedance = quantity.impedance(_real(text, first), _real(text, second))
-    check_impedance(text, impedance, first.lines)
     settings = {key.lower(): value for key, (value, _) in header.items() if key not in ("DATE", "TRACE", "FORMAT")}
     date = header["DATE"][0] if "DATE" in header else ""
     origin = Origin("measured", text.path, text.sha256, text.lines[0].strip().strip('"'), date, settings)
-    return Spectrum(first.values[:, 0], impedance, None, origin)
+    return in_order(text, first.values[:, 0], impedance, lines=first.lines, column=1, origin=origin)
 
 
 def _header(text: RecordingText) -> dict[str, tuple[str, int]]:

@@ -11,21 +11,54 @@ from numpy.typing import NDArray
 #: Factor to SI of the units a magnitude, real part or imaginary part may have, by quantity; "dB" is 20 log10 of SI.
 MAGNITUDE_UNITS: Mapping[str, Mapping[str, float]] = {
     "impedance": {"ohm": 1.0, "mohm": 1e-3, "kohm": 1e3, "Mohm": 1e6},
-    "admittance": {"S": 1.0, "mS": 1e-3, "uS": 1e-6},
+    "admittance": {"S": 1.0, "mS": 1e-3, "uS": 1e-6, "nS": 1e-9},
     "gain": {"1": 1.0},
+    "reflection": {"1": 1.0, "%": 1e-2},
+    "transmission": {"1": 1.0, "%": 1e-2},
+    "circuit": {},
 }
 PHASE_UNITS: Mapping[str, float] = {"deg": np.pi / 180.0, "rad": 1.0}
+_CAPACITANCE = {"F": 1.0, "mF": 1e-3, "uF": 1e-6, "nF": 1e-9, "pF": 1e-12}
+_INDUCTANCE = {"H": 1.0, "mH": 1e-3, "uH": 1e-6, "nH": 1e-9}
+#: Factor to SI of the units of an element of an equivalent circuit, by its symbol: series (s) and parallel (p)
+#: capacitance, inductance and resistance, conductance, dissipation factor and quality factor.
+ELEMENT_UNITS: Mapping[str, Mapping[str, float]] = {
+    "Cp": _CAPACITANCE, "Cs": _CAPACITANCE, "Lp": _INDUCTANCE, "Ls": _INDUCTANCE,
+    "Rp": MAGNITUDE_UNITS["impedance"], "Rs": MAGNITUDE_UNITS["impedance"], "X": MAGNITUDE_UNITS["impedance"],
+    "G": MAGNITUDE_UNITS["admittance"], "B": MAGNITUDE_UNITS["admittance"], "D": {"1": 1.0, "%": 1e-2},
+    "Q": {"1": 1.0},
+}
+#: What of a series and of a parallel circuit is reactive and what is lossy. D and Q belong to either.
+SERIES = (("Cs", "Ls", "X"), ("Rs", "D", "Q"))
+PARALLEL = (("Cp", "Lp", "B"), ("Rp", "G", "D", "Q"))
+#: Pairs of elements that are one impedance, the reactive one first; either order of a pair is read. Rs with X and G
+#: with B are an impedance and an admittance in rectangular form.
+CIRCUITS = tuple(f"{one}-{two}" for reactive, lossy in (PARALLEL, SERIES) for one in reactive for two in lossy
+                 if (one, two) not in (("X", "Rs"), ("B", "G")))
+CONFIGURATIONS = ("series", "shunt")
+#: Reference resistance of reflection and transmission where a file states none (ohm): that of nearly every analyser.
+REFERENCE_OHM = 50.0
 
 
 @dataclass(frozen=True)
 class Quantity:
     """What two columns of numbers mean.
 
-    ``kind``: "impedance", "admittance" or "gain"; ``form``: "polar" (magnitude, phase) or "rectangular" (real,
-    imaginary); ``unit``: a unit of :data:`MAGNITUDE_UNITS` or, in polar form, "dB"; ``phase_unit``: "deg" or "rad".
-    ``negated`` if the second column is minus the phase or minus the imaginary part.
+    ``kind``: "impedance", "admittance", "gain", "reflection", "transmission" or "circuit"; ``form``: "polar"
+    (magnitude, phase), "rectangular" (real, imaginary) or "complex" (both in one cell); ``unit``: a unit of
+    :data:`MAGNITUDE_UNITS` or, in polar form, "dB"; ``phase_unit``: "deg" or "rad". ``negated`` if the second column is
+    minus the phase or minus the imaginary part.
+
     A gain is that of a shunt divider: the voltage across a reference resistor in series with the specimen over the
     voltage across both, H = R / (R + Z); ``inverse`` if the file gives the ratio the other way up.
+    A reflection is S11 = (Z - R) / (Z + R) at ``reference_resistance`` R, 50 ohm unless stated. A transmission is S21
+    between two ports of R with the specimen in the ``configuration`` "shunt" (from the line to ground, 2 Z / (2 Z + R))
+    or "series" (in the line, 2 R / (2 R + Z)).
+    A circuit is a pair of :data:`CIRCUITS`, in the order of the columns: the ``form`` is then its name, such as
+    "Cp-D", ``unit`` that of the first column and ``second_unit`` that of the second.
+
+    Raises:
+        ValueError: a word or unit that is none of these, or an entry that does not belong to the kind.
     """
 
     kind: str
@@ -35,38 +68,127 @@ class Quantity:
     reference_resistance: float | None = None
     inverse: bool = False
     negated: bool = False
+    configuration: str = ""
+    second_unit: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in MAGNITUDE_UNITS:
             raise ValueError(f"quantity {self.kind!r} is not one of {', '.join(MAGNITUDE_UNITS)}")
-        if self.form not in ("polar", "rectangular"):
-            raise ValueError(f"form {self.form!r} is not one of polar, rectangular")
-        units = (*MAGNITUDE_UNITS[self.kind], *(["dB"] if self.form == "polar" else []))
-        if self.unit not in units:
-            raise ValueError(f"unit {self.unit!r} of {self.kind} ({self.form}) is not one of {', '.join(units)}")
+        if self.kind == "circuit":
+            self._check_circuit()
+        else:
+            if self.form not in ("polar", "rectangular", "complex"):
+                raise ValueError(f"form {self.form!r} is not one of polar, rectangular, complex")
+            units = (*MAGNITUDE_UNITS[self.kind], *(["dB"] if self.form == "polar" else []))
+            if self.unit not in units:
+                raise ValueError(f"unit {self.unit!r} of {self.kind} ({self.form}) is not one of {', '.join(units)}")
+            if self.second_unit:
+                raise ValueError("a second unit belongs to a circuit; that of a phase is phase_unit")
         if self.phase_unit not in PHASE_UNITS:
             raise ValueError(f"phase unit {self.phase_unit!r} is not one of {', '.join(PHASE_UNITS)}")
-        if (self.kind == "gain") != (self.reference_resistance is not None):
-            raise ValueError("a reference resistance (ohm) belongs to a gain, and only to a gain")
+        if self.kind in ("reflection", "transmission"):
+            if self.reference_resistance is None:
+                object.__setattr__(self, "reference_resistance", REFERENCE_OHM)
+        elif (self.kind == "gain") != (self.reference_resistance is not None):
+            raise ValueError("a reference resistance (ohm) belongs to a gain, a reflection or a transmission, and to a "
+                             "gain always")
         if self.reference_resistance is not None and not 0.0 < self.reference_resistance < np.inf:
             raise ValueError(f"reference resistance {self.reference_resistance} ohm must be finite and positive")
         if self.inverse and self.kind != "gain":
             raise ValueError("only a gain can be given as the inverse ratio")
+        if (self.kind == "transmission") != (self.configuration in CONFIGURATIONS):
+            raise ValueError(f"configuration {self.configuration!r}: a transmission, and nothing else, has the "
+                             f"specimen in {' or '.join(CONFIGURATIONS)}")
 
-    def impedance(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Z (n,) ohm from the two columns; infinite where the quantity leaves nothing else (admittance zero)."""
+    def _check_circuit(self) -> None:
+        one, _, two = self.form.partition("-")
+        if self.form not in CIRCUITS and f"{two}-{one}" not in CIRCUITS:
+            raise ValueError(f"circuit {self.form!r} is not one of {', '.join(CIRCUITS)}")
+        for symbol, unit in ((one, self.unit), (two, self.second_unit or next(iter(ELEMENT_UNITS[two])))):
+            if unit not in ELEMENT_UNITS[symbol]:
+                raise ValueError(f"unit {unit!r} of {symbol} is not one of {', '.join(ELEMENT_UNITS[symbol])}")
+        if self.negated:
+            raise ValueError("an element of a circuit has no negated second column")
+        if not self.second_unit:
+            object.__setattr__(self, "second_unit", next(iter(ELEMENT_UNITS[two])))
+
+    def impedance(
+        self, first: NDArray[np.float64], second: NDArray[np.float64], frequency: NDArray[np.float64] | None = None
+    ) -> NDArray[np.complex128]:
+        """Z (n,) ohm from the two columns; infinite where the quantity leaves nothing else (admittance zero).
+
+        Raises:
+            ValueError: a circuit without its `frequency` (n,) Hz.
+        """
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if self.kind == "circuit":
+                if frequency is None:
+                    raise ValueError(f"a circuit ({self.form}) is an impedance only at a frequency")
+                return self._circuit(first, second, 2.0 * np.pi * frequency)
+            value = self._value(first, second)
+            resistance = self.reference_resistance or 0.0
+            match self.kind:
+                case "impedance":
+                    return np.asarray(value)
+                case "admittance":
+                    return np.asarray(1.0 / value)
+                case "gain":
+                    ratio = value if self.inverse else 1.0 / value
+                    return np.asarray(resistance * (ratio - 1.0))
+                case "reflection":
+                    return np.asarray(resistance * (1.0 + value) / (1.0 - value), dtype=np.complex128)
+                case "transmission":
+                    if self.configuration == "shunt":
+                        return np.asarray(0.5 * resistance * value / (1.0 - value))
+                    return np.asarray(2.0 * resistance * (1.0 - value) / value)
+        raise AssertionError(self.kind)  # held by __post_init__
+
+    def unsigned_losses(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
+        """Whether D or Q is written without the sign of the reactance, which some meters do: it is positive at most of
+        the points (n,) at which the reactive element is negative, and there are such points."""
+        if self.kind != "circuit":
+            return False
+        (reactive, size), (lossy, losses) = self._elements(first, second)
+        if lossy not in ("D", "Q") or reactive in ("X", "B"):
+            return False
+        other = size < 0.0
+        return 2 * int(np.count_nonzero(losses[other] > 0.0)) > max(int(np.count_nonzero(other)), 1)
+
+    def _value(self, first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.complex128]:
         factor = MAGNITUDE_UNITS[self.kind].get(self.unit, 1.0)
         second = -second if self.negated else second
         if self.form == "polar":
             magnitude = 10.0 ** (first / 20.0) if self.unit == "dB" else first * factor
-            value = magnitude * np.exp(1j * PHASE_UNITS[self.phase_unit] * second)
+            return np.asarray(magnitude * np.exp(1j * PHASE_UNITS[self.phase_unit] * second))
+        return np.asarray(factor * (first + 1j * second))
+
+    def _elements(
+        self, first: NDArray[np.float64], second: NDArray[np.float64]
+    ) -> tuple[tuple[str, NDArray[np.float64]], tuple[str, NDArray[np.float64]]]:
+        """Symbol and SI values of the reactive element and of the lossy one."""
+        one, _, two = self.form.partition("-")
+        pair = ((one, first * ELEMENT_UNITS[one][self.unit]), (two, second * ELEMENT_UNITS[two][self.second_unit]))
+        return pair if self.form in CIRCUITS else (pair[1], pair[0])
+
+    def _circuit(
+        self, first: NDArray[np.float64], second: NDArray[np.float64], omega: NDArray[np.float64]
+    ) -> NDArray[np.complex128]:
+        (reactive, size), (lossy, losses) = self._elements(first, second)
+        imaginary = {"Cp": omega * size, "Lp": -1.0 / (omega * size), "B": size, "Cs": -1.0 / (omega * size),
+                     "Ls": omega * size, "X": size}[reactive]
+        if lossy in ("D", "Q"):
+            # D is the real part over the reactive one as the meter signs it: w Cp for a capacitance, w Ls for an
+            # inductance, and the size of it where the meter gives D no sign.
+            of = imaginary if reactive in ("Cp", "Ls", "X", "B") else -imaginary
+            if self.unsigned_losses(first, second):
+                of = np.abs(of)
+            if reactive in ("X", "B"):
+                # Some meters sign D with the kind of the reactance. A passive device has losses of either kind.
+                of = np.abs(of)
+                signed = any(np.any(side) and np.mean(losses[side] < 0.0) > 0.5 for side in (size < 0.0, size > 0.0))
+                losses = np.abs(losses) if signed else losses
+            real = of * losses if lossy == "D" else of / losses
         else:
-            value = factor * (first + 1j * second)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if self.kind == "impedance":
-                return np.asarray(value)
-            if self.kind == "admittance":
-                return np.asarray(1.0 / value)
-            assert self.reference_resistance is not None  # held by __post_init__
-            ratio = value if self.inverse else 1.0 / value
-            return np.asarray(self.reference_resistance * (ratio - 1.0))
+            real = 1.0 / losses if lossy == "Rp" else losses
+        value = real + 1j * imaginary
+        return np.asarray(1.0 / value if reactive in PARALLEL[0] else value)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +15,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError, nearest_names
+from workbench.instruments.waveform_table import recognised
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+
+#: A line that begins so is no row.
+COMMENTS = ("%", "#", "!")
+
+#: Encodings by the byte-order mark that declares them; the marks of UTF-32 begin as those of UTF-16 do.
+_BYTE_ORDER_MARKS = ((codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF16_LE, "utf-16"),
+                     (codecs.BOM_UTF16_BE, "utf-16"))
+#: Encodings without a mark, of Western Europe and of East Asia.
+_ENCODINGS = ("cp1252", "shift_jis", "gbk")
+#: Letters beyond ASCII that headings need: a text of these, of Latin letters and of those of East Asia was decoded
+#: rightly. The hooked f is what the first byte of a Greek letter in Shift-JIS looks like.
+_EXPECTED = frozenset("°ºΩΩµμθϑΘφϕΦ∠δγ²³′″−–’“”±×·…®©«» ")
+_STRANGE_LATIN = "ƒ"
+_EAST_ASIAN = 0x2E80
+
+_REAL = r"(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
+#: A complex number, with its imaginary unit before or behind the second part.
+_COMPLEX = re.compile(
+    rf"(?:\( *)?([+-]? *{_REAL}) *([+-]) *(?:[ijIJ] *\*? *({_REAL})|({_REAL}) *\*? *[ijIJ])(?: *\))?(?![\w.])")
+#: A complex number as a pair in brackets. Behind a letter they hold the ports of S(1,1).
+_BRACKETED = re.compile(rf"(?<![\w'\"])\(\s*([+-]?{_REAL})\s*[,;]\s*([+-]?{_REAL})\s*\)")
+_PORTS = re.compile(r"(?<=[A-Za-z])\((\d),(\d)\)")
+_WRITTEN = re.compile(rf"([+-]?{_REAL})([+-]{_REAL})j")
 
 
 @dataclass(frozen=True)
@@ -43,7 +69,8 @@ class Rows:
 def load(path: Path) -> RecordingText:
     """The text of a recording.
 
-    Instruments write ASCII, UTF-8 or Latin-1 (the degree sign); either line end is accepted.
+    A byte-order mark declares UTF-8, UTF-16 or UTF-32. Without one the text is UTF-8 or else of the first encoding that
+    makes sense of its letters beyond ASCII (the degree and ohm signs). Either line end is accepted.
 
     Raises:
         InputError: the file is missing, unreadable, empty or binary.
@@ -58,47 +85,114 @@ def load(path: Path) -> RecordingText:
         raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None
     if not data.strip():
         raise InputError(str(path), "file", f"{len(data)} bytes", "a recording; this file is empty")
-    strange = sum(byte < 32 and byte not in b"\t\n\r\f" for byte in data[:65536])
     # A waveform in a Tektronix .ISF file is binary behind a text header; it deserves its own name.
-    if strange and data[:8].upper().startswith((b":WFMP", b"WFMP")):
+    if _is_binary(data) and data[:8].upper().startswith((b":WFMP", b"WFMP")):
         raise _waveform(str(path), data[:40].decode("latin-1"))
-    if strange:
-        raise InputError(str(path), "file", data[:16], "a text file; this one is binary (or UTF-16 from a spreadsheet)")
+    text = _decoded(data)
+    if text is None:
+        raise InputError(str(path), "file", data[:16], "a text file; this one is binary")
+    if not text.strip():
+        raise InputError(str(path), "file", f"{len(data)} bytes", "a recording; this file is empty")
+    lines = re.split(r"\r\n|[\r\n\f]", text)
+    return RecordingText(str(path), tuple(lines[:-1] if not lines[-1] else lines), hashlib.sha256(data).hexdigest())
+
+
+def _is_binary(data: bytes) -> bool:
+    """Whether the bytes hold control characters that no text of one byte a letter has."""
+    return any(byte < 32 and byte not in b"\t\n\r\f" for byte in data[:65536])
+
+
+def _decoded(data: bytes) -> str | None:
+    """The text that the bytes hold; None if they hold none."""
+    for mark, encoding in _BYTE_ORDER_MARKS:
+        if data.startswith(mark):
+            # A last half character is what a file cut short ends with.
+            return data.decode(encoding, errors="ignore")
+    if _is_binary(data):
+        # Without a mark every other byte of UTF-16 is zero, since what instruments write is ASCII nearly throughout.
+        for encoding, zeros in (("utf-16-le", data[1::2]), ("utf-16-be", data[::2])):
+            if len(zeros) > 8 and zeros.count(0) > 0.9 * len(zeros):
+                text = data.decode(encoding, errors="ignore")
+                return None if _is_binary(text.encode("utf-8")) else text
+        return None
     try:
-        text = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    return RecordingText(str(path), tuple(text.splitlines()), hashlib.sha256(data).hexdigest())
+        pass
+    for encoding in _ENCODINGS:
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if all(map(_is_expected, set(text))):
+            return text
+    return data.decode("latin-1")
+
+
+def _is_expected(letter: str) -> bool:
+    """Whether a letter is one that recordings hold, rather than one of a wrong encoding."""
+    latin = unicodedata.name(letter, "").startswith("LATIN") and letter not in _STRANGE_LATIN
+    return letter.isascii() or letter in _EXPECTED or latin or ord(letter) >= _EAST_ASIAN
 
 
 def refuse_waveform(text: RecordingText) -> None:
     """Raise if the file is a Tektronix oscilloscope waveform: voltage against time, not a spectrum."""
+    if maker := recognised(text.lines):
+        raise InputError(text.path, "format", maker, "an impedance spectrum; `workbench import FILE ... --resistance "
+                         "R` makes one of a capture at every frequency, R being the resistor in series with the device")
     for line in text.lines[:4]:
         if line.startswith(("Record Length,", "Sample Interval,")) or line.upper().startswith((":WFMP", "WFMP")):
             raise _waveform(text.path, line[:40])
 
 
 def _waveform(path: str, value: str) -> InputError:
-    return InputError(path, "format", value, "an impedance spectrum; this is an oscilloscope waveform (Tektronix)")
+    return InputError(path, "format", value, "an impedance spectrum; this is an oscilloscope waveform (Tektronix): "
+                      "workbench import makes an impedance of such files")
 
 
 def cells(line: str, delimiter: str) -> list[str]:
     """The cells of a line without blanks, quotes, or the empty cells that trailing tabs and spreadsheets leave.
 
     A delimiter within quotes divides nothing, a quotation mark within a cell (Z" is an imaginary part) is a part of
-    it, and any number of blanks is one delimiter.
+    it, and any number of blanks is one delimiter. A complex number is one cell, however it is written: "3.3-52.6j",
+    "(3.3,-52.6)" and "3.3 - i52.6" become "3.3-52.6j".
     """
-    line = line.strip(" ")
+    line = _kept_whole(line.strip(" "))
     if line.count('"') == 2 and line.startswith('"') and line.endswith('"'):
         line = line[1:-1]
     if '"' in line and line.count('"') % 2 == 0:
         found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
     else:
         found = line.split() if delimiter == " " else line.split(delimiter)
-    found = [_unquoted(cell.strip()) for cell in found]
+    found = [_unquoted(cell.strip()).replace(_COMMA_OF_PORTS, ",") for cell in found]
     while len(found) > 1 and not found[-1]:
         found.pop()
     return found
+
+
+#: Stands for the comma of "S(1,1)" while a line is divided (private use area of Unicode).
+_COMMA_OF_PORTS = "\ue000"
+
+
+def _kept_whole(line: str) -> str:
+    """A line whose complex numbers and port numbers hold no delimiter."""
+    if "(" in line:
+        line = _PORTS.sub(rf"(\1{_COMMA_OF_PORTS}\2)", line)
+        line = _BRACKETED.sub(lambda found: _written(found[1], found[2]), line)
+    if re.search("[ijIJ]", line):
+        line = _COMPLEX.sub(lambda found: _written(found[1], found[2] + (found[3] or found[4])), line)
+    return line
+
+
+def _written(real: str, imaginary: str) -> str:
+    imaginary = imaginary.replace(" ", "")
+    return f"{real.replace(' ', '')}{imaginary if imaginary[0] in '+-' else '+' + imaginary}j"
+
+
+def complex_parts(cell: str) -> tuple[str, str] | None:
+    """Real and imaginary part of a complex number as :func:`cells` writes it; None if the cell is no such number."""
+    found = _WRITTEN.fullmatch(cell)
+    return None if found is None else (found[1], found[2])
 
 
 def _unquoted(cell: str) -> str:
@@ -117,7 +211,8 @@ def number(text: RecordingText, line: int, column: int, *, cell: str, decimal: s
         if np.isfinite(value):
             return value
     if cell.casefold().lstrip("+-") in ("nan", "inf", "infinity") or _NUMBER.fullmatch(plain):
-        raise text.error(line, column, cell, "a finite number")
+        raise text.error(line, column, cell, "a finite number; if the analyser had none there, take the line out of a "
+                         "copy of the file")
     if _DECIMAL_COMMA.fullmatch(cell):
         raise text.error(line, column, cell, "a number with a decimal point; this one has a decimal comma")
     raise text.error(line, column, cell, "a number" if cell else "a number; this cell is empty")
@@ -150,29 +245,124 @@ def numbers(
     return Rows(values, tuple(line for line, _ in numbered))
 
 
-def check_frequencies(
-    text: RecordingText, frequency: NDArray[np.float64], lines: Sequence[int], *, column: int
-) -> None:
-    """Raise unless `frequency` (n,) Hz has two points or more and is positive and strictly increasing."""
-    if len(frequency) < 2:
-        where = lines[0] if lines else len(text.lines)
-        raise text.error(where, None, f"{len(frequency)} rows of numbers", "at least 2; the file may be cut short")
-    for index, value in enumerate(frequency):
-        if value <= 0.0:
-            raise text.error(lines[index], column, float(value), "a frequency above zero")
-        if index and value == frequency[index - 1]:
-            raise text.error(lines[index], column, float(value),
-                             f"a new frequency; line {lines[index - 1]} has the same")
-        if index and value < frequency[index - 1]:
-            turns = "the sweep runs downwards" if np.all(np.diff(frequency) < 0) else (
-                "the frequencies are out of order, or an upward sweep is followed by another sweep")
-            raise text.error(lines[index], column, float(value),
-                             f"more than the {frequency[index - 1]:.12g} Hz before it; {turns}")
-
-
 def check_impedance(text: RecordingText, impedance: NDArray[np.complex128], lines: Sequence[int]) -> None:
     """Raise where `impedance` (n,) ohm is zero or not finite."""
     wrong = ~np.isfinite(impedance) | (impedance == 0.0)
     if np.any(wrong):
         index = int(np.argmax(wrong))
         raise text.error(lines[index], None, f"{impedance[index]} ohm", "an impedance neither zero nor infinite")
+
+
+@dataclass(frozen=True)
+class RowCells:
+    """The rows of a table as text: ``cells`` of every row and the ``lines`` (from one) they stand on, ``skipped`` lines
+    below the first row that are none, and the line ``beyond`` at which another table begins (None: no other)."""
+
+    cells: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+    skipped: tuple[int, ...]
+    beyond: int | None
+
+    def column(self, text: RecordingText, place: int, *, width: int, decimal: str) -> NDArray[np.float64]:
+        """The numbers (n,) of the column `place` (from 0).
+
+        Raises:
+            InputError: a row that ends before it, or a cell that is not a finite number.
+        """
+        found = np.empty(len(self.cells))
+        for index, line in enumerate(self.lines):
+            found[index] = number(text, line, place + 1, cell=self._cell(text, index, place, width=width),
+                                  decimal=decimal)
+        return found
+
+    def complex_column(
+        self, text: RecordingText, place: int, *, width: int, decimal: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Real and imaginary parts, each (n,), of a column of complex numbers.
+
+        Raises:
+            InputError: a row that ends before it, or a cell that is no complex number.
+        """
+        found = np.empty((2, len(self.cells)))
+        for index, line in enumerate(self.lines):
+            cell = self._cell(text, index, place, width=width)
+            parts = complex_parts(cell) or (cell, "0")
+            for part in (0, 1):
+                found[part, index] = number(text, line, place + 1, cell=parts[part].lstrip("+") or cell,
+                                            decimal=decimal)
+        return found[0], found[1]
+
+    def loosely(self, place: int, *, decimal: str) -> NDArray[np.float64]:
+        """The numbers (n,) of a column, NaN where a cell is none."""
+        return np.array([float(_plain(row[place], decimal)) if place < len(row) and is_number(row[place], decimal)
+                         else np.nan for row in self.cells])
+
+    def _cell(self, text: RecordingText, index: int, place: int, *, width: int) -> str:
+        row = self.cells[index]
+        if place >= len(row):
+            line = self.lines[index]
+            raise text.error(line, None, text.lines[line - 1], f"{width} columns; this row has {len(row)}")
+        return row[place]
+
+
+def _plain(cell: str, decimal: str) -> str:
+    return cell.replace(",", ".") if decimal == "," else cell
+
+
+def is_number(cell: str, decimal: str = ".") -> bool:
+    """Whether a cell holds a real number."""
+    return _NUMBER.fullmatch(_plain(cell, decimal)) is not None
+
+
+def row_cells(
+    text: RecordingText, start: int, *, width: int, delimiter: str, decimal: str, frequency: int,
+    headings: Sequence[str] = (), commented: Sequence[str] = COMMENTS,
+) -> RowCells:
+    """The rows of `width` columns from line index `start` on; `headings` are the cells of the line above them.
+
+    A row is a line whose cell in the column `frequency` (from 0) is a number. Lines without one are no rows: units,
+    END, totals, remarks, and a lone number that counts the rows. A line of headings other than `headings` begins
+    another table, which is left alone.
+
+    Raises:
+        InputError: a row cut short or with more cells than `width`; a cell that should be a frequency beside numbers.
+    """
+    found: list[tuple[str, ...]] = []
+    lines: list[int] = []
+    skipped: list[int] = []
+    for index in range(start, len(text.lines)):
+        content, line = text.lines[index], index + 1
+        if not content.strip() or content.startswith(tuple(commented)):
+            continue
+        row = cells(content, delimiter)
+        first = row[frequency] if frequency < len(row) else ""
+        others = sum(is_number(cell, decimal) or complex_parts(cell) is not None for place, cell in enumerate(row)
+                     if place != frequency)
+        if is_number(first, decimal) or (not first and others > 1):
+            lone = sum(bool(cell) for cell in row) == 1
+            if lone and width > 1 and (not found or _plain(row[-1], decimal) == str(len(found))):
+                skipped += [line] if found else []
+                continue
+            # Some programs end a row with a remark.
+            row = row[:width] if len(row) > width and row[width].startswith(tuple(COMMENTS)) else row
+            if len(row) > width or (len(row) != width and delimiter == " ") or lone:
+                raise text.error(line, None, content, f"{width} columns; this row has {len(row)}" + (
+                    ", as if its decimal commas divided it" if len(row) > width and delimiter == "," else ""))
+            if not first:
+                number(text, line, frequency + 1, cell=first, decimal=decimal)
+            found.append(tuple(row))
+            lines.append(line)
+            continue
+        if others > 1 and not first[:1].isalpha():
+            number(text, line, frequency + 1, cell=first, decimal=decimal)
+        if first.casefold().lstrip("+-") in ("nan", "inf", "infinity") and others:
+            number(text, line, frequency + 1, cell=first, decimal=decimal)
+        if found and not others and len(row) == width > 1 and all(row) and tuple(row) != tuple(headings):
+            return RowCells(tuple(found), tuple(lines), tuple(skipped), line)
+        if found and tuple(row) != tuple(headings) and content.strip(" ,;\t").casefold() != "end":
+            skipped.append(line)
+        elif delimiter == "," and ";" in content and not found and re.match(r"\s*[+-]?[\d.]", content):
+            raise text.error(line, None, content, "commas between columns and decimal points; semicolons and decimal "
+                             "commas are a spreadsheet's rewriting: use the instrument's own file, or --columns "
+                             'MAP.toml with delimiter = ";"')
+    return RowCells(tuple(found), tuple(lines), tuple(skipped), None)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from workbench.files.errors import InputError, nearest_names
-from workbench.readers.text import RecordingText, cells, check_frequencies, check_impedance, numbers
-from workbench.spectrum import COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin, Spectrum
+from workbench.readers.sweep import Recorded, in_order
+from workbench.readers.text import RecordingText, cells, numbers
+from workbench.spectrum import COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
 
 _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
@@ -16,7 +17,7 @@ def recognises(text: RecordingText) -> bool:
     return names[0].startswith(COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(COLUMNS[1:]))
 
 
-def parse(text: RecordingText) -> Spectrum:
+def parse(text: RecordingText) -> Recorded:
     """Read the file.
 
     Raises:
@@ -35,9 +36,7 @@ def parse(text: RecordingText) -> Spectrum:
         wanted = ",".join(COLUMNS)
         raise text.error(header_line, None, header, f"{wanted} or {wanted},{UNCERTAINTY_COLUMN}")
     rows = numbers(text, table[1:], delimiter=",", columns=len(names))
-    check_frequencies(text, rows.values[:, 0], rows.lines, column=1)
     impedance = rows.values[:, 1] + 1j * rows.values[:, 2]
-    check_impedance(text, impedance, rows.lines)
     uncertainty = None
     if len(names) == 4:
         uncertainty = rows.values[:, 3]
@@ -46,7 +45,8 @@ def parse(text: RecordingText) -> Spectrum:
                 raise text.error(line, 4, float(value), "an uncertainty above zero")
     if shared and uncertainty is None:
         raise InputError(text.path, SHARED_UNCERTAINTY, shared, f"a column {UNCERTAINTY_COLUMN} that it is a part of")
-    return Spectrum(rows.values[:, 0], impedance, uncertainty, origin, shared)
+    return in_order(text, rows.values[:, 0], impedance, lines=rows.lines, column=1, origin=origin,
+                    uncertainty=uncertainty, shared_uncertainty=shared)
 
 
 def _key(comment: str) -> str:

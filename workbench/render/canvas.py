@@ -35,6 +35,9 @@ ROLE_COLOURS = {
 #: What is coloured by no field and is not a known role.
 OTHER_COLOUR = "#cccccc"
 
+#: Free share of a photograph beside what is in it, each side: doubled, a chip is 3 % smaller.
+MARGIN = 0.03
+
 _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
@@ -73,12 +76,12 @@ def vtk_modules(*names: str) -> tuple[Any, ...]:
 
 
 def photograph(
-    shapes: Sequence[Shape], *, azimuth: float, elevation: float, zoom: float, width: int, height: int
+    shapes: Sequence[Shape], *, azimuth: float, elevation: float, width: int, height: int
 ) -> NDArray[np.uint8]:
     """The (height, width, 3) picture of `shapes` on white, in parallel projection.
 
-    It looks at their middle from `azimuth` (degrees from +x, about z) and `elevation`, `zoom` times as large as what
-    surely fits. Three lights move with the camera.
+    It looks at their middle from `azimuth` (degrees from +x, about z) and `elevation`, as large as they fit with a
+    margin of :data:`MARGIN`, whatever their shape. Three lights move with the camera.
     """
     # The second registers what draws.
     rendering, _, support = vtk_modules("vtkRenderingCore", "vtkRenderingOpenGL2", "util.numpy_support")
@@ -98,15 +101,22 @@ def photograph(
     turn, rise = math.radians(azimuth), math.radians(elevation)
     camera = renderer.GetActiveCamera()
     camera.ParallelProjectionOn()
-    camera.SetFocalPoint(0.0, 0.0, 0.0)
-    camera.SetPosition(math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise))
+    towards = np.array([math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise)])
+    sideways = np.array([-math.sin(turn), math.cos(turn), 0.0])
+    # Across, up and towards the camera, of every point.
+    axes = np.stack([sideways, np.cross(towards, sideways), towards])
+    seen = np.concatenate([shape.points for shape in shapes]) @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    middle = 0.5 * (low + high) @ axes
+    camera.SetFocalPoint(*middle)
+    camera.SetPosition(*(middle + float(np.linalg.norm(high - low)) * towards))
     camera.SetViewUp(0.0, 0.0, 1.0)
+    half_width, half_height = 0.5 * (high - low)[:2]
+    camera.SetParallelScale((1.0 + MARGIN) * max(float(half_height), float(half_width) * height / width))
     window.SetOffScreenRendering(1)
     window.SetMultiSamples(4)
     window.SetSize(width, height)
     window.AddRenderer(renderer)
-    renderer.ResetCamera()
-    camera.Zoom(zoom)
     renderer.ResetCameraClippingRange()
     grab = rendering.vtkWindowToImageFilter()
     grab.SetInput(window)

@@ -72,19 +72,23 @@ def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
     megahertz = state.frequency / 1e6
     dots, = upper.plot(megahertz, np.abs(state.measured), linestyle="", marker="o", markersize=2.5, color="#555555",
                        alpha=0.5, markeredgewidth=0.0)
+    # A per cent and thirty stand side by side: far below the noise nothing is to be seen.
+    lowest = 10.0 * math.sqrt(2.0) * float(np.min(state.noise))
     lines = []
     for impedance, colour, style in ((state.before, _BEFORE, "--"), (state.after, _AFTER, "-")):
         line, = upper.plot(megahertz, np.abs(impedance), color=colour, linestyle=style, linewidth=1.2)
         left = 100.0 * np.abs(np.log(impedance / state.measured))
-        lower.plot(megahertz, left, color=colour, linestyle=style, linewidth=0.9)
+        lower.plot(megahertz, np.maximum(left, lowest), color=colour, linestyle=style, linewidth=0.9)
         lines.append(line)
     # Of the two parts of ln Z together, each of that standard deviation.
-    band = lower.fill_between(megahertz, 0.0, 200.0 * math.sqrt(2.0) * state.noise, color="#dddddd")
+    band = lower.fill_between(megahertz, lowest, 200.0 * math.sqrt(2.0) * state.noise, color="#dddddd")
     upper.set_yscale("log")
     upper.set_title(state.name, fontsize=10)
     upper.tick_params(labelbottom=False)
     upper.tick_params(which="minor", labelsize=6)
-    lower.set_ylim(bottom=0.0)
+    lower.set_yscale("log")
+    lower.set_ylim(bottom=lowest)
+    lower.tick_params(which="minor", labelsize=6)
     for axes in (upper, lower):
         tidy(axes)
     return [dots, *lines, band]

@@ -9,7 +9,9 @@ import numpy as np
 
 from geometry.chip import Chip
 from geometry.names import CAVITY
+from materials.kinds import Fluid
 from workbench.files.errors import InputError
+from workbench.gathering import GAS
 from workbench.report.page import Picture
 from workbench.simulation import Snapshot
 
@@ -23,7 +25,8 @@ _Pictures = list[Picture]
 
 
 def draw_state(shot: Snapshot, folder: Path | str, *, only: Sequence[str] | None = None) -> list[Picture]:
-    """The pictures named by `only` (:data:`FIELDS`), written to `folder`; by default all that exist for the state.
+    """The pictures named by `only` (:data:`FIELDS`), written to `folder`; by default all that exist for the state and
+    mean something: the pressure in a gas is left out.
 
     Raises:
         InputError: a picture asked for by name that does not exist for the state, and why.
@@ -33,7 +36,9 @@ def draw_state(shot: Snapshot, folder: Path | str, *, only: Sequence[str] | None
         "losses": _losses, "mesh": _mesh,
     }
     pictures: _Pictures = []
-    for name in FIELDS if only is None else only:
+    fluid = shot.problem.materials.get(CAVITY)
+    empty = isinstance(fluid, Fluid) and fluid.density < GAS
+    for name in [name for name in FIELDS if not (empty and name == "pressure")] if only is None else only:
         made, missing = makers[name](shot, Path(folder))
         if missing and only is not None:
             raise InputError(f"{shot.chip.file}, state {shot.state}", "field", name, f"another one: {missing}")
@@ -92,7 +97,9 @@ def _losses(shot: Snapshot, folder: Path) -> tuple[_Pictures, str]:
 
     if not sum(shot.losses.values()) > 0.0:
         return [], "no material of the state has a loss"
-    path = plots.draw_loss_budget(shot.losses, folder / f"losses_{shot.state}.png",
+    # A region without a loss has its bar too: that it loses nothing is a statement of its material.
+    losses = {**dict.fromkeys(shot.problem.materials, 0.0), **shot.losses}
+    path = plots.draw_loss_budget(losses, folder / f"losses_{shot.state}.png",
                                   title=f"where the power goes, {shot.state}")
     return [Picture(path, f"{shot.state}: power lost by region at {_place(shot)}; closes against the electrical input "
                     f"to {shot.closure:.0e}")], ""

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
 
+#: Points drawn for one of a computed spectrum, and how many a line has at most: two for every dot of a picture's width.
+BETWEEN, MOST_POINTS = 8, 20_000
+
+
 class SpectrumLike(Protocol):
     """What is drawn of a spectrum: frequency (n,) Hz and impedance (n,) complex ohm, time factor e^{+j w t}."""
 
@@ -32,6 +36,9 @@ def draw_spectra(
     spectra: Mapping[str, SpectrumLike], path: Path | str, *, measured: Sequence[str] = (), title: str = ""
 ) -> Path:
     """Magnitude (logarithmic) over phase of labelled spectra, those `measured` as dots and the others as lines.
+
+    Between the points of a line its interpolant is drawn, from which figures of merit are taken: a resonance on which
+    there are three points is round.
 
     As in Fig. 7 of Acevedo-Espinosa et al. (RP-UEIS). Writes `path`.
 
@@ -47,7 +54,12 @@ def draw_spectra(
     magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for index, (label, spectrum) in enumerate(spectra.items()):
         colour = LINE_COLOURS[index % len(LINE_COLOURS)]
-        megahertz, impedance = np.asarray(spectrum.frequency) / 1e6, np.asarray(spectrum.impedance)
+        frequency, impedance = np.asarray(spectrum.frequency), np.asarray(spectrum.impedance)
+        if label not in measured and frequency.size * BETWEEN <= MOST_POINTS and hasattr(spectrum, "interpolant"):
+            points = np.arange(frequency.size)
+            frequency = np.interp(np.linspace(0.0, points[-1], points[-1] * BETWEEN + 1), points, frequency)
+            impedance = spectrum.interpolant()(frequency)
+        megahertz = frequency / 1e6
         # Dots drawn first: the model's line stays visible on a dense measurement.
         style = ({"linestyle": "", "marker": "o", "markersize": 3.0, "alpha": 0.55, "markeredgewidth": 0.0, "zorder": 1}
                  if label in measured else {"linestyle": "-", "linewidth": 1.5, "zorder": 2})
@@ -97,7 +109,8 @@ def draw_residuals(
 
 
 def draw_loss_budget(losses: Mapping[str, float], path: Path, *, title: str) -> Path:
-    """Dissipated power (W) by region, largest on top, each with its share of the whole. Writes `path`.
+    """Dissipated power (W) by region, largest on top, each with its share of the whole; none is "lossless". Writes
+    `path`.
 
     Raises:
         ValueError: nothing is dissipated.
@@ -111,7 +124,7 @@ def draw_loss_budget(losses: Mapping[str, float], path: Path, *, title: str) -> 
     axes = figure.subplots()
     bars = axes.barh([name for name, _ in ranked], [power * factor for _, power in ranked],
                      color=[role_colour(name) for name, _ in ranked], edgecolor="#404040", linewidth=0.6)
-    axes.bar_label(bars, [f"{100.0 * power / total:.2g} %" for _, power in ranked], padding=4)
+    axes.bar_label(bars, [f"{100.0 * power / total:.2g} %" if power else "lossless" for _, power in ranked], padding=4)
     axes.margins(x=0.12)
     axes.set_xlabel(f"dissipated power ({unit}), total {total * factor:.4g} {unit}")
     axes.set_title(title)

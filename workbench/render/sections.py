@@ -1,12 +1,14 @@
 """The chip's r-z section, mirrored about its axis: displacement, pressure, Gor'kov potential, regions and mesh.
 
 Every dot is the value of its cell's own polynomial there, so a picture is smooth however large the cells are.
-Matplotlib frames it: axes in millimetres at equal scale, a colour bar with its unit, a title with frequency and drive.
-A complex amplitude is drawn at the phase at which it is largest.
+Matplotlib frames it: axes in millimetres at equal scale (a flat section has its heights enlarged, and says so), a
+colour bar with its unit, a title with frequency and drive. A complex amplitude is drawn at the phase at which it is
+largest.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,16 +37,19 @@ _OUTLINE = "#303030"
 _MARKED, _UNMARKED = "#d55e00", "#eeeeee"
 #: A region thinner than this share of the section's height is pointed at by an arrow too.
 _THIN = 0.02
+#: Least height of a picture over its width: a flatter section has its heights enlarged. Doubled, a whole chip would be.
+_FLATTEST = 0.08
 
 
 @dataclass(frozen=True)
 class _Window:
-    """The rectangle of the r-z plane that is shown, in metres."""
+    """The rectangle of the r-z plane that is shown, in metres, and how many times heights are enlarged."""
 
     left: float
     right: float
     bottom: float
     top: float
+    tall: float = 1.0
 
 
 def draw_axial_displacement(fields: Fields, path: Path) -> Path:
@@ -187,7 +192,9 @@ def _window(points: FloatArray) -> _Window:
     """All of the (K, 2) `points` and their mirror images, with a margin."""
     radius, low, high = points[:, 0].max(), points[:, 1].min(), points[:, 1].max()
     margin = 0.015 * max(2.0 * radius, high - low)
-    return _Window(-radius - margin, radius + margin, low - margin, high + margin)
+    below = min(margin, 0.1 * (high - low))
+    flat = 2.0 * radius * _FLATTEST / (high - low)
+    return _Window(-radius - margin, radius + margin, low - below, high + below, float(max(1, math.ceil(flat))))
 
 
 def _extent(window: _Window) -> tuple[float, float, float, float]:
@@ -195,16 +202,19 @@ def _extent(window: _Window) -> tuple[float, float, float, float]:
 
 
 def _frame(window: _Window, *, title: str) -> tuple[Figure, Axes, Axes]:
-    """A figure with axes for the section at equal scale and, below, axes for its colour bar or legend."""
+    """A figure with axes for the section, heights enlarged as the window says; below, axes for a bar or legend."""
     left, right, below, above = 0.75, 0.25, 1.3, 0.6
-    height = (_WIDTH - left - right) * (window.top - window.bottom) / (window.right - window.left)
+    height = window.tall * (_WIDTH - left - right) * (window.top - window.bottom) / (window.right - window.left)
+    if window.tall > 1.0:
+        title += f"\nheights are drawn {window.tall:.0f} times as large as widths"
+        above += 0.25
     total = height + below + above
     figure = new_figure(_WIDTH, total)
     axes = figure.add_axes((left / _WIDTH, below / total, 1.0 - (left + right) / _WIDTH, height / total))
     bar = figure.add_axes((0.3, 0.5 / total, 0.4, 0.16 / total))
     axes.set_xlim(window.left * 1e3, window.right * 1e3)
     axes.set_ylim(window.bottom * 1e3, window.top * 1e3)
-    axes.set_aspect("equal")
+    axes.set_aspect(window.tall)
     axes.set_autoscale_on(False)
     axes.set_xlabel("r (mm)", fontsize=11)
     axes.set_ylabel("z (mm)", fontsize=11)
@@ -226,7 +236,7 @@ def _colour_bar(figure: Figure, bar: Axes, *, limits: tuple[float, float], colou
 def _dots(window: _Window) -> tuple[int, int]:
     """Width and height in dots of a picture of `window`; the width is even."""
     width = 2 * round((_WIDTH - 1.0) * _DOTS_PER_INCH / 2.0)
-    return width, round(width * (window.top - window.bottom) / (window.right - window.left))
+    return width, round(window.tall * width * (window.top - window.bottom) / (window.right - window.left))
 
 
 def _raster_points(window: _Window) -> tuple[FloatArray, FloatArray]:
@@ -258,7 +268,7 @@ def _show(
     right = coloured.reshape(height, _POINTS, width // 2, _POINTS, 3).mean(axis=(1, 3))
     picture = np.concatenate([right[:, ::-1], right], axis=1).round().astype(np.uint8)
     # Dot for dot: any other interpolation would blur them, and takes as long as all the rest of a picture.
-    axes.imshow(picture, extent=_extent(window), interpolation="nearest")
+    axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)
 
 
 def _outline(axes: Axes, mesh: NodalMesh) -> None:

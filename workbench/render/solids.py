@@ -93,7 +93,7 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
         if len(edges):
             points, cells, nodes = _swept(finer, edges, degrees=degrees)
             shapes.append(Shape(points, cells, plain or colours[nodes], light=(0.6, 0.42, 0.0)))
-    picture = photograph(shapes, azimuth=(degrees + 360.0) / 2.0, elevation=24.0, zoom=2.3,
+    picture = photograph(shapes, azimuth=(degrees + 360.0) / 2.0, elevation=24.0,
                          width=round(_WIDTH * _DOTS_PER_INCH), height=round(0.74 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
     axes = figure.add_axes((0.0, 0.15, 1.0, 0.74))
@@ -138,7 +138,7 @@ def draw_solids(
         points, edges = _arrays(_sharp_edges(body), 2)
         if len(edges):
             shapes.append(Shape(points, edges, "#303030", width=1.2))
-    picture = photograph(shapes, azimuth=-75.0 if cut_open else -60.0, elevation=28.0, zoom=1.3,
+    picture = photograph(shapes, azimuth=-75.0 if cut_open else -60.0, elevation=28.0,
                          width=round(0.8 * _WIDTH * _DOTS_PER_INCH), height=round(0.9 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
     axes = figure.add_axes((0.0, 0.0, 0.8, 0.9))

@@ -123,8 +123,11 @@ def draw_slices(parameters: Sequence[Column], found: Column, path: Path, *, titl
     figure = new_figure(3.4 * across + 0.6, 2.8 * rows + 0.4)
     panels = figure.subplots(rows, across, squeeze=False, sharey=True)
     for axes, parameter in zip(panels.flat, parameters, strict=False):
-        axes.plot(parameter.values, found.values, linestyle="", marker="o", markersize=2.0, alpha=0.25,
-                  markeredgewidth=0.0, color=LINE_COLOURS[5], rasterized=True)
+        # Few points are drawn large and dark; of many, each is faint so that they show where they are dense.
+        count = max(1, parameter.values.size)
+        axes.plot(parameter.values, found.values, linestyle="", marker="o", color="#404040", markeredgewidth=0.0,
+                  markersize=min(5.0, max(2.0, 60.0 / math.sqrt(count))), alpha=min(0.7, max(0.2, 150.0 / count)),
+                  zorder=3, rasterized=True)
         where, low, middle, high = _quantiles(parameter, found)
         if where.size > 1 and not parameter.words:
             axes.fill_between(where, low, high, color=LINE_COLOURS[0], alpha=0.18, linewidth=0.0)
@@ -155,10 +158,15 @@ def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title:
     if not 2 <= len(parameters) <= MOST_IN_PAIRS:
         raise ValueError(f"{len(parameters)} parameters; pairs are drawn of 2 to {MOST_IN_PAIRS}")
     size = len(parameters) - 1
-    width, height = 2.3 * size + 2.6, 2.1 * size + 1.4
+    # The longest number or word beside the panels, and the lines of a label, in inches at 7 and 8 points.
+    words = [word for each in parameters[1:] for word in each.words]
+    beside = max([6, *(len(line) for word in words for line in _broken(word).split("\n"))])
+    lines = max(_broken(each.label).count("\n") + 1 for each in parameters[1:])
+    left = 0.25 + 0.07 * beside + 0.15 * lines
+    width, height = 2.3 * size + 1.4 + left, 2.1 * size + 1.4
     figure = new_figure(width, height)
     # Margins in inches: a layout that is solved for takes most of a second for fifteen panels.
-    figure.subplots_adjust(left=1.2 / width, right=1.0 - 1.4 / width, bottom=0.9 / height, top=1.0 - 0.5 / height,
+    figure.subplots_adjust(left=left / width, right=1.0 - 1.4 / width, bottom=0.9 / height, top=1.0 - 0.5 / height,
                            wspace=0.08, hspace=0.08)
     panels = figure.subplots(size, size, squeeze=False, sharex="col", sharey="row")
     means = {(i, j): _mean_over(parameters[j], parameters[i], found)

@@ -60,11 +60,12 @@ class YieldBar:
     linear: float
 
 
-def draw_tolerance(found: Tolerance, folder: Path) -> dict[str, Picture]:
+def draw_tolerance(found: Tolerance, folder: Path | str) -> dict[str, Picture]:
     """The pictures of a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``, written to `folder`.
 
     Figures without derivatives are left out of the tornado.
     """
+    folder = Path(folder)
     pictures: dict[str, Picture] = {}
     panels = _tornados(found)
     if panels:

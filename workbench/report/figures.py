@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
+from workbench.capacitance import Capacitance
 from workbench.merit import Estimate, Figures, NoResonance, ResonanceFit, figures, fit_resonance
 from workbench.report.page import number
 from workbench.spectrum import Spectrum
 
-FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt", "C0 (pF)")
+FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt")
+#: Of a model, which has a capacitance besides.
+MODEL_COLUMNS = (*FIGURE_COLUMNS, "C0 (pF)", "C at 1 kHz (pF)")
 
 
 def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
@@ -23,10 +25,16 @@ def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
 def figures_row(label: str, merit: Figures | None) -> tuple[str, ...]:
     """The cells of :data:`FIGURE_COLUMNS` as text."""
     if merit is None:
-        return (label, "none", "", "", "", "")
+        return (label, "none", "", "", "")
     anti = merit.antiresonance
     return (label, f"{merit.f0 / 1e6:.4f}", number(merit.z_min), number(merit.q),
-            number(anti.kt, 3) if anti else "", f"{anti.static_capacitance * 1e12:.0f}" if anti else "")
+            number(anti.kt, 3) if anti else "")
+
+
+def capacitance_cells(found: Capacitance) -> tuple[str, str]:
+    """The cells of :data:`MODEL_COLUMNS` beyond :data:`FIGURE_COLUMNS` as text."""
+    low = found.low_frequency
+    return number(1e12 * found.clamped), "singular" if low is None else number(1e12 * low)
 
 
 def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
@@ -38,8 +46,7 @@ def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
     if merit.antiresonance is not None:
         anti = merit.antiresonance
         record |= {"antiresonance_hz": anti.frequency, "z_max_ohm": anti.z_max, "kt": anti.kt,
-                   "k_effective": anti.k_effective, "static_capacitance_f":
-                   anti.static_capacitance if math.isfinite(anti.static_capacitance) else None}
+                   "k_effective": anti.k_effective}
     return record
 
 

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from workbench.comparison import Comparison
+from workbench.particles import net_weight
 from workbench.report.figures import figures_record, fit_record, resonance_fits
+from workbench.report.page import Table, number
 from workbench.simulation import Simulation
-from workbench.traps import focus_time
+from workbench.traps import Trap, TrapReport, focus_time, time_to
 
 
 def simulation_record(run: Simulation) -> dict[str, Any]:
     """Everything of a simulated state that merit.json holds."""
     record = figures_record(run.figures, run.no_resonance)
+    record["static_capacitance_f"] = {"clamped": run.capacitance.clamped,
+                                      "at_1_khz": run.capacitance.low_frequency}
     record["resonance_fits"] = {name: fit_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
     record["model"] = {
         "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
@@ -29,11 +35,54 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
             "contrast_factor": run.traps.forces.scattering.contrast_factor,
             "pressure_amplitude_pa": excitation.pressure_amplitude, "energy_density_j_m3": excitation.energy_density,
             "drive": excitation.description, "focus_time_s": focus_time(run.traps),
-            "traps": [{"r_m": t.radius, "z_m": t.height, "depth_j": t.depth, "radial_stiffness_n_m": t.radial_stiffness,
-                       "axial_stiffness_n_m": t.axial_stiffness, "on_wall": t.on_wall} for t in run.traps.traps],
+            "net_weight_n": net_weight(run.traps.forces.particle, run.traps.forces.fluid),
+            "share_settled": run.traps.settled,
+            "traps": [_trap_record(trap) for trap in run.traps.traps],
         }
+    record["findings"], record["left_out_hz"] = list(run.findings), list(run.left_out)
     record["seconds"] = dict(run.seconds)
     return record
+
+
+def _trap_record(trap: Trap) -> dict[str, Any]:
+    return {"r_m": trap.radius, "z_m": trap.height, "above_floor_m": trap.above_floor, "barrier_j": trap.barrier,
+            "axial_barrier_j": trap.axial_barrier, "radial_barrier_j": trap.radial_barrier, "depth_j": trap.depth,
+            "lift_n": trap.lift, "share_of_cavity": trap.share, "radial_stiffness_n_m": trap.radial_stiffness,
+            "axial_stiffness_n_m": trap.axial_stiffness, "on_wall": trap.on_wall}
+
+
+def field_table(report: TrapReport) -> Table:
+    """The field a particle is in, and what it does to the particle anywhere."""
+    forces, excitation = report.forces, report.excitation
+    largest = float(np.nanmax(np.linalg.norm(forces.force, axis=1)))
+    return Table(
+        ("particle", "contrast factor", "net weight (pN)", "largest force (pN)", "p0 (kPa)", "E_ac (J/m^3)",
+         "mean E_ac (J/m^3)"),
+        ((f"{forces.particle.name}, {2e6 * forces.particle.radius:.3g} um",
+          number(forces.scattering.contrast_factor, 3), number(1e12 * net_weight(forces.particle, forces.fluid), 3),
+          number(1e12 * largest, 3), number(1e-3 * excitation.pressure_amplitude),
+          number(excitation.energy_density, 3), number(excitation.mean_energy_density, 3)),))
+
+
+def traps_table(report: TrapReport) -> Table:
+    """Every trap: where, how strong, how much of the cavity drains to it and how fast."""
+    weight = abs(net_weight(report.forces.particle, report.forces.fluid))
+    rows = []
+    for trap in report.traps:
+        seconds = time_to(report, trap)
+        rows.append((
+            f"r {1e3 * trap.radius:.3f}, z {1e3 * trap.height:.3f}{', on a wall' if trap.on_wall else ''}",
+            f"{1e3 * trap.above_floor:.3f}", *(_femtojoules(each) for each in (
+                trap.barrier, trap.axial_barrier, trap.radial_barrier)),
+            "" if trap.lift is None or not weight else number(trap.lift / weight, 3), f"{100.0 * trap.share:.0f}",
+            f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}",
+            "" if seconds is None else number(seconds, 3)))
+    return Table(("trap (mm)", "above the floor (mm)", "barrier (fJ)", "axial barrier (fJ)", "radial barrier (fJ)",
+                  "lift / weight", "share (%)", "stiffness (pN/mm)", "focusing time (s)"), tuple(rows))
+
+
+def _femtojoules(barrier: float | None) -> str:
+    return "no way out" if barrier is None else number(1e15 * barrier, 3)
 
 
 def comparison_record(comparison: Comparison) -> dict[str, Any]:

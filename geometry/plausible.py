@@ -1,0 +1,205 @@
+"""Sizes that the parts of a chip have, by role: what lies outside is asked about, being mostly a slip of the unit.
+
+The ranges are wide: they hold what is built and sold, from thin-film and micromachined parts to ultrasonic baths, and
+leave out what is a thousand times off. Who means it says so: the chip lists the name under ``unusual``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from geometry.dimension import Dimension
+from geometry.names import CAVITY, TRANSDUCER, role_of
+from geometry.parts import Layer, State
+from workbench.files.errors import InputError, choose
+
+
+@dataclass(frozen=True)
+class Range:
+    """The least and the largest size that something has (SI): ``what`` it is, as messages call it."""
+
+    low: float
+    high: float
+    what: str
+
+    def __contains__(self, value: object) -> bool:
+        # Ends are written in other units than they are compared in.
+        return isinstance(value, float | int) and self.low * (1.0 - 1e-9) <= value <= self.high * (1.0 + 1e-9)
+
+
+#: Thicknesses (m) of layers by role. Doubled, a slip by the factor of a unit is still outside, but for the films.
+THICKNESSES: Mapping[str, Range] = {
+    TRANSDUCER: Range(5e-6, 50e-3, "a piezoelectric disc"),
+    "couplant": Range(1e-6, 500e-6, "a film of gel or glue"),
+    "bond": Range(0.1e-6, 2e-3, "a bond"),
+    "substrate": Range(5e-6, 50e-3, "a substrate"),
+    "sidewall": Range(5e-6, 50e-3, "the wall of a cavity"),
+    "superstrate": Range(5e-6, 50e-3, "a lid"),
+    "sample": Range(5e-6, 50e-3, "a sample"),
+    "matching": Range(1e-6, 20e-3, "a matching layer"),
+    "backing": Range(10e-6, 200e-3, "a backing"),
+    "layer": Range(10e-9, 100e-3, "a layer"),
+}
+
+#: Other lengths (m) by what they are called.
+RADIUS = Range(0.1e-3, 200e-3, "the radius of a part")
+CAVITY_RADIUS = Range(20e-6, 150e-3, "the radius of a cavity")
+ELECTRODE_RADIUS = Range(10e-6, 200e-3, "the radius of an electrode")
+PORT = Range(5e-6, 50e-3, "a port")
+PARTICLE_RADIUS = Range(10e-9, 0.5e-3, "the radius of a particle")
+
+#: Other quantities: K, Hz, kg/m^3.
+TEMPERATURE = Range(253.15, 423.15, "a chip in use")
+FREQUENCY = Range(1e3, 100e6, "a chip driven by a piezoelectric disc")
+DENSITY = Range(50.0, 23e3, "a solid")
+
+#: Largest ratio of the ends of a band, and half wavelengths across the transducer at its top, at 2000 Hz m for one.
+#: Doubled, a lost point in one end of a band of 2 mm discs passes at 10.8 MHz in place of 1.08 MHz as it does now.
+WIDEST, OVERTONES, FREQUENCY_CONSTANT = 60.0, 30.0, 2000.0
+
+#: A length that a search moves by less than this factor may leave its range, and is unusual from then on: a slip of
+#: the unit is more. Doubled, a slip between cm and mm in code passes more often.
+MOVED = 30.0
+
+#: Factors between units that are mistaken for each other, the likeliest first.
+SLIPS = (1e-3, 1e3, 1e-6, 1e6, 0.1, 10.0, 0.01, 100.0)
+
+
+def range_of(name: str) -> Range | None:
+    """The range of a dimension of a chip by its name; None for shapes and sizes of profiles, which are checked against
+    their layers."""
+    region, _, what = name.rpartition(".")
+    if region.startswith("electrode_"):
+        return ELECTRODE_RADIUS if what == "radius" else None
+    if region == "ports":
+        return PORT
+    if what == "cavity_radius" or name == f"{CAVITY}.radius":
+        return CAVITY_RADIUS
+    if what == "thickness":
+        return THICKNESSES.get(role_of(region), THICKNESSES["layer"])
+    return RADIUS if what == "radius" else None
+
+
+def check_plausible(
+    layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], states: Sequence[State],
+    unusual: Sequence[str], file: str,
+) -> None:
+    """Lengths, band, densities, temperatures and particles are of sizes that such things have, but for those that are
+    listed as `unusual`. `named` are all lengths by name.
+
+    Raises:
+        InputError: the first that is not, or an unusual name that the chip does not have.
+    """
+    stated = list(_stated(layers, named, states))
+    for name in unusual:
+        choose(name, ["band", *(each for each, _, _, _ in stated)], source=file, field="chip.unusual")
+    for name, value, usual, kind in stated:
+        if name not in unusual and usual is not None and value not in usual:
+            raise implausible(name, value, usual, kind, file)
+    if "band" not in unusual:
+        check_band(layers, band, file)
+
+
+def check_length(name: str, value: float, *, source: str, field: str, unusual: Sequence[str] = ()) -> None:
+    """A length (m) above zero that the dimension of that name is about to have is one that such things have.
+
+    Raises:
+        InputError: it is not, and the name is not `unusual`.
+    """
+    usual = range_of(name)
+    # What is no length at all is refused elsewhere.
+    if usual is not None and value > 0.0 and name not in unusual and value not in usual:
+        raise implausible(name, value, usual, "length", source, field)
+
+
+def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, field: str = "chip.band") -> None:
+    """The ends of a band (Hz) are frequencies that a chip with these layers is driven at, and not far apart.
+
+    Raises:
+        InputError: they are not.
+    """
+    low, high = band
+    thickness = next((layer.thickness.value for layer in layers if layer.role == TRANSDUCER), math.inf)
+    top = OVERTONES * FREQUENCY_CONSTANT / thickness
+    if low not in FREQUENCY or high not in FREQUENCY:
+        expected = (f"frequencies of {as_text(FREQUENCY.low, 'frequency')} to {as_text(FREQUENCY.high, 'frequency')}, "
+                    f"at which {FREQUENCY.what} works")
+    elif high > top:
+        expected = (f"at most {as_text(top, 'frequency')}, where the transducer of {as_text(thickness, 'length')} is "
+                    f"{OVERTONES:g} half wavelengths thick")
+    elif high > WIDEST * low:
+        expected = f"a band whose ends are at most a factor of {WIDEST:g} apart"
+    else:
+        return
+    shown = f"{as_text(low, 'frequency')} to {as_text(high, 'frequency')}"
+    raise InputError(source, field, shown, f"{expected}; {_how('band')}", _meant_band(band, thickness))
+
+
+def implausible(name: str, value: float, usual: Range, kind: str, source: str, field: str | None = None) -> InputError:
+    """The error that asks whether a value is meant."""
+    off = value / usual.high if value > usual.high else usual.low / value if value > 0.0 else math.inf
+    than = "the most" if value > usual.high else "less than the least"
+    times = f"; this is {float(f'{off:.3g}'):,.12g} times {than}" if kind != "temperature" and off >= 1.5 else ""
+    expected = (f"{as_text(usual.low, kind)} to {as_text(usual.high, kind)}, which is what {usual.what} has{times}; "
+                f"{_how(name)}")
+    meant = [value + 273.15, value - 273.15] if kind == "temperature" else [value * factor for factor in SLIPS]
+    likely = tuple(as_text(each, kind) for each in meant if each in usual)[:1]
+    return InputError(source, field or name, as_text(value, kind, as_stated=True), expected, likely)
+
+
+def moved_beyond(name: str, old: float, new: float) -> bool:
+    """Whether a move of a length leaves its range by so little that a search may have made it."""
+    usual = range_of(name)
+    return usual is not None and new not in usual and old / MOVED < new < MOVED * old
+
+
+def _how(name: str) -> str:
+    return f'if it is meant, write unusual = ["{name}"] under [chip]'
+
+
+def _stated(
+    layers: Sequence[Layer], named: Mapping[str, Dimension], states: Sequence[State]
+) -> Iterator[tuple[str, float, Range | None, str]]:
+    """What a chip states: name, value (SI), range, and what kind of quantity it is."""
+    for name, dimension in named.items():
+        yield name, dimension.value, range_of(name), "length"
+    for layer in layers:
+        if layer.density is not None:
+            yield f"{layer.region}.density", layer.density, DENSITY, "density"
+    for state in states:
+        if state.temperature is not None:
+            yield f"states.{state.name}.temperature", state.temperature, TEMPERATURE, "temperature"
+        if state.particle_radius is not None:
+            yield f"states.{state.name}.particle_radius", state.particle_radius, PARTICLE_RADIUS, "length"
+
+
+def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
+    """The band that is meant where the point of an end was lost, or its unit is another one's: of those that are
+    plausible, the one nearest to the first resonance of a transducer of that thickness (m)."""
+    low, high = band
+    found = [ends for factor in SLIPS for ends in ((low, high * factor), (low * factor, high * factor),
+                                                   (low * factor, high))
+             if FREQUENCY.low <= ends[0] < ends[1] <= min(FREQUENCY.high, 4.0 * ends[0])]
+    if not found or math.isinf(thickness):
+        return ()
+    first = FREQUENCY_CONSTANT / thickness
+    low, high = min(found, key=lambda ends: abs(math.log(ends[0] * ends[1] / first**2)))
+    return (f"{as_text(low, 'frequency')} to {as_text(high, 'frequency')}",)
+
+
+def as_text(value: float, kind: str, *, as_stated: bool = False) -> str:
+    """A quantity as messages show it."""
+    match kind:
+        case "length":
+            size = abs(value)
+            units = (("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
+            unit, factor = next(((unit, factor) for unit, factor in units if size >= factor), ("nm", 1e-9))
+            return f"{value / factor:.4g} {unit}"
+        case "frequency":
+            unit, factor = next(((u, f) for u, f in (("MHz", 1e6), ("kHz", 1e3)) if value >= 0.1 * f), ("Hz", 1.0))
+            return f"{value / factor:.4g} {unit}"
+        case "temperature":
+            return f"{value:.6g} K" if as_stated else f"{value - 273.15:.4g} degC"
+    return f"{value:.4g} kg/m^3"

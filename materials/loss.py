@@ -1,0 +1,283 @@
+"""Losses as sources print them, made the imaginary part of a number for the time factor e^{-i w t}.
+
+A number states its loss in one of four words:
+
+- ``loss``: the imaginary part itself, in the unit of the number and with its sign, or a text such as ``"5 %"`` of the
+  value, which gets the sign of a passive material;
+- ``loss_tangent``: tan delta, a number or a text such as ``"2 %"``;
+- ``q``: a quality factor, 1 / tan delta, such as the Q_m of a ceramic;
+- ``attenuation``: of a wave, whose speed the number is, in dB or Np per length at a ``frequency``
+  (``attenuation = "3 dB/cm", frequency = "1 MHz"``) or per length and frequency (``"3 dB/(cm MHz)"``).
+
+``loss_uncertainty`` is stated as the loss is. With v the printed phase speed and alpha the attenuation, the wave number
+is k = w / v + i alpha, and its modulus rho (w / k)^2 has the loss tangent tan delta for tan(delta / 2) = alpha v / w:
+exact, and a loss tangent that is constant over the band (alpha proportional to the frequency). The imaginary part of a
+speed is -v tan(delta / 2), which makes the complex speed w / k = v^2 / conj(v + i v'').
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import UNITS, parse_quantity
+from workbench.files.tables import Table
+
+#: The words for a loss, of which a number takes one.
+WORDS = ("loss", "loss_tangent", "q", "attenuation")
+
+#: Nepers in a decibel: a field's ratio of 10^(1/20).
+NEPERS_PER_DECIBEL = math.log(10.0) / 20.0
+
+#: Relative step of the differences that carry an uncertainty. Doubled, the error of a derivative is 4e-12 of it.
+_STEP = 1e-6
+
+
+class Loses(Enum):
+    """How a number may lose, which fixes the sign of its imaginary part and the words for it."""
+
+    NOT = "not at all"
+    STIFFLY = "as a modulus"
+    SOFTLY = "as a compliance or permittivity"
+    EITHER = "with either sign"
+    AS_WAVE = "as the speed of a wave"
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The words for the loss of such a number."""
+        match self:
+            case Loses.NOT:
+                return ()
+            case Loses.EITHER:
+                return ("loss",)
+            case Loses.STIFFLY | Loses.SOFTLY:
+                return ("loss", "loss_tangent", "q")
+            case Loses.AS_WAVE:
+                return WORDS
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All keys of an entry that have to do with its loss, also those that are then refused by name."""
+        if not self.words:
+            return ()
+        return (*WORDS, "loss_uncertainty", *(("frequency",) if self is Loses.AS_WAVE else ()))
+
+
+@dataclass(frozen=True)
+class Loss:
+    """The ``imaginary`` part of a number and its ``uncertainty`` (standard; None: not stated), both SI.
+
+    ``tolerance`` bounds what the rounding and the uncertainty of the printed numbers leave in the imaginary part;
+    ``stated`` is the loss in the words of the file, empty where it is the imaginary part itself.
+    """
+
+    imaginary: float = 0.0
+    uncertainty: float | None = None
+    tolerance: float = 0.0
+    stated: str = ""
+
+
+def read_loss(table: Table, loses: Loses, real: float, *, factor: float, rounding: float) -> Loss:
+    """The loss of the number `real` (in the unit of its entry, whose `factor` to SI this is) that `table` states.
+
+    `rounding` (SI) is half a unit of the last printed digit of the number.
+
+    Raises:
+        InputError: more than one loss, one of the wrong sign or form, or an attenuation without its frequency.
+    """
+    word = _word(table, loses)
+    if "frequency" in table and word != "attenuation":
+        raise table.error("frequency", "no frequency beside any loss but an attenuation: it is constant over the band")
+    if word is None or (word == "loss" and not isinstance(table.content["loss"], str)):
+        loss = table.optional_number("loss")
+        spread = table.optional_number("loss_uncertainty")
+        if spread is not None and spread < 0:
+            raise table.error("loss_uncertainty", "a number not below zero")
+        if loses is Loses.AS_WAVE and loss is not None and loss > 0:
+            raise table.error("loss", "a number not above zero, the imaginary part of the speed (e^{-i w t})")
+        spread = None if spread is None else spread * factor
+        return Loss((loss or 0.0) * factor, spread, 0.0 if loss is None else rounding + (spread or 0.0))
+    if loses is Loses.EITHER:
+        raise table.error("loss", "an imaginary part in the unit of the value: passivity does not fix its sign")
+    number, uncertainty, imaginary = _stated(table, word, loses)
+    value = real * factor
+
+    def slope(function: Callable[[float], float], at: float) -> float:
+        step = _STEP * (abs(at) or 1.0)
+        return abs(function(at + step) - function(at - step)) / (2.0 * step)
+
+    spread = None if uncertainty is None else slope(lambda x: imaginary(value, x), number) * uncertainty
+    tolerance = slope(lambda x: imaginary(x, number), value) * rounding + (spread or 0.0)
+    return Loss(imaginary(value, number), spread, tolerance, _words(table, word))
+
+
+def attenuation_of_sound(table: Table, speed: float) -> tuple[float, float | None, float, str] | None:
+    """The attenuation (Np/m) of sound of a `speed` (m/s) in a fluid, its uncertainty, the frequency (Hz) it is of, and
+    the words it is stated in; None where `table` states none.
+
+    A fluid's classical attenuation grows with the square of the frequency, so every word needs one.
+
+    Raises:
+        InputError: as :func:`read_loss`; a loss that is stated as an imaginary part, or without its frequency.
+    """
+    word = _word(table, Loses.AS_WAVE)
+    if word is None:
+        return None
+    if word == "loss":
+        raise table.error("loss", 'attenuation = "0.2 dB/cm" with frequency = "1 MHz", which a fluid loses by')
+    stated = _words(table, word)
+    if word == "attenuation":
+        alpha, uncertainty, frequency = _attenuation(table, law=2)
+        return alpha, uncertainty, frequency, stated
+    frequency = _frequency(table, word)
+    number, uncertainty, imaginary = _stated(table, word, Loses.AS_WAVE)
+
+    def alpha_of(x: float) -> float:
+        return -imaginary(1.0, x) * 2.0 * math.pi * frequency / speed
+
+    step = _STEP * (number or 1.0)
+    slope = abs(alpha_of(number + step) - alpha_of(number - step)) / (2.0 * step)
+    return alpha_of(number), None if uncertainty is None else slope * uncertainty, frequency, stated
+
+
+def _word(table: Table, loses: Loses) -> str | None:
+    """The word that the loss is stated in, if any."""
+    given = [word for word in WORDS if word in table]
+    for word in given:
+        if word not in loses.words:
+            why = "only a wave speed has an attenuation" if word == "attenuation" else "passivity does not fix its sign"
+            raise table.error(word, f"the loss as {' or '.join(loses.words)}: {why}")
+    if len(given) > 1:
+        raise InputError(table.source, table.at(given[1]), f"a second loss, beside {given[0]}",
+                         f"one of {', '.join(loses.words)}")
+    return given[0] if given else None
+
+
+#: The imaginary part (SI) of a value (SI) whose loss in the word of the file is the second number.
+_Imaginary = Callable[[float, float], float]
+
+
+def _stated(table: Table, word: str, loses: Loses) -> tuple[float, float | None, _Imaginary]:
+    """The number of a `word`, its uncertainty if stated, and what makes it an imaginary part."""
+    sign = 1.0 if loses is Loses.SOFTLY else -1.0
+    wave = loses is Loses.AS_WAVE
+
+    def of_tangent(value: float, tangent: float) -> float:
+        return sign * value * (math.tan(0.5 * math.atan(tangent)) if wave else tangent)
+
+    if word == "attenuation":
+        alpha, spread, frequency = _attenuation(table, law=1)
+        omega = 2.0 * math.pi * frequency
+        return alpha, spread, lambda value, x: -(value**2) * x / omega
+    number = share(table, word, word)
+    spread = share(table, "loss_uncertainty", word, uncertainty=True) if "loss_uncertainty" in table else None
+    match word:
+        case "loss":
+            return number, spread, lambda value, x: sign * value * x
+        case "loss_tangent":
+            return number, spread, of_tangent
+        case _:
+            return number, spread, lambda value, x: of_tangent(value, 1.0 / x)
+
+
+def share(table: Table, key: str, word: str, *, uncertainty: bool = False) -> float:
+    """The number under `key` that a loss in a `word` is, or the `uncertainty` of such a loss; not of an attenuation.
+
+    Raises:
+        InputError: another form than that of the word, or a number that no loss has.
+    """
+    text, source, field = table.content[key], table.source, table.at(key)
+    expected = {
+        "loss": 'a number in the unit of the value, or a percentage of it such as "5 %", without a sign',
+        "loss_tangent": 'a loss tangent from 0 to below 1, such as 0.02 or "2 %"',
+        "q": "a quality factor above 1, a number without unit",
+    }[word]
+    if uncertainty:
+        expected = {"loss": 'a percentage such as "0.5 %"', "loss_tangent": 'a number such as 0.005 or "0.5 %"',
+                    "q": "a number without unit"}[word] + " not below zero, stated as the loss is"
+    percentage = isinstance(text, str) and text.rstrip().endswith("%")
+    if (word == "q" and isinstance(text, str)) or (word == "loss" and not percentage):
+        raise InputError(source, field, text, expected)
+    number = parse_quantity(text, "dimensionless", source=source, field=field)
+    if not (number >= 0 if uncertainty else number > 1 if word == "q" else 0 <= number < 1):
+        raise InputError(source, field, text, expected)
+    return number
+
+
+_AMOUNT = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+_UNIT = re.compile(r"(dB|Np)/(?:\(([^()]+)\)|([^()]+))$")
+_PART = re.compile(r"([A-Za-zµμ]+)(?:\^(\d))?$")
+
+
+def _attenuation(table: Table, *, law: int) -> tuple[float, float | None, float]:
+    """The attenuation (Np/m), its uncertainty, and the frequency (Hz) it is of.
+
+    It grows with the frequency to the power `law`: an attenuation per frequency to just that power needs none.
+    """
+    text, expected = table.content["attenuation"], 'an attenuation such as "3 dB/cm" with frequency = "1 MHz" beside it'
+    if not isinstance(text, str):
+        raise table.error("attenuation", expected)
+    amount, at, named = text.partition(" at ")
+    if at and "frequency" in table:
+        raise InputError(table.source, table.at("frequency"), table.content["frequency"],
+                         f"the frequency once: attenuation = {text!r} has one")
+    factor, per, power = _amount(table, "attenuation", amount, expected)
+    if at:
+        frequency = parse_quantity(named, "frequency", source=table.source, field=table.at("attenuation"))
+    elif power == law and "frequency" not in table:
+        frequency = per
+    else:
+        frequency = _frequency(table, "attenuation")
+    scale = (frequency / per) ** power
+    spread = None
+    if "loss_uncertainty" in table:
+        words = table.content["loss_uncertainty"]
+        stated = 'an attenuation in the unit of the loss, such as "0.5 dB/cm"'
+        if not isinstance(words, str):
+            raise table.error("loss_uncertainty", stated)
+        spread, other, same = _amount(table, "loss_uncertainty", words, stated)
+        if same != power:
+            raise table.error("loss_uncertainty", stated)
+        spread *= (frequency / other) ** power
+    return factor * scale, spread, frequency
+
+
+def _amount(table: Table, key: str, text: str, expected: str) -> tuple[float, float, int]:
+    """Np/m at the frequency (Hz) that comes next, and the power of the frequency that it grows with by its unit."""
+    whole = _AMOUNT.match(text)
+    value, unit = (float(whole[1]), whole[2]) if whole else (math.nan, text)
+    found = _UNIT.match(re.sub(r"\s*/\s*", "/", unit.replace("²", "^2")))
+    parts = [_PART.match(part) for part in re.split(r"[\s/·*]+", found[2] or found[3])] if found else []
+    known = [part for part in parts if part is not None]
+    lengths = [part[1] for part in known if part[1] in UNITS["length"] and part[2] is None]
+    frequencies = [part for part in known if part[1] in UNITS["frequency"]]
+    if len(lengths) != 1 or len(frequencies) > 1 or len(lengths) + len(frequencies) != len(parts) or not value >= 0:
+        near = nearest_names(unit, ("dB/cm", "dB/m", "dB/mm", "Np/m", "Np/cm", "dB/(cm MHz)")) if unit else ()
+        raise InputError(table.source, table.at(key), text, f"{expected}, not below zero, in dB/cm, dB/m, dB/mm, Np/m, "
+                         "Np/cm or dB/(cm MHz)", near)
+    assert found is not None
+    value *= (NEPERS_PER_DECIBEL if found[1] == "dB" else 1.0) / UNITS["length"][lengths[0]]
+    if not frequencies:
+        return value, 1.0, 0
+    return value, UNITS["frequency"][frequencies[0][1]], int(frequencies[0][2] or 1)
+
+
+def _frequency(table: Table, word: str) -> float:
+    """The frequency (Hz) that a loss in a `word` is of."""
+    if "frequency" not in table:
+        raise InputError(table.source, table.at(word), table.content[word],
+                         'its frequency beside it, such as frequency = "1 MHz"')
+    frequency = table.quantity("frequency", "frequency")
+    if not frequency > 0:
+        raise table.error("frequency", "a frequency above zero")
+    return frequency
+
+
+def _words(table: Table, word: str) -> str:
+    """The loss as the file states it."""
+    at = f" at {table.content['frequency']}" if "frequency" in table else ""
+    return f"{word.replace('_', ' ')} {table.content[word]}{at}"

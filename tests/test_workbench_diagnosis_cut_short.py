@@ -1,0 +1,255 @@
+"""A search whose time is over, that is interrupted, or of which a hypothesis cannot be tried: on made-up ends."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from workbench.cli import main
+from workbench.commands import diagnose as command
+from workbench.diagnosis.conclusion import conclude
+from workbench.diagnosis.conclusion import not_finished as cut_short
+from workbench.diagnosis.decision import MISSING
+from workbench.diagnosis.descent import Candidate
+from workbench.diagnosis.evidence import WrongEvidence
+from workbench.diagnosis.findings import Begun, Found, NotTried, Settled
+from workbench.diagnosis.hypothesis import Effect
+from workbench.diagnosis.inaccuracy import Patterns
+from workbench.diagnosis.inference import Search
+from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales, Weighed
+from workbench.diagnosis.ranking import Score
+from workbench.diagnosis.workers import Workers
+from workbench.files.errors import InputError
+from workbench.fitting.parameter import Parameter
+from workbench.solve import NotConverged
+
+SMALL, LARGE = (Effect(name, "bench", "bench", "", (Parameter(name, 0.0, -1.0, 1.0, None, "1"),))
+                for name in ("small", "large"))
+PARAMETERS = (*SMALL.parameters, *LARGE.parameters)
+MODEL: Any = SimpleNamespace(
+    effects=(SMALL, LARGE), parameters=PARAMETERS, known=0, hypotheses=4, index=[p.name for p in PARAMETERS].index,
+    campaign=SimpleNamespace(fitted=(SimpleNamespace(noise=np.ones(20)),)), held_out=None,
+    free=lambda _effects: ([0, 1], []),
+    bounds=lambda indices: (-np.ones(len(indices)), np.ones(len(indices))))
+#: Models of a neighbourhood are never asked for.
+NEIGHBOURHOODS: Any = SimpleNamespace(places=(), wide=SimpleNamespace(predictors=()))
+PLACE = np.zeros(2)
+SMALL_CAMPAIGN = Path(__file__).parents[1] / "examples" / "small_campaign" / "campaign.toml"
+
+#: Tasks before the one that settles that nothing is wrong.
+FITTED = 7
+
+#: What each hypothesis is worth, and leaves of chi-square: only the large one explains, which no score promises.
+WORTH = {"nothing": (-100.0, 10.0), "small": (-99.5, 9.9), "large": (-20.0, 0.1)}
+
+
+class Made(Search):
+    """A search that ends where it is told, whose time is over after `tasks`, or that is interrupted there where it
+    `stops`; some methods `fail`, by their names and those of hypotheses."""
+
+    tasks: float = math.inf
+    stops = False
+    fail: dict[tuple[str, str], Exception]
+    done: list[str]
+
+    models = NEIGHBOURHOODS
+
+    @property
+    def is_over(self) -> bool:
+        return self.interrupted or (not self.stops and len(self.done) >= self.tasks)
+
+    @property
+    def least(self) -> float:
+        return 0.0
+
+    def attempted(self, name: str, given: tuple[Any, ...]) -> Any:
+        if self.stops and not self.interrupted and len(self.done) >= self.tasks:
+            raise KeyboardInterrupt
+        self.done.append(name)
+        return super().attempted(name, given)
+
+    def begun(self) -> tuple[list[Begun], Candidate]:
+        self.work([("a start", "a_start", ())] * 2, must=1)
+        return [Begun(PLACE, 1.0)], candidate()
+
+    def a_start(self) -> None:
+        self._end("a_start", "nothing")
+
+    def outside(self, plain: Candidate) -> list[Candidate]:
+        return []
+
+    def scored(self, x: Any, level: float) -> list[Score]:
+        return [Score(SMALL, 1.0, 2.0, np.array([0.5]), np.array([0.1]))]
+
+    def by_size(self, plain: Candidate) -> list[Candidate]:
+        self.work([("large of any size", "swept", ("large",))])
+        return self.tried(plain, PLACE, [(LARGE, [PLACE])])
+
+    def swept(self, name: str) -> list[Begun]:
+        return []
+
+    def explain(self, name: str, at: Any, starts: Sequence[Any]) -> Candidate:
+        self._end("explain", name)
+        return candidate(self.effect(name))
+
+    def onward(self, candidate: Candidate, at: Any) -> Candidate:
+        self._end("onward", candidate.hypothesis.name)
+        return candidate
+
+    def settled(self, candidate: Candidate, hurried: bool = False) -> Settled:
+        hypothesis = candidate.hypothesis
+        self._end("settled", hypothesis.name)
+        worth, left = WORTH[hypothesis.name]
+        residual: Any = SimpleNamespace(vector=np.full(40, math.sqrt(left)))
+        found = Explanation(hypothesis, PLACE + 0.5, (0, 1), 1e-4 * np.eye(2), worth, Scales(0.001 * left, 0.0, 0.0),
+                            0.0, residual, 0.0)
+        nothing = np.zeros((40, 0))
+        return Settled(found, (), (), 0.0, (), nothing, Patterns(nothing, ()))
+
+    def _end(self, method: str, name: str) -> None:
+        if (method, name) in self.fail:
+            raise self.fail[method, name]
+
+
+def candidate(*effects: Effect) -> Candidate:
+    hypothesis = Hypothesis(effects)
+    return Candidate(hypothesis, (Weighed(PLACE, WORTH[hypothesis.name][0], PLACE, 0.01, 9.0, 0.0),))
+
+
+def searched(tasks: float = math.inf, *, stop: bool = False, fail: dict[tuple[str, str], Exception] | None = None
+             ) -> tuple[Found, int]:
+    """What a search of so many `tasks` comes to, and how many it did; the last begins with Ctrl-C where `stop`."""
+    made = Made(MODEL)
+    made.tasks, made.stops, made.fail, made.done = tasks, stop, fail or {}, []
+    return made.run(), len(made.done)
+
+
+@pytest.mark.parametrize("stop", [False, True])
+def test_a_search_that_is_cut_short_has_not_looked_at_something_wherever_it_ends(stop: bool) -> None:
+    """At every number of tasks: nothing is undone only where all was done that a whole search does."""
+    whole, count = searched()
+    assert (whole.undone, whole.interrupted) == ((), False)
+    assert conclude(MODEL, whole).decision.verdict == MISSING
+    assert conclude(MODEL, whole).decision.chosen.name == "large"
+    assert searched(count)[0].undone == ()
+    for tasks in range(count):
+        if stop and tasks in (0, FITTED):
+            # The device as stated is being fitted: nothing is known yet.
+            with pytest.raises(KeyboardInterrupt):
+                searched(tasks, stop=stop)
+            continue
+        found, _ = searched(tasks, stop=stop)
+        assert found.undone, tasks
+        assert found.interrupted == stop
+        cut = cut_short(MODEL, found, conclude(MODEL, found))
+        assert (cut.decision.verdict, cut.chosen, cut.rivals) == ("not_finished", found.base, ())
+        assert cut.decision.chosen.is_nothing
+
+
+def test_what_would_have_been_looked_at_after_the_end_is_told() -> None:
+    """By their scores alone the hypotheses leave what another one explains: that is what is not looked at."""
+    steps = {found.undone[-1] for tasks in range(1, 10) for found in [searched(tasks)[0]]}
+    assert "hypotheses of any size" in steps
+
+
+REASONS: list[tuple[Exception, str]] = [
+    (InputError("fit", "free", "e33.loss", "c33.loss free or not zero"), "received 'e33.loss'; expected c33.loss free"),
+    (NotConverged(1e6, 1.0, np.zeros(1, complex)), "the solve at 1e\\+06 Hz"), (ValueError("not admissible"), "admiss"),
+    (np.linalg.LinAlgError("Singular matrix"), "Singular matrix"),
+    (WrongEvidence(2.2e248, -312.0), "its evidence could not be computed: a log evidence of 2.2e\\+248, where the log "
+                                     "likelihood is -312 "),
+]
+
+
+@pytest.mark.parametrize(("error", "reason"), REASONS)
+@pytest.mark.parametrize("method", ["explain", "onward", "settled"])
+def test_a_hypothesis_that_cannot_be_tried_is_told_and_the_others_go_on(
+    error: Exception, reason: str, method: str
+) -> None:
+    found, _ = searched(fail={(method, "small"): error})
+    (told,) = found.not_tried
+    assert told.name.startswith("small")
+    assert re.search(reason, told.reason)
+    assert found.undone == ()
+    assert [each.explanation.hypothesis.name for each in found.final] == ["large", "nothing"]
+
+
+def test_a_defect_of_the_program_still_ends_all() -> None:
+    with pytest.raises(KeyError, match="c33"):
+        searched(fail={("explain", "small"): KeyError("c33")})
+
+
+@pytest.mark.parametrize("task", [("a_start", "nothing"), ("settled", "nothing")])
+def test_where_the_device_as_stated_cannot_be_predicted_there_is_no_diagnosis(task: tuple[str, str]) -> None:
+    with pytest.raises(InputError, match="no such mesh"):
+        searched(fail={task: InputError("chip", "layers", "1", "no such mesh")})
+
+
+class Slow:
+    """What a worker has: it answers late, with what it was asked."""
+
+    def within(self, places: object, name: str, given: tuple[Any, ...]) -> Any:
+        time.sleep(0.05)
+        return given[0]
+
+
+def test_what_workers_still_send_after_an_interruption_is_taken_for_nothing_else() -> None:
+    """The answer to a task that was given up is not that of the next one."""
+    with Workers(1, Slow, ()) as workers:
+        made = Made(MODEL)
+        made.fail, made.done, made._workers = {}, [], workers
+        interrupt: Callable[..., Any] = _interrupt
+        made.within = interrupt  # type: ignore[method-assign]
+        assert made.work([("first", "swept", ("first",)), ("second", "swept", ("second",))]) == [None, None]
+        assert made.interrupted
+        assert made.work([("third", "swept", ("third",))], must=1) == [[]]
+
+
+def _interrupt(*_given: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_what_was_not_tried_is_told_once() -> None:
+    assert NotTried("a", "b") == NotTried("a", "b")
+    found, _ = searched(fail={("explain", "small"): ValueError("no"), ("explain", "large"): ValueError("no")})
+    assert [each.name for each in found.not_tried] == ["small", "large"]
+    assert [each.explanation.hypothesis.name for each in found.final] == ["nothing"]
+
+
+def _ended(*_given: object, **_named: object) -> Any:
+    raise KeyboardInterrupt
+
+
+def test_a_diagnosis_that_is_stopped_at_once_leaves_what_it_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "diagnose", _ended)
+    assert main(["diagnose", str(SMALL_CAMPAIGN), "-o", str(tmp_path / "out")]) == 130
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert (said["verdict"], said["effects"], said["undone"]) == ("not_finished", [], ["everything"])
+    assert said["headline"].startswith("Not finished: it was stopped before its first result")
+    assert said["read"]["filled"]["points"] == 121
+    assert {each["name"] for each in said["taken"]} >= {"couplant.thickness", "bench.gain[filled]"}
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<h1>Diagnosis, not finished: small chip</h1>" in page
+    assert "explain" not in page
+
+
+@pytest.mark.parametrize(("interrupted", "status"), [(False, 3), (True, 130)])
+def test_the_status_says_that_it_is_no_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interrupted: bool, status: int
+) -> None:
+    found = SimpleNamespace(provisional=object(), interrupted=interrupted)
+    monkeypatch.setattr(command, "diagnose", lambda *_given, **_named: found)
+    for name in ("record", "contributions", "write_diagnosis_report", "print_diagnosis"):
+        monkeypatch.setattr(command, name, lambda *_given: {})
+    assert main(["diagnose", str(SMALL_CAMPAIGN), "-o", str(tmp_path / "out")]) == status

@@ -1,0 +1,46 @@
+"""What is looked at before the numerical libraries are loaded: files that are not there, chip files and quantities with
+mistakes in them. Whoever mistypes a name is told at once."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import parse_quantity
+
+#: Options that name a file that is read, of any command.
+FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "device", "file", "uncertainties")
+
+#: Options that hold a quantity, as the command line spells them, and its dimension.
+QUANTITIES: Mapping[str, tuple[str, str]] = {
+    "low": ("--from", "frequency"), "high": ("--to", "frequency"), "at": ("--at", "frequency"),
+    "accuracy": ("--accuracy", "dimensionless"),
+}
+
+
+def check_early(options: argparse.Namespace) -> None:
+    """Look at what the options name, as far as that takes no time.
+
+    Raises:
+        InputError: as the command itself would raise.
+    """
+    for key in FILES:
+        path = getattr(options, key, None)
+        if key == "campaign" and hasattr(options, "chip"):
+            continue  # an option of the live view, which names it
+        if isinstance(path, Path) and not path.exists():
+            folder = path.parent if path.parent.is_dir() else Path()
+            near = nearest_names(path.name, (each.name for each in folder.iterdir()
+                                             if each.suffix.lower() == path.suffix.lower()))
+            raise InputError(str(path), "file", path.name, "an existing file", near)
+    for key, (field, dimension) in QUANTITIES.items():
+        text = getattr(options, key, None)
+        if isinstance(text, str):
+            parse_quantity(text, dimension, source="command line", field=field)
+    chip = getattr(options, "chip", None)
+    if isinstance(chip, Path):
+        from geometry.chip import read_chip
+
+        read_chip(chip)

@@ -1,0 +1,206 @@
+"""Ctrl-C: a command ends promptly, without a traceback, and says what is on disk.
+
+Nothing but the interpreter's own modules is needed here, so that a command can be interrupted from its first moment on.
+"""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import FrameType
+    from typing import Any
+
+#: Exit status of an interrupted command.
+STATUS = 130
+
+#: Seconds within which a further Ctrl-C is the same one: a terminal and a program that passes it on both send it.
+#: Later, it ends the program at once. Doubled, an impatient second press is overheard for longer.
+SAME = 1.0
+
+#: Seconds that threads have to end once the command is interrupted: those in native code do not hear of it. Doubled,
+#: Ctrl-C during a long factorisation takes so much longer.
+GRACE = 1.0
+
+#: Files that are named one by one when it is said what is on disk; of more there is a number.
+NAMED = 12
+
+
+class Stopped(BaseException):
+    """The command was interrupted: raised in its other threads, where they say how far they are."""
+
+
+class Interruption:
+    """Whether Ctrl-C was pressed, and what a further press does.
+
+    ``stage`` is "loading" while there is nothing to keep: Ctrl-C ends the program where it stands. It is "working"
+    while the command runs, and "closing" once that is over and the program about to end. ``since`` is when the command
+    began (seconds since the epoch), ``output`` where it is going to write.
+    """
+
+    def __init__(self) -> None:
+        self.stage, self.since, self.output = "loading", time.time(), ""
+        self._presses, self._last = 0, 0.0
+
+    @property
+    def asked(self) -> bool:
+        """Whether it was pressed."""
+        return self._presses > 0
+
+    def handle(self, _number: int, _frame: FrameType | None) -> None:
+        """What Ctrl-C does; a handler of :func:`signal.signal`.
+
+        Raises:
+            KeyboardInterrupt: while the command is at work, at the first press and the second.
+        """
+        now = time.monotonic()
+        if self.asked and now - self._last < SAME:
+            return
+        self._presses, self._last = self._presses + 1, now
+        if self.stage == "loading":
+            # What an exception does halfway through the loading of a library depends on that.
+            say("interrupted: nothing was begun" + (f", and nothing written to {self.output}" if self.output else ""))
+            leave(STATUS)
+        if self._presses > 2 or (self.stage == "closing" and self._presses > 1):
+            leave(STATUS)
+        if self.stage == "working":
+            raise KeyboardInterrupt
+
+    def again(self) -> None:
+        """Interrupt the command once more: the first exception got lost."""
+        self._presses, self._last = 0, 0.0
+        ident = threading.main_thread().ident
+        if hasattr(signal, "pthread_kill") and ident is not None:
+            signal.pthread_kill(ident, signal.SIGINT)  # wakes it, should it wait for the system
+        else:
+            _thread.interrupt_main()
+
+
+@contextmanager
+def heeded(*, stays: bool) -> Iterator[Interruption]:
+    """Ctrl-C, heeded while a command runs. If it `stays` so, what the interpreter does at its end is silent too.
+
+    Where signals are somebody else's (a thread, or a program that ignores them) they stay theirs.
+    """
+    found = Interruption()
+    ours = threading.current_thread() is threading.main_thread() and (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+    if not ours:
+        yield found
+        return
+    # An exception that a destructor or a callback of a library swallows would be lost, and printed.
+    swallowed = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            swallowed(unraisable)
+        elif found.stage == "working":
+            threading.Timer(0.01, found.again).start()
+
+    signal.signal(signal.SIGINT, found.handle)
+    sys.unraisablehook = hook
+    try:
+        yield found
+    finally:
+        found.stage = "closing"
+        if not stays:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            sys.unraisablehook = swallowed
+
+
+@contextmanager
+def shielded() -> Iterator[None]:
+    """Processes that are begun in this block never see Ctrl-C, not even while they load libraries: the one that begins
+    them does, at the end of the block if it was pressed within, and ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    if "multiprocessing" in sys.modules:
+        # Begun by the first process, it would let signals through.
+        from multiprocessing.resource_tracker import ensure_running
+
+        ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def wait() -> bool:
+    """Let other threads come to an end, for :data:`GRACE` at most; whether they did. Native code cannot be stopped."""
+    until = time.monotonic() + GRACE
+    others = [each for each in threading.enumerate() if each is not threading.main_thread() and not each.daemon]
+    for thread in others:
+        thread.join(max(0.0, until - time.monotonic()))
+    return not any(thread.is_alive() for thread in others)
+
+
+def finish(status: int) -> int:
+    """`status`, for who is about to end the program; it ends here if a thread is still in native code."""
+    if any(each is not threading.main_thread() and not each.daemon for each in threading.enumerate()):
+        leave(status)
+    return status
+
+
+def leave(status: int) -> None:
+    """End the program at once."""
+    for stream in (sys.stdout, sys.stderr):
+        # Closed, or a pipe that nobody reads.
+        with suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    os._exit(status)
+
+
+def say(text: str) -> None:
+    """A line on standard error, by nothing but the system: whatever was interrupted may hold any lock."""
+    with suppress(OSError):
+        os.write(2, f"{text}\n".encode())
+
+
+def on_disk(output: Path | None, since: float) -> str:
+    """What an interrupted command that writes to `output`, a folder or a file, leaves there, in words; `since` (s since
+    the epoch) is when it began."""
+    if output is None:
+        return "interrupted: the command writes no files"
+    from workbench.files.writing import MARK
+
+    folder = output if output.is_dir() or not output.suffix else output.parent
+    clear(folder, since)
+    if folder == output:
+        found = sorted(path for path in output.rglob("*") if path.is_file()) if output.is_dir() else []
+    else:
+        found = sorted(path for path in folder.glob(f"{output.stem}*") if path.is_file())
+    # Files whose names begin with a dot are locks and the like.
+    found = [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+    found = [path for path in found if path.name != MARK]
+    if not found:
+        return f"interrupted: {output} holds nothing; nothing was finished"
+    # A file system may keep times to a second or two.
+    new = [path for path in found if path.stat().st_mtime >= since - 2.0]
+    names = [path.relative_to(folder).as_posix() for path in new]
+    listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more files" if len(names) > NAMED else "")
+    before = len(found) - len(new)
+    earlier = f"{before} file{'s' if before > 1 else ''} from before" if before else ""
+    marked = f"; {MARK} says that this is not all" if (folder / MARK).exists() else ""
+    return f"interrupted: {folder} holds " + " and ".join(filter(None, (listed, earlier))) + marked
+
+
+def clear(folder: Path, since: float) -> None:
+    """Remove what files that were being written in a folder have left there (`workbench.files.writing.replacing`)."""
+    import shutil
+
+    from workbench.files.writing import UNFINISHED
+
+    for path in folder.rglob(f".*{UNFINISHED}*") if folder.is_dir() else ():
+        if path.is_dir() and path.stat().st_mtime >= since - 2.0:
+            shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,162 @@
+"""Tables in which every line holds one quantity: LabOne's sweeps (Zurich Instruments MFIA, MFLI, HF2LI), and tables
+that were turned over.
+
+LabOne's sweeper saves ``chunk;timestamp;size;fieldname`` and then the values of that field, one line a field and sweep:
+``frequency`` (or ``grid``), ``realz`` and ``imagz``, ``absz`` and ``phasez`` in radians, and more that is not needed.
+A point that was not measured is ``nan``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.files.errors import InputError
+from workbench.readers import headed
+from workbench.readers.columns import READ_AS
+from workbench.readers.findings import Finding
+from workbench.readers.headings import understand
+from workbench.readers.quantities import Quantity
+from workbench.readers.sweep import Recorded, in_order
+from workbench.readers.text import RecordingText, cells, complex_parts, is_number
+from workbench.spectrum import Origin
+
+#: The pairs of fields that are an impedance, and what they are.
+PAIRS: Mapping[tuple[str, str], Quantity] = {
+    ("realz", "imagz"): Quantity("impedance", "rectangular", "ohm"),
+    ("absz", "phasez"): Quantity("impedance", "polar", "ohm", "rad"),
+}
+#: Sweeps of one file that differ by less (rms, of |Z|) are repetitions. Doubled, a drift of 2 % goes unmentioned.
+REPEATED = 0.01
+
+
+def recognises(text: RecordingText) -> bool:
+    return _delimiter(text) != ""
+
+
+def _delimiter(text: RecordingText) -> str:
+    """What divides the cells of a LabOne file; nothing if this is none."""
+    head = next((line for line in text.lines if line.strip()), "").casefold().replace(" ", "")
+    return next((mark for mark in ";,\t" if head.startswith(f"chunk{mark}timestamp{mark}size{mark}fieldname")), "")
+
+
+def parse(text: RecordingText) -> Recorded:
+    """Read the first sweep of the file; a finding says how others differ from it.
+
+    Raises:
+        InputError: no LabOne file; fields that are no impedance against frequency, or are of different length.
+    """
+    delimiter = _delimiter(text)
+    if not delimiter:
+        raise text.error(1, None, text.lines[0][:80], "a line that begins with chunk;timestamp;size;fieldname")
+    chunks: dict[str, dict[str, tuple[int, list[str]]]] = {}
+    for line, content in enumerate(text.lines, 1):
+        row = cells(content, delimiter)
+        if len(row) > 4 and row[0].isdigit():
+            chunks.setdefault(row[0], {})[row[3].casefold()] = (line, row[4:])
+    read = {name: _chunk(text, name, fields) for name, fields in chunks.items()}
+    if not read:
+        raise text.error(len(text.lines), None, text.lines[-1][:80], "a line of values behind the first one")
+    first, *others = read.values()
+    said = []
+    for name, other in list(read.items())[1:]:
+        same = np.array_equal(first.spectrum.frequency, other.spectrum.frequency)
+        share = float(np.sqrt(np.mean(np.abs(other.spectrum.impedance - first.spectrum.impedance) ** 2)
+                              / np.mean(first.spectrum.magnitude ** 2))) if same else np.inf
+        said.append(f"sweep {name} " + ("has other frequencies" if not same else f"differs by {100.0 * share:.2g} %"))
+    if others:
+        words = (f"{len(read)} sweeps in the file: the first was read; {'; '.join(said)}; to read another, take the "
+                 "lines of the first out of a copy of the file")
+        first = replace(first, findings=(*first.findings, Finding("sweeps", words)))
+    return first
+
+
+def _chunk(text: RecordingText, name: str, fields: Mapping[str, tuple[int, list[str]]]) -> Recorded:
+    """One sweep of the file."""
+    pair = next((pair for pair in PAIRS if set(pair) <= set(fields)), None)
+    frequency = next((field for field in ("frequency", "grid") if field in fields), None)
+    if pair is None or frequency is None:
+        raise InputError(text.path, f"chunk {name}", ", ".join(fields), "the fields frequency, and realz with imagz or "
+                         "absz with phasez: a sweep of the impedance analyser over frequency")
+    line = fields[frequency][0]
+    values = [_values(text, *fields[field]) for field in (frequency, *pair)]
+    sizes = {len(each) for each in values}
+    if len(sizes) > 1:
+        raise text.error(line, None, " and ".join(map(str, sorted(sizes))) + " values", f"as many of {pair[0]} and "
+                         f"{pair[1]} as of {frequency}; the file may be cut short")
+    whole = np.all(np.isfinite(values), axis=0)
+    findings = []
+    if not np.all(whole):
+        findings.append(Finding("idle", f"{np.count_nonzero(~whole)} of {len(whole)} points hold no number (nan): left "
+                                "out"))
+    quantity = PAIRS[pair]
+    unit = f"rad; the phase of Z is {pair[1]}" if quantity.form == "polar" else "ohm"
+    read_as = f"as a LabOne sweep, lines {frequency} in Hz, {pair[0]} and {pair[1]} in {unit}"
+    origin = Origin("measured", text.path, text.sha256, "Zurich Instruments, LabOne", settings={READ_AS: read_as})
+    one, two, three = (each[whole] for each in values)
+    return in_order(text, one, quantity.impedance(two, three), lines=[line] * len(one), column=5, origin=origin,
+                    findings=findings)
+
+
+def _values(text: RecordingText, line: int, row: list[str]) -> NDArray[np.float64]:
+    """The numbers of a line, NaN where there is none.
+
+    Raises:
+        InputError: a cell that is neither a number nor nan.
+    """
+    found = np.full(len(row), np.nan)
+    for place, cell in enumerate(row):
+        if is_number(cell):
+            found[place] = float(cell)
+        elif cell.casefold().lstrip("+-") not in ("nan", "inf", ""):
+            raise text.error(line, place + 5, cell, "a number or nan")
+    return found
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Any table of one quantity a line.
+
+
+def recognises_lines(text: RecordingText) -> bool:
+    """Whether the lines of a table are its columns: a frequency and more, each a heading and then numbers."""
+    return _turned(text) is not None
+
+
+def parse_lines(text: RecordingText) -> Recorded:
+    """Read a table whose lines are its columns.
+
+    Raises:
+        InputError: no such table, or headings that leave a doubt.
+    """
+    turned = _turned(text)
+    if turned is None:
+        raise text.error(1, None, text.lines[0][:80], "lines that are each a heading and numbers, one of them "
+                         "a frequency")
+    try:
+        found = headed.parse(turned)
+    except InputError as error:
+        # Its column map is for the table as it was turned, which is no file.
+        raise InputError(text.path, error.field, error.value, error.expected.split(". Look through")[0]
+                         + "; this table has one quantity a line: turn it over (transpose it) in a spreadsheet to name "
+                         "its columns by --columns MAP.toml") from None
+    origin = found.spectrum.origin
+    said = origin.settings[READ_AS].replace("by its headings", "by its headings, one quantity a line")
+    return replace(found, spectrum=replace(found.spectrum, origin=replace(
+        origin, settings={**origin.settings, READ_AS: said})))
+
+
+def _turned(text: RecordingText) -> RecordingText | None:
+    """The text with its lines as columns divided by tabs; None if its lines are none."""
+    for delimiter in ("\t", ";", ","):
+        rows = [row for row in (cells(line, delimiter) for line in text.lines[:200]) if len(row) > 3]
+        known = [row for row in rows if understand(row[0]) is not None and all(
+            is_number(cell) or is_number(cell, ",") or complex_parts(cell) is not None for cell in row[1:])]
+        sizes = {len(row) for row in known}
+        parts = {heading.part for heading in (understand(row[0]) for row in known) if heading is not None}
+        if len(known) >= 2 and len(sizes) == 1 and "frequency" in parts:
+            lines = ("\t".join(column) for column in zip(*known, strict=True))
+            return replace(text, lines=tuple(lines))
+    return None

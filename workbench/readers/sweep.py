@@ -1,0 +1,162 @@
+"""From the points of a file, in whatever order they stand, to a spectrum: the order of a sweep carries no physics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.readers.findings import Finding
+from workbench.readers.text import RecordingText, check_impedance
+from workbench.spectrum import Origin, Spectrum
+
+#: The setting of an origin that says what was put in order or left out.
+PUT_IN_ORDER = "put in order"
+#: Frequencies closer than this (relative) are one: digits lost in a unit. Doubled, nothing changes, since no analyser
+#: steps by a thousandth of a hertz at 1 MHz.
+ONE_FREQUENCY = 1e-9
+#: Values at one frequency that differ by less (relative) are one value, rounded. Doubled, twice the noise goes unsaid.
+ONE_VALUE = 1e-6
+#: Values at one frequency that differ by this many times as much as neighbouring frequencies do, and by this much
+#: (relative), or by the last of these in any case, are of two states of a device. Doubled, a drift of twice the size is
+#: averaged with milder words.
+TWO_STATES = (3.0, 0.02, 0.25)
+
+
+#: Readings beside the first of their frequency from which on they tell the noise: that of ten is known to 16 %. Halved,
+#: it would be known to 22 %.
+REPEATS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """The spectrum that a file holds and what was noticed while it was put in order."""
+
+    spectrum: Spectrum
+    findings: tuple[Finding, ...] = ()
+
+
+def in_order(
+    text: RecordingText, frequency: NDArray[np.float64], impedance: NDArray[np.complex128], *, lines: Sequence[int],
+    column: int, origin: Origin, uncertainty: NDArray[np.float64] | None = None, shared_uncertainty: float = 0.0,
+    findings: Sequence[Finding] = (),
+) -> Recorded:
+    """The spectrum of points (n,) in Hz and ohm that stand on `lines`, `frequency` being the `column` from one.
+
+    Points without a frequency (zero: idle rows, direct current) are left out. A falling sweep is turned round,
+    overlapping ones are merged, points of one frequency are joined: equal values to one, different ones to their mean.
+    Where nothing states the noise, repeated readings show it. Findings say so, after `findings`, and the origin's
+    setting :data:`PUT_IN_ORDER` holds their words.
+
+    Raises:
+        InputError: fewer than two frequencies, a negative one, an impedance that is zero or not finite.
+    """
+    found = list(findings)
+    if len(frequency) < 2:
+        where = lines[0] if lines else len(text.lines)
+        raise text.error(where, None, f"{len(frequency)} rows of numbers", "at least 2; the file may be cut short")
+    if np.any(frequency < 0.0):
+        index = int(np.argmax(frequency < 0.0))
+        raise text.error(lines[index], column, float(frequency[index]), "a frequency above zero")
+    idle = frequency == 0.0
+    if np.any(idle):
+        named = [line for line, out in zip(lines, idle, strict=True) if out]
+        found.append(Finding("idle", f"{_lines(named)} without a frequency (zero): left out"))
+        lines = [line for line, out in zip(lines, idle, strict=True) if not out]
+        frequency, impedance = frequency[~idle], impedance[~idle]
+        uncertainty = None if uncertainty is None else uncertainty[~idle]
+    check_impedance(text, impedance, lines)
+    if len(frequency) == 0 or np.ptp(frequency) == 0.0:
+        raise text.error(lines[0] if lines else len(text.lines), column, f"{len(frequency)} points at one frequency",
+                         "a sweep over at least 2 frequencies")
+    order = np.argsort(frequency, kind="stable")
+    steps = np.diff(frequency)
+    if np.all(steps < 0.0):
+        found.append(Finding("falling", f"the sweep falls (line {lines[0]} to {lines[-1]}): turned round"))
+    elif np.any(steps < 0.0):
+        found.append(Finding("order", _order(steps, lines)))
+    # A sweep that rises or falls throughout has no frequency twice, however small its steps.
+    near = 0.0 if np.all(steps > 0.0) or np.all(steps < 0.0) else ONE_FREQUENCY
+    frequency, impedance = frequency[order], impedance[order]
+    groups = np.concatenate(([0], np.cumsum(np.diff(frequency) > near * frequency[:-1])))
+    if groups[-1] == 0:
+        raise text.error(lines[0], column, f"{len(frequency)} points at one frequency", "a sweep over at least 2 "
+                         "frequencies")
+    if groups[-1] + 1 < len(frequency):
+        counts = np.bincount(groups)
+        mean: NDArray[np.complex128] = np.asarray(
+            (np.bincount(groups, impedance.real) + 1j * np.bincount(groups, impedance.imag)) / counts, complex)
+        found.append(_joined(np.bincount(groups, frequency) / counts, impedance, mean, groups, counts))
+        single = np.concatenate(([True], np.diff(groups) > 0))
+        if uncertainty is not None:
+            uncertainty = np.sqrt(np.bincount(groups, uncertainty[order] ** 2)) / counts
+        elif found[-1].code == "averaged" and len(groups) - len(counts) >= REPEATS:
+            noise = _noise(impedance, mean, groups)
+            uncertainty = noise * np.abs(mean) / np.sqrt(counts)
+            found.append(Finding("noise", f"repeated readings scatter by {100.0 * noise:.2g} % of Z: taken as the "
+                                 "noise of one"))
+        frequency, impedance = frequency[single], mean
+    elif uncertainty is not None:
+        uncertainty = uncertainty[order]
+    if found:
+        # A spectrum goes on without its findings, and its origin is shown wherever it is.
+        said = " ".join("; ".join(finding.message for finding in found).split())
+        origin = replace(origin, settings={**origin.settings, PUT_IN_ORDER: said})
+    return Recorded(Spectrum(frequency, impedance, uncertainty, origin, shared_uncertainty), tuple(found))
+
+
+def _noise(impedance: NDArray[np.complex128], mean: NDArray[np.complex128], groups: NDArray[np.int64]) -> float:
+    """The standard deviation of real and imaginary part, each, of readings about the `mean` of their group, relative
+    to it."""
+    off = np.abs(impedance - mean[groups]) / np.abs(mean[groups])
+    return float(np.sqrt(np.sum(off**2) / (2.0 * (len(groups) - len(mean)))))
+
+
+def _lines(named: Sequence[int]) -> str:
+    """Lines in words, the first and the last of many."""
+    return f"line {named[0]}" if len(named) == 1 else f"{len(named)} lines ({named[0]} to {named[-1]})"
+
+
+def _order(steps: NDArray[np.float64], lines: Sequence[int]) -> str:
+    """How frequencies that neither rise nor fall throughout stand in the file."""
+    signs = np.sign(steps)
+    moves = signs[signs != 0.0]
+    if np.count_nonzero(np.diff(moves)) == 1:
+        # The turn of a loop; two rising sweeps one after the other turn twice.
+        turn = int(np.argmax(signs == moves[-1]))
+        words = ("rises", "falls") if moves[0] > 0.0 else ("falls", "rises")
+        if np.count_nonzero(signs == moves[0]) > 1 and np.count_nonzero(signs == moves[-1]) > 1:
+            return f"the sweep {words[0]} to line {lines[turn]} and {words[1]} again: put in order of frequency"
+    back = [lines[int(index) + 1] for index in np.flatnonzero(signs == (-1.0 if np.sum(moves) >= 0.0 else 1.0))]
+    turns = ", ".join(map(str, back[:5])) + (" ..." if len(back) > 5 else "")
+    falling = "falling " if np.sum(moves) < 0.0 else ""
+    return (f"the frequencies are out of order at line {turns}: {len(back) + 1} {falling}sweeps or segments that "
+            "follow each other, put in order of frequency")
+
+
+def _joined(
+    frequency: NDArray[np.float64], impedance: NDArray[np.complex128], mean: NDArray[np.complex128],
+    groups: NDArray[np.int64], counts: NDArray[np.int64],
+) -> Finding:
+    """What is said of frequencies that stand in the file more than once: `frequency` and `mean` of every group."""
+    size = np.abs(mean)
+    apart = np.zeros(len(mean))
+    np.maximum.at(apart, groups, np.abs(impedance - mean[groups]) / np.maximum(size[groups], 1e-300))
+    many = counts > 1
+    worst = int(np.argmax(np.where(many, apart, -1.0)))
+    of = f"{np.count_nonzero(many)} of {len(mean)} frequencies stand in the file more than once"
+    if apart[worst] <= ONE_VALUE:
+        return Finding("joined", f"{of}, with the same values: joined")
+    # The whole difference of two values is twice that from their mean.
+    differ = f"{of}, with values up to {200.0 * apart[worst]:.2g} % apart (at {frequency[worst]:.9g} Hz)"
+    step = np.abs(np.diff(mean)) / np.minimum(size[:-1], size[1:])
+    beside = np.minimum(np.concatenate((step[:1], step)), np.concatenate((step, step[-1:])))
+    times, least, most = TWO_STATES
+    far = many & ((2.0 * apart > np.maximum(times * beside, least)) | (2.0 * apart > most))
+    if 2 * np.count_nonzero(far) >= np.count_nonzero(many):
+        return Finding("disagree", f"{differ}, much more than neighbouring frequencies are: their means were taken, "
+                       "but these sweeps are probably of different states of the device; keep only one of them in a "
+                       "copy of the file")
+    return Finding("averaged", f"{differ}: their means were taken")

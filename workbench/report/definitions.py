@@ -1,0 +1,57 @@
+"""What the numbers of the reports mean, in one sentence each: shown on their headings and listed below their tables.
+
+The glossary of the documentation has the same words (a test compares them).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+DEFINITIONS = {
+    "f0": "frequency of the smallest |Z|: the resonance.",
+    "Z_min": "the smallest |Z|, at f0.",
+    "Q": "quality factor: f0 over the width of the resonance at which |Y| has fallen by the square root of 2.",
+    "kt": "thickness coupling factor from f0 and the frequency of the largest |Z| above it (IEEE Std 176); empty where "
+          "that lies outside the band.",
+    "C0": "clamped capacitance of the electrodes: what they hold while nothing moves. It belongs to the transducer and "
+          "is the same in every state. A recording about one resonance does not show it, so recordings have none.",
+    "C at 1 kHz": "capacitance far below every mode, as an LCR meter shows it: C0 and what all modes add.",
+    "p0": "largest pressure amplitude in the cavity.",
+    "E_ac": "energy density of a plane standing wave of the amplitude p0, p0^2 / (4 rho c^2).",
+    "mean E_ac": "the field's own acoustic energy density, averaged over the cavity's volume and over time.",
+    "contrast factor": "f1/3 + Re f2/2 of Settnes and Bruus (2012): positive for particles that go to pressure nodes, "
+                       "negative for those that go to antinodes; the force grows with it.",
+    "largest force": "the largest radiation force on the particle anywhere in the cavity.",
+    "net weight": "weight less buoyancy of the particle; negative for one that rises.",
+    "barrier": "energy a particle needs to leave its trap for another one or for a wall that it does not lie on, over "
+               "the lowest pass, its weight included; 0 where the weight pulls it out of the trap.",
+    "axial barrier": "the barrier on the way along z alone; other ways may be lower.",
+    "radial barrier": "the barrier on the way along r alone; other ways may be lower.",
+    "lift / weight": "largest force against the net weight on the vertical line through the trap, over the net weight: "
+                     "below 1 the particle falls (or rises) out of the trap. Empty where a wall carries it.",
+    "share": "part of the cavity's volume from which particles come to this trap.",
+    "stiffness": "force per displacement about the trap, along r and along z; of a trap at a wall the curvature of the "
+                 "potential there, which may be negative.",
+    "focusing time": "time from 90 % to 10 % of a quarter wavelength from the trap, along z, against drag and weight; "
+                     "empty where a particle that starts there does not get to the trap.",
+    "MAPE of |Z|": "mean absolute percentage error: the mean over the points of ||Z_sim| - |Z_meas|| / |Z_meas|.",
+    "rms of ln(Z_sim / Z_meas)": "root mean square of the complex logarithm: relative error of magnitude and error of "
+                                 "phase in radian together.",
+    "above the floor": "height above the floor of the cavity; z counts from the bottom of the chip.",
+}
+
+
+def definition(heading: str) -> str | None:
+    """What a heading such as "f0 (MHz)" means, if it is one of :data:`DEFINITIONS`."""
+    return DEFINITIONS.get(_name(heading))
+
+
+def defined(headings: Iterable[str]) -> tuple[tuple[str, str], ...]:
+    """Those of the headings that have a definition, each once with it, without their units."""
+    found = {_name(heading): definition(heading) for heading in headings}
+    return tuple((name, words) for name, words in found.items() if words is not None)
+
+
+def _name(heading: str) -> str:
+    """A heading without the unit in brackets behind it."""
+    return heading if heading in DEFINITIONS else heading.rsplit(" (", 1)[0]
