@@ -93,8 +93,9 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     command = [sys.executable, "-m", "workbench", "app", str(chip), "--recording", str(folder / "recorded.csv"),
                "--vary", *live_chip.WANTED, "--accuracy", "1 %", "--no-browser", "-o", str(folder / "out")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=folder,
-                          env=environment) as served, sync_playwright() as playwright:
+    with (folder / "errors.txt").open("w") as errors, subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=folder, env=environment) as served, (
+            sync_playwright()) as playwright:
         assert served.stdout is not None
         address = served.stdout.readline().strip()
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
@@ -110,6 +111,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
         browser.close()
         served.send_signal(signal.SIGINT)
         assert served.wait(30) == 0
+    assert "Traceback" not in (folder / "errors.txt").read_text()
 
 
 def test_three_sliders_move_spectrum_figures_and_fields(live: Live) -> None:

@@ -128,6 +128,23 @@ def test_the_spread_is_that_of_differences(session: Session) -> None:
     assert view.deviations["f0"] == pytest.approx(by_difference, rel=1e-3)
 
 
+def test_a_hurried_spectrum_is_the_whole_one_without_tolerances(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("workbench.app.session.SMALL", 0)
+    session.put({THICKNESS: 0.793e-3, RADIUS: 1.507e-3})
+    hurried = session.spectrum(hurried=True)
+    whole = session._best(session.values)(session.values)
+    # Sums in another order.
+    assert hurried.response.impedance == pytest.approx(whole.impedance, rel=1e-9)
+    assert (hurried.complete, hurried.spread, hurried.deviations) == (False, None, {})
+    completed = session.completed(hurried)
+    assert completed.complete
+    assert completed.spread is not None
+    assert completed.response.gradient() == pytest.approx(whole.gradient(), rel=1e-6, abs=1e-9)
+    assert completed.deviations.keys() == completed.figures.keys() == hurried.figures.keys()
+
+
 def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ for an eighth of the range of any one of seven.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from workbench.fitting.predict import Prediction
 from workbench.parameter_names import placed
 from workbench.ranges import RangeModel, Ranges, Response
 from workbench.reduction import ReducedModel, narrowed
+from workbench.solve import Solution
 
 #: Points of its range at which states are taken for one number, and for each of many, besides the centre; and of how
 #: many frequencies of the model one is used.
@@ -50,6 +52,21 @@ class LocalModel:
         """The spectrum at `values` that it stands for."""
         there = placed(self.model.problem.values, values)
         return Response(values, Prediction(self.reduced.solve(self.model.frequency, there), self.reduced, there))
+
+
+def in_halves(model: RangeModel, values: Mapping[str, float]) -> Response:
+    """The answer of a range model itself, the halves of its band at once, each in a thread."""
+    there = placed(model.problem.values, values)
+    compact, middle = model.compact, model.frequency.size // 2 + 1
+    with ThreadPoolExecutor(2) as pool:
+        below, above = pool.map(lambda part: compact.solve(part, there),
+                                (model.frequency[:middle], model.frequency[middle:]))
+    groups = compact.operators.coefficients.groups(2.0 * np.pi * model.frequency, there)
+    states = np.concatenate([below.states, above.states], axis=1)
+    charge = np.concatenate([below.charge, above.charge])
+    residual = np.concatenate([below.residual, above.residual])
+    solution = Solution(compact.operators, model.frequency, groups, states, charge, residual)
+    return Response(values, Prediction(solution, compact, there))
 
 
 def along(model: RangeModel, name: str) -> Ranges:

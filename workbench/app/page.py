@@ -61,7 +61,7 @@ html { overflow-y: auto !important; }
 .live .works a { color: #1565c0; }
 .live .error { color: #c0392b; }
 @media (max-width: 1199px) {
-  .live { grid-template: auto / minmax(0, 1fr); }
+  .live { grid-template: auto / minmax(0, 1fr); align-content: start; }
   .live .bar { grid-column: 1; flex-wrap: wrap; height: auto; }
   .live .left { max-height: none; align-self: stretch; }
   .live .figures { flex-wrap: wrap; }

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -443,7 +444,16 @@ class LiveView:
         return self._moved
 
     async def _answer_spectrum(self, pool: ThreadPoolExecutor) -> None:
-        view, scale, shown, cards = await self._loop.run_in_executor(pool, self._spectrum)
+        """The spectrum and its figures; what tolerances do to them comes after, where it takes as long."""
+        view = await self._loop.run_in_executor(pool, partial(self.session.spectrum, hurried=True))
+        await self._show_spectrum(pool, view)
+        if not view.complete and not self._asked.is_set():
+            await self._show_spectrum(pool, await self._loop.run_in_executor(pool, self.session.completed, view))
+        self._picked = self._idle = True
+
+    async def _show_spectrum(self, pool: ThreadPoolExecutor, view: SpectrumView) -> None:
+        scale = self._scale(view)
+        shown, cards = await self._loop.run_in_executor(pool, lambda: (curve(view, scale), figure_cards(view)))
         self._view = view
         with self._state:
             if self._state.message == self._waiting:
@@ -453,13 +463,6 @@ class LiveView:
             self._show_recording(scale)
             self._show_frequency()
             self._show_dots()
-        self._picked = self._idle = True
-
-    def _spectrum(self) -> tuple[SpectrumView, plot.Scale, dict[str, Any], list[dict[str, str]]]:
-        """The spectrum as it is, and as the page shows it: lines, and cards of figures."""
-        view = self.session.spectrum()
-        scale = self._scale(view)
-        return view, scale, curve(view, scale), figure_cards(view)
 
     async def _answer_fields(self, pool: ThreadPoolExecutor) -> None:
         """Draw the fields; given up at the next move, after which they are asked for again."""

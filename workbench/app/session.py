@@ -28,7 +28,7 @@ from materials.registry import Registry
 from workbench.app.controls import REACH, Control, controls, is_inside, wraps
 from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
-from workbench.app.local import LocalModel, along, around, local_model
+from workbench.app.local import SMALL, LocalModel, along, around, in_halves, local_model
 from workbench.app.section_fields import SectionFields, moved_chip, section_fields
 from workbench.app.spectrum_view import SpectrumView, spectrum_view
 from workbench.discretisation import ACCURACY, Discretisation
@@ -324,11 +324,7 @@ class Session:
             if self._has(ranges) or not is_inside(ranges, values) or (
                     title == WHOLE and any(is_inside(each, values) for each in others)):
                 continue
-
-            def ended(ranges: Ranges = ranges) -> bool:
-                return stopped() or not is_inside(ranges, self.values)
-
-            for told in self._grown(ranges, ended, LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
+            for told in self._grown(ranges, stopped, LIMIT if title == NEAR or len(stages) == 1 else WIDE_LIMIT):
                 yield told if len(stages) == 1 else f"{title}: {told}"
             if stopped():
                 return
@@ -344,8 +340,8 @@ class Session:
             near[each.name] = (low, high)
         if not wide:
             return {WHOLE: whole}
-        alone = {f"{each.label} {each.shown(each.low)} to {each.told(each.high)}": near | {each.name: whole[each.name]}
-                 for each in wide}
+        alone = {f"{each.label} {each.low * each.factor:.4g} to {each.high * each.factor:.4g} {each.unit}":
+                 near | {each.name: whole[each.name]} for each in wide}
         return {NEAR: near, **alone, **({WHOLE: whole} if len(wide) > 1 else {})}
 
     def _whole(self) -> dict[str, tuple[float, float]]:
@@ -362,7 +358,7 @@ class Session:
             return any(each.error <= each.tolerance and wraps(each.ranges, ranges) for each in self._models)
 
     def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
-        """Models of `ranges` from at most `limit` full solves, in words."""
+        """Models of `ranges` from at most `limit` full solves, in words; given up once numbers are elsewhere."""
         wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
                         self.accuracy, limit)
         models = self._growing(wanted)
@@ -370,7 +366,7 @@ class Session:
             for model in models:
                 self._take(model)
                 yield _told(model)
-                if stopped():
+                if stopped() or not is_inside(ranges, self.values):
                     return
         except NotCovered as reached:
             # The last model that was yielded answers.
@@ -407,8 +403,9 @@ class Session:
     # ----------------------------------------------------------------------------------------------------------------
     # What they give.
 
-    def spectrum(self) -> SpectrumView:
-        """The spectrum of the present numbers, and its figures of merit.
+    def spectrum(self, *, hurried: bool = False) -> SpectrumView:
+        """The spectrum of the present numbers, and its figures of merit; `hurried` without what tolerances do to them,
+        where no small model makes that quick (:meth:`completed`).
 
         Raises:
             NotReady, OutOfRange: no model answers for them yet.
@@ -417,8 +414,16 @@ class Session:
             values, deviations = self.values, {each.name: each.deviation for each in self.controls}
             model = self._best(values)
             local = next((each for each in self._local if each.holds(model, values)), None)
-        response = model(values) if local is None else local(values)
-        return spectrum_view(response, deviations, model.error, self.recording)
+        if local is not None or model.rank <= SMALL:
+            response = model(values) if local is None else local(values)
+            return spectrum_view(response, deviations, model.error, self.recording)
+        found = spectrum_view(in_halves(model, values), {} if hurried else deviations, model.error, self.recording)
+        return replace(found, complete=not hurried)
+
+    def completed(self, view: SpectrumView) -> SpectrumView:
+        """A spectrum that was hurried, with what the tolerances do to it."""
+        deviations = {each.name: each.deviation for each in self.controls}
+        return spectrum_view(view.response, deviations, view.error, self.recording)
 
     def section(self, frequency: float) -> SectionFields:
         """The fields of the present numbers at a `frequency` (Hz) within the band.

@@ -25,7 +25,8 @@ class SpectrumView:
     resonance, and ``no_resonance`` says why. ``deviations`` are theirs by the tolerances, and ``spread`` (n,) that of
     |Z|, relative, all standard and to first order; empty and None where nothing has a tolerance. ``error`` is what the
     model was off by where full solves checked it last (infinite where none has), ``estimate`` what it estimates to be
-    off by here. ``comparison`` is with the recording, if there is one that overlaps.
+    off by here. ``comparison`` is with the recording, if there is one that overlaps. ``complete`` is whether what
+    tolerances do was looked at.
     """
 
     response: Response
@@ -35,6 +36,7 @@ class SpectrumView:
     spread: Real | None
     error: float
     comparison: Comparison | None
+    complete: bool = True
 
     @property
     def spectrum(self) -> Spectrum:

@@ -6,7 +6,9 @@ import argparse
 import asyncio
 import contextlib
 import importlib.util
+import signal
 import tempfile
+import threading
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,9 +57,24 @@ def run(options: argparse.Namespace, console: Console) -> int:
             webbrowser.open(address)
 
     # Its usual end.
-    with contextlib.suppress(KeyboardInterrupt):
+    with contextlib.suppress(KeyboardInterrupt), _cancelling():
         asyncio.run(view.serve(options.port, ready))
     return 0
+
+
+@contextlib.contextmanager
+def _cancelling() -> Iterator[None]:
+    """Ctrl-C cancels what `asyncio.run` runs, which then ends in order, and raises nothing within it: asyncio sees to
+    that where the handler is the interpreter's own."""
+    ours = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGINT)
+    if ours:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, before)
 
 
 def _section(found: SectionFields) -> Iterator[LivePicture]:
