@@ -71,12 +71,12 @@ def test_a_field_too_weak_for_the_weight_is_said_with_the_voltage_that_is_enough
     assert found.gathers is False
     assert "on the floor, where the weight brings them (100 %)" in found.sentences[0]
     assert "The field is too weak" in found.sentences[1]
-    # Force and lift go with the square of the voltage, which is said with two digits.
-    enough = float(found.sentences[1].split("From ")[1].split(" Vpp")[0])
+    # At that voltage it does, and two steps below the lift, which goes with its square, is less than the weight.
+    enough = float(found.sentences[1].split("At ")[1].split(" Vpp")[0])
+    assert "of evenly spread neutral spheres" in said(half_wave(lead, p0=1.02e5 * enough / 10.0)).sentences[0]
     lift = find_traps(half_wave(lead)).traps[0].lift
     assert lift is not None
-    assert (enough / 10.0) ** 2 * lift == pytest.approx(net_weight(lead, WATER), rel=0.06, abs=0.0)
-    assert "of evenly spread neutral spheres" in said(half_wave(lead, p0=1.1e5 * enough / 10.0)).sentences[0]
+    assert (enough / 1.44 / 10.0) ** 2 * lift < net_weight(lead, WATER)
 
 
 def test_slow_focusing_is_said_with_a_voltage() -> None:
