@@ -191,7 +191,7 @@ def lossless() -> Chip:
 
 def test_a_lossless_ceramic_is_simulated_with_the_assumed_loss(lossless: Chip) -> None:
     found = simulate(lossless, points=POINTS, accuracy=quadratic(ELEMENTS))
-    (said,) = found.findings
+    (said,) = beside_the_grid(found)
     assert said.startswith("pzt5a/erturk_2011 states no loss; assumed is that of a soft ceramic, Q_m 75")
     assert found.left_out == ()
     assert found.figures is not None
@@ -208,11 +208,30 @@ def test_without_it_the_undamped_resonance_is_stepped_beside(lossless: Chip) -> 
     # At the pole itself nothing converges: the fields are of 10 ppm beside it, and that is said.
     assert found.figures is not None
     assert found.fields.frequency == pytest.approx(found.figures.f0, rel=1e-4)
-    (said,) = found.findings
+    (said,) = beside_the_grid(found)
     assert "did not converge. A resonance without loss has no height: state a loss of pzt5a/erturk_2011" in said
     damped = simulate(lossless, points=POINTS, accuracy=quadratic(ELEMENTS))
     assert damped.figures is not None
     assert found.figures.f0 == pytest.approx(damped.figures.f0, rel=2e-3)
+
+
+def beside_the_grid(found: Simulation) -> list[str]:
+    """The findings of a simulation but for that of a grid that is too coarse for its resonance, as in these tests."""
+    return [text for text in found.findings if "lie within the resonance" not in text]
+
+
+def test_a_resonance_that_few_frequencies_lie_in_is_said(disc: Chip) -> None:
+    coarse = simulate(disc, points=5, accuracy=quadratic(ELEMENTS))
+    assert coarse.figures is not None
+    assert coarse.figures.count_within(coarse.spectrum.frequency) < 2
+    (said,) = set(coarse.findings) - set(beside_the_grid(coarse))
+    assert "of the 5 frequencies lie within the resonance" in said
+    # The advice, taken.
+    enough = int(said.split("far off; ")[1].split(" points")[0])
+    fine = simulate(disc, points=enough, accuracy=quadratic(ELEMENTS))
+    assert fine.figures is not None
+    assert fine.figures.count_within(fine.spectrum.frequency) >= 2
+    assert list(fine.findings) == beside_the_grid(fine)
 
 
 def singular_at(monkeypatch: pytest.MonkeyPatch, *frequencies: float) -> None:
@@ -239,7 +258,7 @@ def test_a_singular_frequency_is_left_out_and_named(disc: Chip, monkeypatch: pyt
     kept = ~np.isin(plain.spectrum.frequency, found.left_out)
     np.testing.assert_array_equal(found.spectrum.frequency, plain.spectrum.frequency[kept])
     np.testing.assert_allclose(found.spectrum.impedance, plain.spectrum.impedance[kept], rtol=1e-4)
-    (said,) = found.findings
+    (said,) = beside_the_grid(found)
     assert f"{len(found.left_out)} of 21 frequencies are left out" in said
     assert f"{found.left_out[0] / 1e6:.6g}" in said
 
