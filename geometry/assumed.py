@@ -1,4 +1,4 @@
-"""How exactly a length is taken to be known where nobody says: an assumption by the role of its layer.
+"""Uncertainties of lengths that nobody measured, assumed by the role of their layer.
 
 A number that is freed without a statement of how exact it is - in a fit, a live view, a tolerance analysis or a
 diagnosis - is given the one that people who make such parts would give. Reports show it as assumed.
@@ -18,8 +18,9 @@ from geometry.names import CAVITY, role_of
 FILMS = ("couplant", "bond")
 FILM_FACTOR, FILM_RANGE = 3.0, (0.1, 5.0)
 
-#: What comes from a printer, and how far its lengths are off (m): a layer, or half the width of a line of filament.
-PRINTED = ("substrate", "sidewall", CAVITY)
+#: Roles of the parts that are printed, layer on layer, and how far (m) their lengths and those of the hole in them are
+#: off: a layer, or half the width of a line of filament.
+PRINTED = ("substrate", "sidewall")
 PRINTED_TOLERANCE = 50e-6
 
 #: What is turned, lapped or bought, relative: catalogues of discs and lids state 0.5 to 2 %.
@@ -33,7 +34,7 @@ SHAPE_UNCERTAINTY: Mapping[str, float] = {"draft": math.radians(1.0), "barrel": 
 
 @dataclass(frozen=True)
 class LengthUncertainty:
-    """How exactly a length is known.
+    """The uncertainty of a length.
 
     ``deviation`` (m; rad for an angle) is the standard uncertainty; ``low`` and ``high`` are the limits that stand for
     it, and ``lowest`` and ``highest`` those of a search. ``assumed`` says in words what was taken to be known where the
@@ -55,7 +56,7 @@ def is_film(name: str) -> bool:
 
 
 def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
-    """How exactly the dimension ``<region>.<what>`` is known: as the chip file states, or as its role lets assume.
+    """The uncertainty of the dimension ``<region>.<what>``: stated in the chip file, or assumed by its role.
 
     A tolerance is the limit of a uniform law. A search goes to three tolerances, or 2 % of the length where that is
     more. The thickness of a film is known to a factor: its logarithm is uniform.
@@ -71,10 +72,15 @@ def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
             size * math.log(FILM_FACTOR) / math.sqrt(3.0), value / FILM_FACTOR, value * FILM_FACTOR,
             FILM_RANGE[0] * value, FILM_RANGE[1] * value,
             f"a film of gel or glue is known to a factor of {FILM_FACTOR:g}")
-    if role_of(region) in PRINTED:
+    if role_of(region) in (*PRINTED, CAVITY):
         return _limited(value, PRINTED_TOLERANCE, f"a printed length is known to {1e6 * PRINTED_TOLERANCE:g} um")
     return _limited(value, MACHINED_TOLERANCE * size,
                     f"a turned or bought part is known to {100.0 * MACHINED_TOLERANCE:g} %")
+
+
+def assumed_uncertainty(name: str, value: float) -> LengthUncertainty:
+    """The uncertainty assumed of a dimension of that `value` (m or rad), whatever the chip file states."""
+    return length_uncertainty(name, Dimension(value))
 
 
 def _limited(value: float, tolerance: float, assumed: str) -> LengthUncertainty:

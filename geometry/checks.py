@@ -161,7 +161,7 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
 
 
 def _nearest(profile: Profile, layer: Layer) -> float:
-    """How near to the axis the points of an outline come (m); 0 for a profile that is no outline."""
+    """Smallest radius (m) of the points of an outline; 0 for a profile that is no outline."""
     if not isinstance(profile.source, Outline):
         return 0.0
     sizes = profile.sizes({"thickness": layer.thickness.value, "radius": layer.outer_radius})

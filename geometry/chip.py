@@ -153,7 +153,7 @@ class Chip:
                              unusual=(*unusual, *beyond))
 
     def with_tolerances(self, tolerances: Mapping[str, float | None]) -> Chip:
-        """The same chip with other tolerances (metres, or radians), by the names of :meth:`dimensions`; None for none.
+        """A copy with other tolerances (metres, or radians), by the names of :meth:`dimensions`; None for none.
 
         Raises:
             InputError: unknown name.
@@ -163,7 +163,7 @@ class Chip:
     def _changed(
         self, changes: Mapping[str, Callable[[Dimension], Dimension]], *, unusual: Collection[str] = ()
     ) -> Chip:
-        """The same chip with the dimensions that have a change, by name, changed, and further `unusual` ones."""
+        """A copy with `changes` applied to dimensions, by name, and further `unusual` names."""
         known = self.dimensions()
         for name in changes:
             choose(name, known, source=self.file, field="dimension")

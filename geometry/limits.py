@@ -1,4 +1,4 @@
-"""What the model does not have, in the words that messages and the documentation use alike."""
+"""Limits of the model, in the words that messages and the documentation use alike."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ def _how(name: str) -> str:
 def _stated(
     layers: Sequence[Layer], named: Mapping[str, Dimension], states: Sequence[State]
 ) -> Iterator[tuple[str, float, Range | None, str]]:
-    """What a chip states: name, value (SI), range, and what kind of quantity it is."""
+    """Sizes that a chip states: name, value (SI), range, and the kind of quantity."""
     for name, dimension in named.items():
         yield name, dimension.value, range_of(name), "length"
     for layer in layers:

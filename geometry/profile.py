@@ -85,7 +85,7 @@ class StepPart:
 
 @dataclass(frozen=True)
 class Placement:
-    """How a solid stands in its file: it turns about ``axis`` (a unit vector that points up through the chip) through
+    """The placement of a solid in its file: it turns about ``axis`` (a unit vector, up through the chip) through
     ``origin`` (m), from which heights are counted; of the whole body it is the part within the angle ``sector`` (rad),
     as models of one half or quarter are."""
 

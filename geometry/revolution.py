@@ -175,7 +175,7 @@ def revolved(face: Face, degrees: float = 360.0) -> Solid:
 
 
 def turning(solid: Solid, asymmetry: float) -> tuple[Placement, Turned] | None:
-    """How a solid stands that is a body of revolution about some axis, or a sector of one, within `asymmetry` or
+    """The placement of a solid that is a body of revolution, or a sector of one, within `asymmetry` or
     :data:`NAMED_WITHIN` of its volume; None for any other."""
     best: tuple[Placement, Turned] | None = None
     for axis, origin in _candidates(solid):
@@ -272,7 +272,7 @@ def _sector(solid: Solid, whole: Placement) -> Placement | None:
 
 
 def words(placement: Placement) -> str:
-    """How a solid stands: "half of a body of revolution about y through x = 15 mm"."""
+    """A placement in words: "half of a body of revolution about y through x = 15 mm"."""
     degrees = math.degrees(placement.sector)
     part = {360.0: "", 180.0: "half of ", 90.0: "a quarter of "}.get(
         round(degrees, 6), f"a sector of {degrees:.4g} degrees of ")

@@ -39,7 +39,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Kind:
-    """What a file of one kind may state. ``forms`` are alternatives, of which exactly one must be complete.
+    """The statements a file of one kind may make. ``forms`` are alternatives, of which exactly one must be complete.
 
     ``words`` are texts from closed lists. What a form gives may be complex where it is ``lossy``. ``once`` are losses
     that stand for all constants: by their key the word they stand for and the dimensions of the numbers that lose so.
@@ -356,7 +356,7 @@ def _with_losses_once(
 
 @dataclass(frozen=True)
 class _Absorption:
-    """What a fluid's file says of the absorption of its sound beside the speed of it.
+    """The absorption of sound that a fluid's file states beside the speed.
 
     ``diffusivity`` of sound (m^2/s) and its ``uncertainty``; ``stated`` in the words of the file; ``speed`` the entry
     of the sound speed without it.

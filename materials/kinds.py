@@ -31,7 +31,7 @@ def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> d
 
 @dataclass(frozen=True, kw_only=True)
 class Heat:
-    """How a solid takes, leads and shows heat; what a source does not give is None.
+    """Thermal constants of a solid; one that a source does not give is None.
 
     Thermal conductivity in W/(m K), heat capacity in J/(kg K), linear thermal expansion in 1/K. No term of the acoustic
     model reads them, so they are not among the parameters of a solid.

@@ -38,7 +38,7 @@ _STEP = 1e-6
 
 
 class Loses(Enum):
-    """How a number may lose, which fixes the sign of its imaginary part and the words for it."""
+    """The way in which a number may lose, which fixes the sign of its imaginary part and the words for it."""
 
     NOT = "not at all"
     STIFFLY = "as a modulus"

@@ -1,4 +1,4 @@
-"""What a prompt shows of a result: a few lines instead of all its numbers."""
+"""Short texts of results for a prompt: a few lines instead of all numbers."""
 
 from __future__ import annotations
 

@@ -80,6 +80,10 @@ class Figures:
     q_step_change: float
     antiresonance: Antiresonance | None
 
+    def count_within(self, frequency: NDArray[np.float64]) -> int:
+        """The number of frequencies (n,) Hz that lie within the half-power width of the resonance."""
+        return int(np.count_nonzero((frequency >= self.f1) & (frequency <= self.f2)))
+
 
 def figures(
     spectrum: Spectrum | WithSpectrum, *, near: float | None = None, band: tuple[float, float] | None = None

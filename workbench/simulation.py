@@ -277,7 +277,7 @@ def _assuming(registry: Registry | None, assumed_losses: bool) -> Registry:
 
 
 def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) -> tuple[str, ...]:
-    """What is said of `frequencies` (Hz) at which nothing could be solved, of so many `asked` for."""
+    """A finding that names the `frequencies` (Hz), of so many `asked` for, at which nothing could be solved."""
     if not frequencies:
         return ()
     listed = ", ".join(f"{f / 1e6:.6g}" for f in frequencies[:5]) + (" ..." if len(frequencies) > 5 else "")
@@ -286,11 +286,11 @@ def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) ->
 
 
 def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
-    """What is said of a resonance that next to no frequencies lie in."""
+    """A finding that next to no frequencies lie in the resonance; none where enough do."""
     if merit is None:
         return ()
     width = merit.f2 - merit.f1
-    inside = int(np.sum((spectrum.frequency >= merit.f1) & (spectrum.frequency <= merit.f2)))
+    inside = merit.count_within(spectrum.frequency)
     if inside >= RESOLVED:
         return ()
     enough = math.ceil((spectrum.frequency[-1] - spectrum.frequency[0]) / width * 2 * RESOLVED) + 1

@@ -77,7 +77,7 @@ class Control:
 
     @property
     def known(self) -> LengthUncertainty:
-        """How exactly the length is known: by its tolerance, or by its role."""
+        """The uncertainty of the length: by its tolerance, or by its role."""
         return length_uncertainty(self.name, Dimension(self.value, self.tolerance))
 
     @property

@@ -45,8 +45,7 @@ _STEPS = 200
 
 @dataclass(frozen=True)
 class Drawing:
-    """How fields are drawn: their ``section``, one picture after the other, and the chip cut open in ``space`` (PNG).
-    """
+    """The functions that draw fields: the ``section``, one picture after the other, and the chip in ``space`` (PNG)."""
 
     section: Callable[[SectionFields], Iterable[Drawn]]
     space: Callable[[SectionFields], bytes]

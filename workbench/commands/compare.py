@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +14,7 @@ from geometry.chip import read_chip
 from workbench.commands.asked import asked_model, asked_reading, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.tables import model_table, origin_table
-from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
+from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.report.figures import figures_record, measured_figures
 from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
@@ -97,14 +95,14 @@ def run(options: argparse.Namespace, console: Console) -> int:
     ])
     print_table(f"{chip.name}, {run.state}", rows)
     print_table("", summary)
-    print_line(textwrap.fill(next_step, shutil.get_terminal_size((80, 24)).columns, break_on_hyphens=False))
+    print_paragraph(next_step)
     for text in (*(finding.message for finding in reading.findings), *run.findings):
         say_finding(text, console)
     return 0
 
 
 def what_next(comparison: Comparison, chip: Path, recording: Path) -> str:
-    """What to do after a comparison: nothing, or find out what the difference comes from."""
+    """The next step after a comparison: none, or the commands that find where the difference comes from."""
     if comparison.reduced_chi_square is not None and comparison.reduced_chi_square < AGREES:
         return ("The simulation agrees with the recording within their uncertainties: there is nothing here to fit or "
                 "to diagnose.")

@@ -71,7 +71,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
 
 
 def _print_remarks(registry: Registry, name: str) -> None:
-    """What the entry says of the whole: its title, its conditions and its note."""
+    """Print the title, the conditions and the note of an entry."""
     content = read_toml(registry.find(name)[1])
     for key in ("title", "conditions", "note"):
         if key in content:

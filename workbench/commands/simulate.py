@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-import shutil
 import subprocess
 import sys
 import tempfile
-import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -16,13 +14,11 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from geometry.chip import Chip, read_chip
 from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
-from workbench.commands.terminal import Show, print_line, print_table, progress_bars, say_finding
+from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
 from workbench.discretisation import discretisation
 from workbench.gathering import Gathering, gathering
 from workbench.interruption import Stopped, shielded
@@ -85,7 +81,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         path.unlink(missing_ok=True)
     print_table(chip.name, _figures_table(chip, runs))
     for answer in reversed(answers):
-        print_line(textwrap.fill(str(answer), shutil.get_terminal_size((80, 24)).columns))
+        print_paragraph(str(answer))
     for text in dict.fromkeys(text for run in runs for text in run.findings):
         say_finding(text, console)
     for note in _without_resonance(runs):
@@ -178,7 +174,7 @@ def _without_resonance(runs: list[Simulation]) -> list[Note]:
 
 
 def _findings(runs: list[Simulation]) -> list[Note]:
-    """What was assumed and left out, each once with the states that it holds in."""
+    """Findings of all runs, each once with the states that it holds in."""
     found: dict[str, list[str]] = {}
     for run in runs:
         for text in run.findings:
@@ -224,9 +220,8 @@ def _simulation_report(
 
 def _resolution(runs: Sequence[Simulation]) -> str:
     """The caption of the spectra: how many points lie on each resonance, and what is drawn between them."""
-    resolved = [f"{count} of {run.state}" for run in runs if run.figures is not None
-                for count in [int(np.sum((run.spectrum.frequency >= run.figures.f1)
-                                         & (run.spectrum.frequency <= run.figures.f2)))]]
+    resolved = [f"{run.figures.count_within(run.spectrum.frequency)} of {run.state}" for run in runs
+                if run.figures is not None]
     words = "impedance; between the points that were computed the curve is their interpolant, from which f0 and Q are"
     if not resolved:
         return words

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -42,6 +44,11 @@ def say_finding(text: str, console: Console) -> None:
 def print_line(text: str) -> None:
     """A result, to standard output so that it can be piped; all that is said on the way goes to the error console."""
     sys.stdout.write(text + "\n")
+
+
+def print_paragraph(text: str) -> None:
+    """A result in sentences, on lines as wide as the terminal (80 columns where there is none)."""
+    print_line(textwrap.fill(text, shutil.get_terminal_size((80, 24)).columns, break_on_hyphens=False))
 
 
 def print_table(title: str, table: Table) -> None:

@@ -16,13 +16,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from geometry.assumed import is_film, length_uncertainty
+from geometry.assumed import assumed_uncertainty, is_film
 from geometry.chip import Chip
 from geometry.stretch import movable, tied
 from materials.entry import KINDS
@@ -128,7 +128,8 @@ def stated_uncertainty(
     for name, length in chip.dimensions().items():
         if length.tolerance is None and is_film(name) and name not in {*found.inputs, *said}:
             found.notes.append(f"{name} is taken as exact, since the chip file states no tolerance, but "
-                               f"{length_uncertainty(name, length).assumed}: \"{name} = {ASSUMED}\" counts with that")
+                               f"{assumed_uncertainty(name, length.value).assumed}: \"{name} = {ASSUMED}\" counts "
+                               "with that")
     return found.uncertainty({m.name: m for m in device.materials.values() if not isinstance(m, Fluid)})
 
 
@@ -341,7 +342,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: L
         if not is_length:
             raise InputError(each.source, each.field, each.amount, f"an uncertainty of {name}: only lengths have one "
                              "that is assumed by the role of their layer")
-        length = length_uncertainty(name, replace(device.chip.dimensions()[name], tolerance=None))
+        length = assumed_uncertainty(name, device.chip.dimensions()[name].value)
         found.put(from_standard(name, mean, length.deviation, origin=f"assumed: {length.assumed}",
                                 ends=movable(device.chip, name, length.low, length.high),
                                 tied=_tied(device.chip, name)))

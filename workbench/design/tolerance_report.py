@@ -93,7 +93,7 @@ def yields_table(found: Tolerance) -> Table:
 
 
 def tightening_table(found: Tolerance) -> Table:
-    """What half of an uncertainty would add to the yield of all requirements together, where that is clear."""
+    """A table of the yield that half of each uncertainty would add, where it is above twice its standard error."""
     assert found.yields is not None
     inputs = {each.name: each for each in found.uncertainty.inputs}
     return Table(("halve the uncertainty of", "now", "adds to the yield", "standard error", "linear estimate"), tuple(

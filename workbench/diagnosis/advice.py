@@ -1,4 +1,4 @@
-"""What to measure so that explanations can be told apart: the number itself, and the line that states it.
+"""Advice on measurements that tell explanations apart: the number itself, and the line that states it.
 
 Each of the parameters that an explanation moves can be measured by other means than a spectrum. What is measured so is
 stated in the campaign's [known], or in the chip's file; the spectra are the same.
@@ -26,7 +26,7 @@ FILM, PART = "2 um", "10 um"
 
 
 def advice(effects: Iterable[Effect], states: Sequence[DeviceState]) -> tuple[str, ...]:
-    """How to measure what some effects move, one sentence each, with the line to add; what cannot be is left out."""
+    """Sentences on how to measure each number that effects move, with the line to add; none for one that cannot be."""
     found = (text for effect in effects for name in effect.names for text in _of(name, states))
     return tuple(dict.fromkeys(found))[:ADVISED]
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
+from geometry.assumed import PRINTED
 from geometry.chip import Chip
 from geometry.dimension import SHAPES
 from geometry.names import CAVITY, LEVEL, TRANSDUCER, interface, outside, part, role_of
@@ -86,9 +87,6 @@ TAKEN_UP = 0.4
 #: SI units by the kind of quantity.
 SHAPE_UNITS: Mapping[str, str] = {"angle": "rad", "length": "m"}
 
-#: Roles of the parts that are printed, layer on layer.
-PRINTED = {"substrate", "sidewall"}
-
 #: The gas where a layer is missing: what it is called there, and in the registry.
 GAPS, AIR = "gas in gaps", "air/us_standard_1976"
 
@@ -109,8 +107,7 @@ def effects(device: Device) -> tuple[Effect, ...]:
 
 
 def effects_and_others(device: Device) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """The same, and in words those that would make sense if a layer's outline were no profile, or that cannot be made.
-    """
+    """Effects of a device, and in words those left out: they need a layer without a profile, or cannot be made."""
     found, others = list[Effect](), list[str]()
     for effect in (effect for source in SOURCES for effect in _made(source, device, others)):
         profiled = _profiled(device, effect)
@@ -390,7 +387,7 @@ def _polymer(device: Device, name: str, regions: Sequence[str]) -> Iterator[Effe
                      "stiffness that must change with it", device.states,
                      lambda state: [loss_laws.FractionalLoss(r, name) for r in filled_with(state, name)],
                      lambda _: {f"{name}.loss_frequency": middle})
-    if {role_of(region) for region in regions} & PRINTED:
+    if {role_of(region) for region in regions} & set(PRINTED):
         yield with_terms(f"anisotropy of {name}", regions[0], "stiffness", "a printed solid is stiffer along its "
                          "layers than across", device.states,
                          lambda state: [anisotropy.TransverseIsotropy(r, name) for r in filled_with(state, name)])

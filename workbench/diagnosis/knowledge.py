@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from geometry.assumed import length_uncertainty
+from geometry.assumed import assumed_uncertainty
 from workbench.design.stated import ASSUMED, uncertainty_of_files
 from workbench.diagnosis.numbers import DIMENSIONS, SAME_NUMBER, DeviceNumbers, names, unit_of
 from workbench.diagnosis.state import DeviceState
@@ -155,7 +155,7 @@ def _uncertainty(
     entry, unit = table.content[written], unit_of(name, numbers.states)
     if entry == ASSUMED and ParameterName.parse(name).kind is Kind.DIMENSION:
         chip = next(state.chip for state in states if name in state.chip.dimensions())
-        return length_uncertainty(name, replace(chip.dimensions()[name], tolerance=None)).deviation
+        return assumed_uncertainty(name, chip.dimensions()[name].value).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
     # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
     own = "share" if unit == "1" and ParameterName.parse(name).kind is Kind.BENCH else DIMENSIONS[unit]
