@@ -16,32 +16,33 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("geometry", "materials", "workbench")
 
-#: The group of the modules of `workbench` itself that no other group names.
-REST = "model and solution"
-
-#: The groups of the picture: a package, or modules of `workbench` that are used together.
+#: The groups of the picture: packages, or rooms of `workbench` that are used together.
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "files": ("workbench.files",),
     "geometry": ("geometry",),
     "materials": ("materials",),
     "physics": ("workbench.physics",),
-    REST: (),
-    "results": tuple(f"workbench.{name}" for name in ("brief", "comparison", "merit", "notebook", "spectrum")),
+    "results": ("workbench.results",),
+    "fem": ("workbench.fem",),
+    "model": ("workbench.model",),
+    "reduced": ("workbench.reduced",),
+    "acoustics": ("workbench.acoustics",),
     "readers": ("workbench.readers",),
     "instruments": ("workbench.instruments",),
-    "simulation, report": ("workbench.gathering", "workbench.report", "workbench.simulation"),
+    "simulation": ("workbench.simulation",),
+    "jobs": ("workbench.jobs",),
+    "report": ("workbench.report",),
     "bench": ("workbench.bench",),
-    "fitting": ("workbench.fitting",),
+    "fitting": ("workbench.fitting", "workbench.reproduction"),
     "render": ("workbench.render",),
     "diagnosis": ("workbench.diagnosis",),
-    "ranges": ("workbench.ranges",),
     "design": ("workbench.design",),
     "live view": ("workbench.app",),
-    "commands": ("workbench.commands", "workbench.cli", "workbench.options", "workbench.__main__"),
+    "commands": ("workbench.commands", "workbench.cli", "workbench.__main__"),
 }
 
 #: What a notebook shows of a result is drawn when it is asked for: the one import against the arrows.
-FOR_NOTEBOOKS = ("workbench.notebook", "workbench.render")
+FOR_NOTEBOOKS = ("workbench.results.notebook", "workbench.render")
 
 
 def module_name(path: Path) -> str:
@@ -52,11 +53,9 @@ def module_name(path: Path) -> str:
 
 def group_of(module: str) -> str | None:
     """The group of a module; None for the public names of `workbench` itself, which load what they name when used."""
-    if module == "workbench":
-        return None
     found = [group for group, members in GROUPS.items()
              if any(module == member or module.startswith(f"{member}.") for member in members)]
-    return found[0] if found else REST
+    return found[0] if found else None
 
 
 def imports(tree: ast.AST) -> Iterator[str]:

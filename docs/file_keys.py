@@ -18,7 +18,7 @@ from unittest.mock import patch
 from workbench.bench.setup import read_bench
 from workbench.diagnosis.campaign import read_campaign
 from workbench.files.quantities import UNITS
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 ROOT = Path(__file__).resolve().parent.parent
 BENCH_EXAMPLE = ROOT / "examples/whole_way/bench.toml"
@@ -153,7 +153,7 @@ class Readings:
     accepted: dict[str, set[str]] = field(default_factory=dict)
     takes: dict[str, dict[str, tuple[str, str]]] = field(default_factory=dict)
 
-    def note(self, table: Table, key: str, takes: str, default: str = "") -> None:
+    def note(self, table: FileTable, key: str, takes: str, default: str = "") -> None:
         if table.source == self.source:
             self.takes.setdefault(table.field, {}).setdefault(key, (takes, default))
 
@@ -187,25 +187,25 @@ def noted(source: str) -> Iterator[Readings]:
     found = Readings(source)
 
     def watching(name: str) -> Callable[..., Any]:
-        method = getattr(Table, name)
+        method = getattr(FileTable, name)
         signature = inspect.signature(method)
 
-        def watched(table: Table, *args: Any, **kwargs: Any) -> Any:
+        def watched(table: FileTable, *args: Any, **kwargs: Any) -> Any:
             given = signature.bind(table, *args, **kwargs)
             given.apply_defaults()
             found.note(table, given.arguments["key"], *METHODS[name](given.arguments))
             return method(table, *args, **kwargs)
         return watched
 
-    only = Table.only
+    only = FileTable.only
 
-    def accepting(table: Table, keys: Any) -> Table:
+    def accepting(table: FileTable, keys: Any) -> FileTable:
         keys = tuple(keys)
         if table.source == source:
             found.accepted.setdefault(table.field, set()).update(keys)
         return only(table, keys)
 
-    with patch.multiple(Table, only=accepting, **{name: watching(name) for name in METHODS}):
+    with patch.multiple(FileTable, only=accepting, **{name: watching(name) for name in METHODS}):
         yield found
 
 

@@ -27,12 +27,12 @@ from scipy.stats import qmc
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
+from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
-from workbench.merit import NoResonance, figures
-from workbench.operators import assemble
-from workbench.problem import build, fill
-from workbench.reduction import reduce
-from workbench.spectrum import Spectrum
+from workbench.model.problem import build, fill
+from workbench.reduced.reduction import reduce
+from workbench.results.merit import NoResonance, figures
+from workbench.results.spectrum import Spectrum
 
 CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
 

@@ -36,15 +36,15 @@ from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from materials.registry import Registry
+from workbench.fem.operators import assemble
+from workbench.fem.solve import Solution
 from workbench.files.errors import InputError
-from workbench.merit import Figures, NoResonance, figures
-from workbench.operators import assemble
+from workbench.model.problem import Problem, build, fill, with_boundary_layers
 from workbench.physics.boundary_layer import ADMISSIBLE
-from workbench.problem import Problem, build, fill, with_boundary_layers
-from workbench.reduction import ReducedModel, reduce
-from workbench.simulation import loss_budget
-from workbench.solve import Solution
-from workbench.spectrum import Spectrum
+from workbench.reduced.reduction import ReducedModel, reduce
+from workbench.results.merit import Figures, NoResonance, figures
+from workbench.results.spectrum import Spectrum
+from workbench.simulation.run import loss_budget
 
 Real = NDArray[np.float64]
 
@@ -526,9 +526,9 @@ def report(
     results: Sequence[Draw], gap: float,
 ) -> None:
     """Draw the pictures and write ``report.html``."""
-    from workbench.render.canvas import new_figure, save
+    from workbench.render.canvas import new_figure, save_figure
     from workbench.render.plots import draw_loss_budget
-    from workbench.report.page import Note, Picture, Table, write_report
+    from workbench.report.page import Note, Picture, TextTable, write_report
 
     figure = new_figure(7.5, 4.0)
     axes = figure.subplots()
@@ -542,16 +542,16 @@ def report(
     axes.set_ylabel("chips")
     axes.legend()
     figure.tight_layout()
-    histogram = save(figure, out / "layers.png")
+    histogram = save_figure(figure, out / "layers.png")
     losses = draw_loss_budget(budget, out / "losses.png", title="filled chip, 10 Vpp at the electrodes, at f0")
     page = write_report(out / "report.html", "Is the missing loss thermoviscous?", [
         ("Answer", [Note(answer), Picture(histogram, "Contribution of the boundary layers in every chip drawn.")]),
         ("The chip as reproduced", [
-            Table(("state", "accuracy of the mesh", "cause", "f0 (Hz)", "1/Q, spectrum", "1/Q, dissipated",
-                   "of the gap"), tuple(rows)),
+            TextTable(("state", "accuracy of the mesh", "cause", "f0 (Hz)", "1/Q, spectrum", "1/Q, dissipated",
+                       "of the gap"), tuple(rows)),
             Picture(losses, "Where the power goes, from a solution at f0.")]),
-        ("What would close a gap", [Table(("changed", "by", "empty", "filled"), tuple(closing))]),
-        ("Dimensions drawn", [Table(("chips", "number", *GROUP_COLUMNS), tuple(table))]),
+        ("What would close a gap", [TextTable(("changed", "by", "empty", "filled"), tuple(closing))]),
+        ("Dimensions drawn", [TextTable(("chips", "number", *GROUP_COLUMNS), tuple(table))]),
         ("All lines", ["\n".join(lines)]),
     ])
     print(page)

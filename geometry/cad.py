@@ -23,7 +23,7 @@ SOME = 1e-7
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnLayer:
     """The section of a layer, and what of its solid it leaves out ("" for nothing)."""
 
     face: Face
@@ -45,7 +45,7 @@ def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
 
 
 def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str,
-                 is_transducer: bool = False) -> Drawn:
+                 is_transducer: bool = False) -> DrawnLayer:
     """The section of a layer whose bottom is at that height (m).
 
     Args:
@@ -57,7 +57,7 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
     """
     where = profile.source
     if isinstance(where, Outline):
-        drawn = Drawn(_outline(where, profile.sizes(sizes), source=source, field=f"{field}.points"))
+        drawn = DrawnLayer(_outline(where, profile.sizes(sizes), source=source, field=f"{field}.points"))
     elif isinstance(where, Script):
         made = called(where, profile.sizes(sizes), profile.angles)
         drawn = _section(made, profile.asymmetry, profile.placement, str(where.path), where.function)
@@ -75,7 +75,7 @@ def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *,
                          f"{box.zmax:.4g} mm", "its bottom at z = 0; the key of the profile axis "
                          f"{'= ' if over == '-z' else ''}{repr(over) if over == '-z' else over} turns it over")
     up = cadquery_module().Vector(0.0, 0.0, MILLIMETRES * bottom)
-    return Drawn(drawn.face.moved(cadquery_module().Location(up)), drawn.left_out)
+    return DrawnLayer(drawn.face.moved(cadquery_module().Location(up)), drawn.left_out)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
 # Solids
 
 
-def _section(made: Any, asymmetry: float, placement: Placement, source: str, field: str) -> Drawn:
+def _section(made: Any, asymmetry: float, placement: Placement, source: str, field: str) -> DrawnLayer:
     """The section of what a script or a file holds: of a solid, or the face itself."""
     cadquery = cadquery_module()
     values = [made]
@@ -164,7 +164,7 @@ def _section(made: Any, asymmetry: float, placement: Placement, source: str, fie
     if len(solids) > 1:
         raise InputError(source, field, f"{len(solids)} solids", "one solid: `union` joins what touches")
     if solids:
-        return Drawn(*cut(solids[0], placement, asymmetry, source, field))
+        return DrawnLayer(*cut(solids[0], placement, asymmetry, source, field))
     if placement != Placement():
         raise InputError(source, field, "no solid", "a solid: axis, origin and sector of a profile place solids alone")
     faces = [face for each in shapes for face in each.Faces()]
@@ -176,7 +176,7 @@ def _section(made: Any, asymmetry: float, placement: Placement, source: str, fie
     if max(abs(box.ymin), abs(box.ymax)) > CLOSE:
         raise InputError(source, field, f"a face from y = {box.ymin:.4g} to {box.ymax:.4g} mm",
                          'a face in the plane y = 0, as of Workplane("XZ")')
-    return Drawn(faces[0])
+    return DrawnLayer(faces[0])
 
 
 def _closed(wire: Any, source: str, field: str) -> Face:
@@ -188,7 +188,7 @@ def _closed(wire: Any, source: str, field: str) -> Face:
 
 
 @lru_cache(maxsize=32)
-def _step_section(where: StepPart, asymmetry: float, placement: Placement) -> Drawn:
+def _step_section(where: StepPart, asymmetry: float, placement: Placement) -> DrawnLayer:
     solid = step_part(where.path, where.scale, where.content, where.part)
     return _section(solid, asymmetry, placement, str(where.path), where.part)
 

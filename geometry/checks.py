@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, shown
+from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
 from geometry.limits import CLOSED, ONE_CAVITY, ONE_DISC
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
 from geometry.parts import Electrodes, Layer, Ports, State, discs, largest_shape, port_axis
@@ -37,14 +37,14 @@ def check_dimensions(
     places += [(name, d) for name, d in named.items() if name.startswith(("electrode_", "ports."))]
     for place, dimension in places:
         if not (math.isfinite(dimension.value) and dimension.value > 0.0):
-            raise InputError(file, place, shown(dimension), "a length above zero")
+            raise InputError(file, place, dimension_text(dimension), "a length above zero")
         tolerance = dimension.tolerance
         if tolerance is not None and not 0.0 <= tolerance < dimension.value:
             raise InputError(
                 file,
                 f"{place}.tolerance",
                 millimetres(tolerance),
-                f"zero or more and below the value, {shown(dimension)}",
+                f"zero or more and below the value, {dimension_text(dimension)}",
             )
     for i, layer in enumerate(layers):
         if layer.density is not None and not (math.isfinite(layer.density) and layer.density > 0.0):
@@ -57,9 +57,10 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
     for i, layer in enumerate(layers):
         for name, size in layer.shapes.items():
             if profiled:
-                raise InputError(file, f"layers[{i}].{name}", shown(size, SHAPES[name]), "none in a chip of which "
+                raise InputError(file, f"layers[{i}].{name}", dimension_text(size, SHAPES[name]),
+                                 "none in a chip of which "
                                  "a layer has a profile: say it in a profile of this one")
-            place, said = f"layers[{i}].{name}", shown(size, SHAPES[name])
+            place, said = f"layers[{i}].{name}", dimension_text(size, SHAPES[name])
             if name == "draft" and layer.cavity_radius is None:
                 raise InputError(file, place, said, "none where there is no hole: it is that of the hole's wall")
             limit = largest_shape(layer, name)
@@ -121,7 +122,7 @@ def check_cavity(layers: Sequence[Layer], file: str) -> None:
 
 
 def _hole(layer: Layer) -> str:
-    return millimetres(layer.inner_radius) if layer.cavity_radius is None else shown(layer.cavity_radius)
+    return millimetres(layer.inner_radius) if layer.cavity_radius is None else dimension_text(layer.cavity_radius)
 
 
 def check_stack(layers: Sequence[Layer], file: str) -> None:
@@ -177,10 +178,11 @@ def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
     for name, disc in discs(electrodes):
         radius = rim if disc.radius is None else disc.radius.value
         if radius > rim + SAME_LENGTH:
-            raise InputError(file, f"{name}.radius", millimetres(radius) if disc.radius is None else shown(disc.radius),
+            raise InputError(file, f"{name}.radius",
+                             millimetres(radius) if disc.radius is None else dimension_text(disc.radius),
                              f"at most the transducer's radius, {millimetres(rim)}")
         if disc.inner_radius is not None and disc.inner_radius.value > radius - SAME_LENGTH:
-            raise InputError(file, f"{name}.inner_radius", shown(disc.inner_radius),
+            raise InputError(file, f"{name}.inner_radius", dimension_text(disc.inner_radius),
                              f"below its radius, {millimetres(radius)}")
 
 

@@ -29,7 +29,7 @@ from geometry.parts import (
     stacked,
 )
 from workbench.files.errors import choose
-from workbench.files.tables import Table, read_toml
+from workbench.files.tables import FileTable, read_toml
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
     Raises:
         InputError: the content does not describe a chip.
     """
-    root = Table(source, "", content).only(("chip", "layers", "cavity", "states"))
+    root = FileTable(source, "", content).only(("chip", "layers", "cavity", "states"))
     head = root.table("chip").only(("name", "description", "source", "band", "unusual"))
     layers, electrodes = read_layers(root)
     cavity = root.table("cavity").only(("ports",))

@@ -16,7 +16,7 @@ from geometry.shapes import outlines
 if TYPE_CHECKING:
     from cadquery import Face
 
-    from geometry.cad import Drawn
+    from geometry.cad import DrawnLayer
 
 
 def chip_section(chip: Chip, like: FreeSection | None = None) -> Section | FreeSection:
@@ -49,7 +49,7 @@ def _walls(layers: tuple[Layer, ...]) -> list[str]:
     return [layer.region for layer in layers if layer.cavity_radius is not None]
 
 
-def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, Drawn]:
+def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, DrawnLayer]:
     """The section of every layer by region, as CadQuery draws it.
 
     Raises:
@@ -62,7 +62,7 @@ def drawn_layers(layers: tuple[Layer, ...], file: str) -> dict[str, Drawn]:
     for number, layer in enumerate(layers):
         if layer.profile is None:
             lengths = (layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
-            drawn[layer.region] = cad.Drawn(revolution.rectangle(*(cad.MILLIMETRES * each for each in lengths)))
+            drawn[layer.region] = cad.DrawnLayer(revolution.rectangle(*(cad.MILLIMETRES * each for each in lengths)))
             continue
         sizes = {"thickness": layer.thickness.value, "radius": layer.outer_radius}
         if layer.cavity_radius is not None:

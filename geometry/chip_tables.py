@@ -10,13 +10,13 @@ from geometry.names import ROLES, TRANSDUCER, region_names
 from geometry.parts import ElectrodeDisc, Electrodes, Layer, Ports, ReportedFigures, State
 from geometry.profile import AXES, Profile, StepPart, read_profile
 from workbench.files.errors import InputError, choose
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 _LAYER_KEYS = ("role", "material", "density", "thickness", "radius", "diameter", "cavity_radius", "cavity_diameter",
                "bottom", "profile", *SHAPES)
 
 
-def read_text(table: Table, key: str) -> str:
+def read_text(table: FileTable, key: str) -> str:
     """A text that is not blank."""
     text = table.text(key)
     if not text.strip():
@@ -24,24 +24,24 @@ def read_text(table: Table, key: str) -> str:
     return text
 
 
-def _optional_text(table: Table, key: str) -> str | None:
+def _optional_text(table: FileTable, key: str) -> str | None:
     return read_text(table, key) if key in table else None
 
 
-def _quantity(table: Table, key: str, dimension: str) -> float:
+def _quantity(table: FileTable, key: str, dimension: str) -> float:
     table.required(key, f"a {dimension} with its unit")
     return table.quantity(key, dimension)
 
 
-def _optional_dimension(table: Table, key: str) -> Dimension | None:
+def _optional_dimension(table: FileTable, key: str) -> Dimension | None:
     return read_dimension(table, key) if key in table else None
 
 
-def _optional_radius(table: Table, key: str, diameter: str) -> Dimension | None:
+def _optional_radius(table: FileTable, key: str, diameter: str) -> Dimension | None:
     return read_radius(table, key, diameter) if key in table or diameter in table else None
 
 
-def read_band(head: Table) -> tuple[float, float]:
+def read_band(head: FileTable) -> tuple[float, float]:
     """The two ends (Hz) of the frequencies a chip is meant for."""
     low, high = head.quantities("band", "frequency", numbered=True,
                                 expected='two frequencies with their units, for example ["0.91 MHz", "1.155 MHz"]')
@@ -50,7 +50,7 @@ def read_band(head: Table) -> tuple[float, float]:
     return low, high
 
 
-def read_layers(root: Table) -> tuple[tuple[Layer, ...], Electrodes]:
+def read_layers(root: FileTable) -> tuple[tuple[Layer, ...], Electrodes]:
     """The layers from bottom to top, each on the one below unless it says where its bottom is, and the electrodes."""
     expected = "a list of layers from bottom to top, each under [[layers]]"
     tables = root.tables("layers", expected=expected)
@@ -103,33 +103,33 @@ def _other_way(profile: Profile) -> str:
     return next((name for name, axis in AXES.items() if axis == reverse), str(list(reverse)))
 
 
-def _refuse_not_round(table: Table) -> None:
+def _refuse_not_round(table: FileTable) -> None:
     """Refuse keys of things that are not round, with what to say in their place."""
     for key in table:
         if key.casefold() in NOT_KEYS:
             raise InputError(table.source, table.at(key), table.content[key], NOT_KEYS[key.casefold()])
 
 
-def _dimension_or(table: Table, key: str, measured: Mapping[str, float]) -> Dimension:
+def _dimension_or(table: FileTable, key: str, measured: Mapping[str, float]) -> Dimension:
     """A dimension of the file, or of a part that was measured."""
     return read_dimension(table, key) if key in table or key not in measured else Dimension(measured[key])
 
 
-def _radius_or(table: Table, key: str, diameter: str, measured: Mapping[str, float]) -> Dimension:
+def _radius_or(table: FileTable, key: str, diameter: str, measured: Mapping[str, float]) -> Dimension:
     """A radius of the file, a diameter halved, or a part's that was measured."""
     if key in table or diameter in table or key not in measured:
         return read_radius(table, key, diameter)
     return Dimension(measured[key])
 
 
-def _electrodes(table: Table, rim: float) -> Electrodes:
+def _electrodes(table: FileTable, rim: float) -> Electrodes:
     table.only(("live", "live_radius", "live_inner_radius", "ground_radius", "ground_inner_radius", "live_diameter",
                 "live_inner_diameter", "ground_diameter", "ground_inner_diameter"))
     live = choose(table.text("live", "top"), ("top", "bottom"), source=table.source, field=table.at("live"))
     return Electrodes("top" if live == "top" else "bottom", _disc(table, "live", rim), _disc(table, "ground", rim))
 
 
-def _disc(table: Table, name: str, rim: float) -> ElectrodeDisc:
+def _disc(table: FileTable, name: str, rim: float) -> ElectrodeDisc:
     radius = _optional_radius(table, f"{name}_radius", f"{name}_diameter")
     if radius is not None and radius.value > rim + SAME_LENGTH:
         key = f"{name}_radius" if f"{name}_radius" in table else f"{name}_diameter"
@@ -141,21 +141,21 @@ def _disc(table: Table, name: str, rim: float) -> ElectrodeDisc:
                          _optional_radius(table, f"{name}_inner_radius", f"{name}_inner_diameter"))
 
 
-def read_ports(table: Table) -> Ports:
+def read_ports(table: FileTable) -> Ports:
     """The inlet and the outlet."""
     table.only(("diameter", "height", "count"))
     count = table.whole("count", 2, low=1, high=8)
     return Ports(read_dimension(table, "diameter"), _optional_dimension(table, "height"), count)
 
 
-def read_states(states: Table) -> tuple[State, ...]:
+def read_states(states: FileTable) -> tuple[State, ...]:
     """The states in the order of the file; one called ``default`` where it has none."""
     if not states.content:
         return (State("default"),)
     return tuple(_state(name, states.table(name)) for name in states)
 
 
-def _state(name: str, table: Table) -> State:
+def _state(name: str, table: FileTable) -> State:
     for key in FILL_KEYS:
         if key in table:
             raise table.error(key, CLOSED)
@@ -177,7 +177,7 @@ def _state(name: str, table: Table) -> State:
     )
 
 
-def _reported(table: Table) -> ReportedFigures:
+def _reported(table: FileTable) -> ReportedFigures:
     table.only(("label", "f0", "z_min", "q"))
     figures = ReportedFigures(read_text(table, "label"), _quantity(table, "f0", "frequency"),
                               _quantity(table, "z_min", "resistance"), _quantity(table, "q", "dimensionless"))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 #: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
 SAME_LENGTH = 1e-9
@@ -39,7 +39,7 @@ def millimetres(length: float) -> str:
     return f"{1e3 * length:.6g} mm"
 
 
-def shown(dimension: Dimension, kind: str = "length") -> str:
+def dimension_text(dimension: Dimension, kind: str = "length") -> str:
     """A length or an angle as messages show it: as it was typed, where that is what it still is."""
     try:
         if parse_quantity(dimension.typed, kind, source="", field="") == dimension.value:
@@ -49,7 +49,7 @@ def shown(dimension: Dimension, kind: str = "length") -> str:
     return f"{math.degrees(dimension.value):.4g} deg" if kind == "angle" else millimetres(dimension.value)
 
 
-def read_radius(table: Table, key: str, diameter: str) -> Dimension:
+def read_radius(table: FileTable, key: str, diameter: str) -> Dimension:
     """The radius under `key`, or half of the diameter under that key, as :func:`read_dimension` reads each.
 
     Raises:
@@ -63,7 +63,7 @@ def read_radius(table: Table, key: str, diameter: str) -> Dimension:
     return replace(read, value=0.5 * read.value, tolerance=None if read.tolerance is None else 0.5 * read.tolerance)
 
 
-def read_dimension(table: Table, key: str, kind: str = "length") -> Dimension:
+def read_dimension(table: FileTable, key: str, kind: str = "length") -> Dimension:
     """``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
     example = {"length": "2.02 mm", "angle": "3 deg"}[kind]
     if not isinstance(table.required(key, f'{"an" if kind == "angle" else "a"} {kind} with its unit, for example '

@@ -40,7 +40,7 @@ MARGIN = 0.3
 
 
 def section_of(
-    drawn: Mapping[str, cad.Drawn], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *,
+    drawn: Mapping[str, cad.DrawnLayer], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *,
     walls: Collection[str], source: str, cuts: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> FreeSection:
     """The section of layers drawn in the half plane, from bottom to top by region; with a cavity that those called
@@ -59,7 +59,7 @@ def section_of(
     return replace(_fused(pieces, tuple(electrodes), tuple(rectangles), notes), cuts=tuple(beside))
 
 
-def faces_of(drawn: Mapping[str, cad.Drawn], *, walls: Collection[str], source: str) -> dict[str, cadquery.Face]:
+def faces_of(drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], source: str) -> dict[str, cadquery.Face]:
     """The faces of layers by region, and of the cavity that they enclose if some are its `walls`.
 
     Raises:

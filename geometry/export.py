@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from geometry.chip import Chip
-from geometry.solid import solids
+from geometry.solid import chip_solids
 from workbench.files.writing import replacing
 
 
@@ -15,7 +15,7 @@ def export_step(chip: Chip, path: Path) -> Path:
     Raises:
         SolidError: CadQuery is not installed, or the solids are not those of the chip.
     """
-    shapes = solids(chip)
+    shapes = chip_solids(chip)
     from cadquery import Assembly
 
     assembly = Assembly(name=chip.name)
@@ -33,7 +33,7 @@ def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str
         SolidError: CadQuery is not installed, or the solids are not those of the chip.
     """
     written = {}
-    for name, shape in solids(chip).items():
+    for name, shape in chip_solids(chip).items():
         written[name] = folder / f"{name}.stl"
         with replacing(written[name]) as whole:
             # The facets are bounded by the deviation alone: the angle, in radians, is left wide.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.kernel import MILLIMETRES
-from geometry.layout import Layout, numbers_along
+from geometry.layout import SectionLayout, numbers_along
 from geometry.mesh import MeshError
 from geometry.mesh_size import MeshSize
 
@@ -68,7 +68,7 @@ def gmsh_session() -> Iterator[ModuleType]:
 
 
 def freely(
-    layout: Layout, faces: Sequence[int], along: Sequence[Integers], points: Real, size: MeshSize
+    layout: SectionLayout, faces: Sequence[int], along: Sequence[Integers], points: Real, size: MeshSize
 ) -> Iterator[tuple[Real, Integers]]:
     """Faces that gmsh fills: points inside (2, n) of each, numbered on from those there are, and cells (4, m)."""
     if not faces:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geometry.free_faces import freely
 from geometry.free_section import Directed, FreeSection
-from geometry.layout import Layout, divisions, laid_out, numbers_along, under_electrodes
+from geometry.layout import SectionLayout, divisions, laid_out, numbers_along, under_electrodes
 from geometry.mesh import MeshError, SectionMesh
 from geometry.mesh_size import MeshSize
 from geometry.quads import curved, gauss_lobatto, numbering, oriented, rolled
@@ -33,7 +33,7 @@ class Plan:
     (4, m) and the points inside (2, n), by the ``size`` asked for.
     """
 
-    layout: Layout
+    layout: SectionLayout
     divided: Sequence[Real]
     filled: Mapping[int, tuple[Real, Integers]]
     size: MeshSize
@@ -89,7 +89,7 @@ class _Made:
     along: list[Integers]
 
 
-def _on_edges(layout: Layout, divided: Sequence[Real]) -> tuple[Real, list[Integers]]:
+def _on_edges(layout: SectionLayout, divided: Sequence[Real]) -> tuple[Real, list[Integers]]:
     """The points on the edges (2, n), those at their ends first, and the numbers of those along every edge."""
     points = [np.array(layout.points).T]
     count = points[0].shape[1]
@@ -103,7 +103,7 @@ def _on_edges(layout: Layout, divided: Sequence[Real]) -> tuple[Real, list[Integ
     return np.concatenate(points, axis=1), along
 
 
-def _placed(plan: Plan, layout: Layout) -> _Made:
+def _placed(plan: Plan, layout: SectionLayout) -> _Made:
     """The cells of a plan on a layout like its own."""
     local, divided = gauss_lobatto(plan.size.order), plan.divided
     on_edges, along = _on_edges(layout, divided)
@@ -150,7 +150,7 @@ def _followed(moved: Real, inner: Real, cells: Integers, count: int) -> Real:
 
 
 def _block(
-    layout: Layout, face: int, divided: Sequence[Real], along: Sequence[Integers], local: Real, count: int
+    layout: SectionLayout, face: int, divided: Sequence[Real], along: Sequence[Integers], local: Real, count: int
 ) -> tuple[Real, Integers, Real]:
     """A face with four sides: points inside (2, n) numbered from `count` on, cells (4, m), nodes (2, m, k, k).
 
@@ -175,7 +175,7 @@ def _block(
     return coarse[:, 1:-1, 1:-1].reshape(2, -1), cells, nodes
 
 
-def _sampled(layout: Layout, side: Sequence[Directed], divided: Sequence[Real], local: Real) -> Real:
+def _sampled(layout: SectionLayout, side: Sequence[Directed], divided: Sequence[Real], local: Real) -> Real:
     """The nodes (2, n) along a side, those of all its elements in a row."""
     parts = []
     for number, forwards in side:
@@ -195,7 +195,7 @@ def _position(line: Real) -> Real:
 # Names
 
 
-def _named(plan: Plan, layout: Layout, section: FreeSection) -> SectionMesh:
+def _named(plan: Plan, layout: SectionLayout, section: FreeSection) -> SectionMesh:
     made, order = _placed(plan, layout), plan.size.order
     cells = oriented(made.cells)
     nodes = rolled(made.nodes, made.cells, cells)
@@ -208,7 +208,7 @@ def _named(plan: Plan, layout: Layout, section: FreeSection) -> SectionMesh:
                        np.ascontiguousarray(nodes[:, :, along, across].transpose(0, 2, 1)), plan)
 
 
-def _facets(layout: Layout, section: FreeSection, made: _Made, mesh: skfem.MeshQuad) -> dict[str, Integers]:
+def _facets(layout: SectionLayout, section: FreeSection, made: _Made, mesh: skfem.MeshQuad) -> dict[str, Integers]:
     """The facets of every boundary."""
     number = {(int(a), int(b)): k for k, (a, b) in enumerate(np.sort(mesh.facets, axis=0).T)}
     names = _edge_names(layout, section)
@@ -221,7 +221,7 @@ def _facets(layout: Layout, section: FreeSection, made: _Made, mesh: skfem.MeshQ
     return {name: np.unique(each) for name, each in found.items()}
 
 
-def _edge_names(layout: Layout, section: FreeSection) -> list[list[str]]:
+def _edge_names(layout: SectionLayout, section: FreeSection) -> list[list[str]]:
     """The names of boundaries that every edge lies on, electrodes included."""
     beside, electrodes = layout.beside(), under_electrodes(layout, section)
     result = []

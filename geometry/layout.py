@@ -37,7 +37,7 @@ MOST_ROUNDS = 200
 
 
 @dataclass
-class Layout:
+class SectionLayout:
     """The edges of a section, further divided, and how faces are bounded by them.
 
     ``loops`` holds the loops of every face, ``sides`` of those with four sides these, bottom and top in one direction
@@ -122,7 +122,7 @@ class Layout:
 # Sides
 
 
-def laid_out(section: FreeSection, size: MeshSize, like: Layout | None = None) -> Layout:
+def laid_out(section: FreeSection, size: MeshSize, like: SectionLayout | None = None) -> SectionLayout:
     """The edges of a section, divided where electrodes end, at the levels, skins and radii that are asked for, and
     where opposite sides are. What is asked for is at the shares of edges that it has in a layout that this one should
     be `like`.
@@ -130,7 +130,7 @@ def laid_out(section: FreeSection, size: MeshSize, like: Layout | None = None) -
     Raises:
         MeshError: sides divide each other without an end.
     """
-    layout = Layout(list(section.edges), list(section.ends), list(section.points),
+    layout = SectionLayout(list(section.edges), list(section.ends), list(section.points),
                      [face.region for face in section.faces],
                      [[list(loop) for loop in face.loops] for face in section.faces])
     for number, face in enumerate(section.faces):
@@ -156,7 +156,7 @@ def laid_out(section: FreeSection, size: MeshSize, like: Layout | None = None) -
     raise MeshError("the sides of the section's faces divide each other without an end")
 
 
-def _lines(layout: Layout, size: MeshSize) -> list[tuple[int, float]]:
+def _lines(layout: SectionLayout, size: MeshSize) -> list[tuple[int, float]]:
     """Divide edges at the heights and radii that are asked for; which ones, and the shares."""
     found = []
     regions = dict.fromkeys(layout.regions)
@@ -177,7 +177,7 @@ def _reversed(side: Sequence[Directed]) -> list[Directed]:
     return [(number, not forwards) for number, forwards in reversed(side)]
 
 
-def _break(layout: Layout, region: str, axis: int, value: float) -> list[tuple[int, float]]:
+def _break(layout: SectionLayout, region: str, axis: int, value: float) -> list[tuple[int, float]]:
     """Divide the edges of a region's faces with four sides that run along a coordinate (0 r, 1 z) where it is `value`;
     which ones, and the shares."""
     divided = []
@@ -195,7 +195,7 @@ def _break(layout: Layout, region: str, axis: int, value: float) -> list[tuple[i
     return divided
 
 
-def _matched(layout: Layout, one: list[Directed], other: list[Directed]) -> bool:
+def _matched(layout: SectionLayout, one: list[Directed], other: list[Directed]) -> bool:
     """Divide two opposite sides where the other one is; whether there was anything to divide."""
     changed = False
     for side, opposite in ((one, other), (other, one)):
@@ -210,7 +210,7 @@ def _matched(layout: Layout, one: list[Directed], other: list[Directed]) -> bool
 # Divisions
 
 
-def divisions(layout: Layout, section: FreeSection, size: MeshSize) -> list[Real]:
+def divisions(layout: SectionLayout, section: FreeSection, size: MeshSize) -> list[Real]:
     """Shares of the way at which every edge is divided, ends included."""
     count = len(layout.edges)
     beside = layout.beside()
@@ -251,7 +251,7 @@ def _level(arc: Arc) -> bool:
     return abs(z1 - z0) < abs(r1 - r0)
 
 
-def _least(layout: Layout, size: MeshSize, edge: int, faces: Sequence[int]) -> int:
+def _least(layout: SectionLayout, size: MeshSize, edge: int, faces: Sequence[int]) -> int:
     """How many elements there are at least along an edge: where it is the height of a row of faces."""
     least, arc = 1, layout.edges[edge]
     for face in faces:
@@ -264,7 +264,7 @@ def _least(layout: Layout, size: MeshSize, edge: int, faces: Sequence[int]) -> i
     return least
 
 
-def _groups(layout: Layout) -> tuple[list[int], list[bool]]:
+def _groups(layout: SectionLayout) -> tuple[list[int], list[bool]]:
     """The group of edges that are divided alike that every edge belongs to, and whether it runs as the group does."""
     count = len(layout.edges)
     parent, same = list(range(count)), [True] * count
@@ -289,7 +289,7 @@ def _groups(layout: Layout) -> tuple[list[int], list[bool]]:
     return [each for each, _ in found], [alike for _, alike in found]
 
 
-def _graded(layout: Layout, section: FreeSection, size: MeshSize) -> dict[tuple[int, bool], float]:
+def _graded(layout: SectionLayout, section: FreeSection, size: MeshSize) -> dict[tuple[int, bool], float]:
     """Size of elements, relative to the others, at points where fields are singular, on level edges and on others.
 
     As for rectangles: in re-entrant corners of the solids, at the rim of a couplant, at the ends of electrodes; and at
@@ -328,7 +328,7 @@ def _graded(layout: Layout, section: FreeSection, size: MeshSize) -> dict[tuple[
     return found
 
 
-def _ends_of_electrodes(layout: Layout, section: FreeSection) -> set[int]:
+def _ends_of_electrodes(layout: SectionLayout, section: FreeSection) -> set[int]:
     """The points where an electrode ends on a face of the transducer."""
     covered = under_electrodes(layout, section)
     around: dict[int, set[str | None]] = {}
@@ -340,7 +340,7 @@ def _ends_of_electrodes(layout: Layout, section: FreeSection) -> set[int]:
     return {point for point, names in around.items() if len(names) > 1 and None in names}
 
 
-def under_electrodes(layout: Layout, section: FreeSection) -> dict[int, str]:
+def under_electrodes(layout: SectionLayout, section: FreeSection) -> dict[int, str]:
     """The edges on the faces of the transducer that electrodes cover, and the names of these."""
     highest = max((electrode.z for electrode in section.electrodes), default=0.0)
     found = {}

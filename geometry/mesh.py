@@ -49,9 +49,9 @@ class SectionMesh:
     (bottom left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes are
     numbered along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
     ``coordinates`` (2, nodes, cells) in metres of the nodes of any order in every cell, numbered as those of
-    `workbench.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from. ``variants`` are
-    such coordinates for other shapes of the layers, by name; ``shown`` is the one in use, if any. ``plan`` is what the
-    mesh of a section of any shape can be moved by (`geometry.free_mesh.Plan`).
+    `workbench.fem.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from. ``variants``
+    are such coordinates for other shapes of the layers, by name; ``shown`` is the one in use, if any. ``plan`` is what
+    the mesh of a section of any shape can be moved by (`geometry.free_mesh.Plan`).
 
     Raises:
         MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or

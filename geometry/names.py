@@ -4,8 +4,8 @@ A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its regi
 ``_3``, ... appended when a role occurs again further up. The holes through the layers together are the region
 :data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
 ``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of
-these within one layer of the stack is ``<place>@<layer>`` (:func:`part`), and a part of that within one column between
-two radii ``<place>@<layer>#<column>``. The cells of any of these that the same shapes of layers move are
+these within one layer of the stack is ``<place>@<layer>`` (:func:`part_name`), and a part of that within one column
+between two radii ``<place>@<layer>#<column>``. The cells of any of these that the same shapes of layers move are
 ``<place>~<shape>`` (:func:`moved_by`). No other name of a place exists anywhere.
 """
 
@@ -78,7 +78,7 @@ def outside(region: str) -> str:
     return f"{region}|{OUTSIDE}"
 
 
-def part(place: str, layer: str) -> str:
+def part_name(place: str, layer: str) -> str:
     """Name of the part of a region or boundary within one layer of the stack, or of its parts at :data:`LEVEL`."""
     return f"{place}{PART}{layer}"
 

@@ -20,7 +20,7 @@ from typing import Any
 from geometry.dimension import SHAPES, Dimension, read_dimension
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 #: Dimensions of a layer that its profile can use besides its own parameters.
 OF_LAYER = ("thickness", "radius", "cavity_radius")
@@ -115,7 +115,7 @@ class Profile:
         return replace(self, parameters=tuple((name, change(name, size)) for name, size in self.parameters))
 
 
-def read_profile(table: Table) -> Profile:
+def read_profile(table: FileTable) -> Profile:
     """The profile of a layer, from the table ``profile`` of it.
 
     Raises:
@@ -148,7 +148,7 @@ def read_profile(table: Table) -> Profile:
     return Profile(source, parameters, angles, asymmetry, placement)
 
 
-def _placement(table: Table) -> Placement:
+def _placement(table: FileTable) -> Placement:
     axis = AXES["z"]
     if "axis" in table:
         given = table.content["axis"]
@@ -178,7 +178,7 @@ def _placement(table: Table) -> Placement:
     return Placement(axis, origin, min(sector, 2.0 * math.pi))
 
 
-def _parameters(table: Table) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
+def _parameters(table: FileTable) -> tuple[tuple[tuple[str, Dimension], ...], frozenset[str]]:
     found, angles = [], set()
     for name in table:
         if not name.isidentifier() or name in {*OF_LAYER, *SHAPES, *TAKEN}:
@@ -191,7 +191,7 @@ def _parameters(table: Table) -> tuple[tuple[tuple[str, Dimension], ...], frozen
     return tuple(found), frozenset(angles)
 
 
-def _outline(table: Table, names: set[str]) -> Outline:
+def _outline(table: FileTable, names: set[str]) -> Outline:
     entries = table.content["points"]
     expected = 'a list of three or more points, each ["1 mm", "0 mm"] (r, z) or { at = [...], fillet = "0.2 mm" }'
     if not isinstance(entries, list) or len(entries) < 3:
@@ -213,7 +213,7 @@ def _outline(table: Table, names: set[str]) -> Outline:
         if isinstance(entry, list):
             corners.append(Corner(point(entry, place)))
             continue
-        inner = Table.of(entry, source=table.source, field=place, expected=expected).only(_CORNER_KEYS)
+        inner = FileTable.of(entry, source=table.source, field=place, expected=expected).only(_CORNER_KEYS)
         inner.required("at", 'a point ["1 mm", "0 mm"]: r and z')
         through = inner.content.get("through", [])
         if not isinstance(through, list) or ("arc" in inner and through):
@@ -226,7 +226,7 @@ def _outline(table: Table, names: set[str]) -> Outline:
     return Outline(tuple(corners))
 
 
-def _file(table: Table, key: str) -> tuple[Path, str]:
+def _file(table: FileTable, key: str) -> tuple[Path, str]:
     """A file named by `key`, beside the chip file, and what tells versions of it apart."""
     name = table.text(key, expected="the name of a file")
     path = Path(table.source).parent / name
@@ -239,7 +239,7 @@ def _file(table: Table, key: str) -> tuple[Path, str]:
                          near) from None
 
 
-def _script(table: Table) -> Script:
+def _script(table: FileTable) -> Script:
     path, content = _file(table, "script")
     return Script(path, table.text("function", expected="the name of a function of the script"), content)
 

@@ -75,7 +75,7 @@ def cut(solid: Solid, placement: Placement, asymmetry: float, source: str, field
         if other is not None and (found is None or other[1].share < 0.5 * found.share):
             within = "" if other[1].share <= asymmetry else f", asymmetry = \"{_above(other[1].share)} %\""
             raise InputError(source, field, words(other[0]), f"a solid that turns about {stated}; "
-                             f"in the profile {keys(other[0])}{within} says how this one stands")
+                             f"in the profile {revolution_keys(other[0])}{within} says how this one stands")
     if found is None or found.share > SHOWN_WITHIN:
         raise InputError(source, field, f"a solid from x = {box.xmin:.4g} to {box.xmax:.4g} mm and y = {box.ymin:.4g} "
                          f"to {box.ymax:.4g} mm that turns about no axis", f"a solid that turns about {stated}; "
@@ -283,7 +283,7 @@ def words(placement: Placement) -> str:
             f"{through or 'the origin'}")
 
 
-def keys(placement: Placement) -> str:
+def revolution_keys(placement: Placement) -> str:
     """The keys of a profile that say so."""
     named = next((name for name, axis in AXES.items() if axis == placement.axis), "")
     found = []

@@ -58,7 +58,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Reach:
+class ShapeReach:
     """How the points that a shape moves follow its size and the lengths of the chip.
 
     They are moved along r where it is ``upright``, else along z, in proportion to its size in metres; of an ``angle``,
@@ -71,15 +71,15 @@ class Reach:
     within: float
 
 
-def reach(layer: Layer, shape: str) -> Reach:
+def reach(layer: Layer, shape: str) -> ShapeReach:
     """How the points that a shape of a layer moves follow it."""
     match shape:
         case "draft":
-            return Reach(True, True, 0.0)
+            return ShapeReach(True, True, 0.0)
         case "barrel":
-            return Reach(True, False, 0.0)
+            return ShapeReach(True, False, 0.0)
         case "bow" | "dome":
-            return Reach(False, False, layer.outer_radius)
+            return ShapeReach(False, False, layer.outer_radius)
         case _:
             raise KeyError(f"unknown shape {shape!r}; known: {', '.join(SHAPES)}")
 

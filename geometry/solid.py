@@ -84,7 +84,7 @@ def ports_volume(chip: Chip) -> float:
     return chip.ports.count * 2.0 * total
 
 
-def solids(chip: Chip) -> dict[str, Solid]:
+def chip_solids(chip: Chip) -> dict[str, Solid]:
     """Every part of `chip` (see :func:`parts`) and the fluid in its cavity, by region name, in millimetres.
 
     The ports are straight channels through the wall, at the height and of the diameter the chip states: Fig. 3 of
@@ -174,7 +174,7 @@ def _channels(cadquery: ModuleType, chip: Chip) -> list[Shape]:
 
 
 def volume(shape: Shape) -> float:
-    """Volume of a solid of :func:`solids` in cubic metres.
+    """Volume of a solid of :func:`chip_solids` in cubic metres.
 
     By adaptive integration: CadQuery's default takes a fixed number of points and is up to 1 % off in a channel that
     ends in round walls.

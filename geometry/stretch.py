@@ -15,7 +15,7 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.dimension import SAME_LENGTH, SHAPES
 from geometry.mesh import MeshError, SectionMesh
-from geometry.names import COLUMN, LEVEL, part
+from geometry.names import COLUMN, LEVEL, part_name
 from geometry.parts import largest_shape
 from geometry.section import cut_section
 
@@ -127,7 +127,7 @@ def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[
             indices = np.asarray(indices)
             found: list[Piece] = []
             for layer in np.unique(layers[indices]):
-                name = part(place, LEVEL if layer < 0 else names[layer])
+                name = part_name(place, LEVEL if layer < 0 else names[layer])
                 within = indices[layers[indices] == layer]
                 places[name] = within
                 own = []

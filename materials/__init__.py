@@ -53,12 +53,12 @@ from materials.describe import describe
 from materials.difference import Difference, differences
 from materials.entry import LossWarning
 from materials.exchange import Imported, export_entries, import_entries
-from materials.fit import Correlation, Fit, Recording
+from materials.fit import Correlation, Fit, RecordingSource
 from materials.history import Version, history, withdraw
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.passivity import PassivityWarning
 from materials.registry import Registry, user_folder, user_registry
-from materials.saving import fitted, save
+from materials.saving import fitted, save_fit
 from materials.use import UseWarning, check_use
 from materials.value import Value
 from materials.versions import Withdrawal, WithdrawnWarning
@@ -75,7 +75,7 @@ __all__ = [
     "Material",
     "PassivityWarning",
     "Piezoelectric",
-    "Recording",
+    "RecordingSource",
     "Registry",
     "UseWarning",
     "Value",
@@ -89,7 +89,7 @@ __all__ = [
     "fitted",
     "history",
     "import_entries",
-    "save",
+    "save_fit",
     "user_folder",
     "user_registry",
     "with_assumed_loss",

@@ -19,12 +19,12 @@ from typing import Any
 from materials import conversions, passivity
 from materials.fit import parse_fit
 from materials.kinds import CERAMICS, Fluid, IsotropicSolid, Material, Piezoelectric
-from materials.lines import located
-from materials.loss import WORDS, Loses, attenuation_of_sound, share
+from materials.lines import with_line_number
+from materials.loss import WORDS, Loses, attenuation_of_sound, loss_number
 from materials.temperature import parse_law
 from materials.value import RECORDING, Value, parse_value, source_of, unit_factor
 from workbench.files.errors import InputError
-from workbench.files.tables import Table, read_toml
+from workbench.files.tables import FileTable, read_toml
 
 _Numbers = Mapping[str, complex]
 
@@ -38,7 +38,7 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Kind:
+class EntryKind:
     """The statements a file of one kind may make. ``forms`` are alternatives, of which exactly one must be complete.
 
     ``words`` are texts from closed lists. What a form gives may be complex where it is ``lossy``. ``once`` are losses
@@ -107,8 +107,8 @@ _THERMAL = {
     "thermal_expansion": "thermal expansion",
 }
 
-KINDS: Mapping[str, Kind] = {
-    "piezoelectric": Kind(
+KINDS: Mapping[str, EntryKind] = {
+    "piezoelectric": EntryKind(
         build=Piezoelectric,
         required={"density": "density"},
         optional=_THERMAL,
@@ -129,7 +129,7 @@ KINDS: Mapping[str, Kind] = {
             "dielectric_loss_tangent": ("loss_tangent", ("permittivity",)),
         },
     ),
-    "isotropic solid": Kind(
+    "isotropic solid": EntryKind(
         build=IsotropicSolid,
         required={"density": "density"},
         optional=_THERMAL,
@@ -143,7 +143,7 @@ KINDS: Mapping[str, Kind] = {
             Form({"compressibility": "compliance"}, _from_compressibility),
         ),
     ),
-    "fluid": Kind(
+    "fluid": EntryKind(
         build=Fluid,
         required={"density": "density"},
         optional={
@@ -178,7 +178,7 @@ class LossWarning(UserWarning):
     """A loss is so small beside its number that it was probably meant as a share of it."""
 
 
-def _choose_form(kind_name: str, kind: Kind, given: Collection[str], *, source: str) -> Form | None:
+def _choose_form(kind_name: str, kind: EntryKind, given: Collection[str], *, source: str) -> Form | None:
     """The form whose numbers are exactly those `given`; an :class:`InputError` that names what is missing otherwise."""
     if not kind.forms:
         return None
@@ -212,7 +212,7 @@ class _Reader:
         if not isinstance(entry, Mapping) or "law" not in entry or "value" in entry:
             raise InputError(self.file, field, "a fixed value",
                              "a law alone, because other numbers of this file depend on temperature")
-        _, factor = unit_factor(Table(self.file, field, entry), dimension)
+        _, factor = unit_factor(FileTable(self.file, field, entry), dimension)
         law = parse_law(entry["law"], factor, source=self.file, field=f"{field}.law")
         at = law.at(self.temperature, source=self.file, field=field)
         rest = {key: item for key, item in entry.items() if key != "law"}
@@ -226,7 +226,7 @@ class _Reader:
         )
 
 
-def _temperature(table: Table, entries: Mapping[str, object], asked: float | None) -> float | None:
+def _temperature(table: FileTable, entries: Mapping[str, object], asked: float | None) -> float | None:
     """The temperature (K) of a file with laws: the one asked for, or else the reference temperature it states."""
     if not any(isinstance(entry, Mapping) and "law" in entry for entry in entries.values()):
         if "temperature" in table:
@@ -259,7 +259,7 @@ def read_entry(
         passivity.PassivityWarning: active by no more than its own rounding.
         LossWarning: a loss that is next to nothing beside its number.
     """
-    with located(path):
+    with with_line_number(path):
         return parse_entry(read_toml(path), name, file=str(path), references=references, temperature=temperature,
                            notes=notes)
 
@@ -269,7 +269,7 @@ def parse_entry(
     notes: list[str] | None = None,
 ) -> Material:
     """The material in the content of an entry file; see :func:`read_entry`."""
-    table = Table(file, "", content)
+    table = FileTable(file, "", content)
     kind_name = table.choice("kind", KINDS)
     kind = KINDS[kind_name]
     entries = {key: item for key, item in content.items() if key not in (*_HEAD, *kind.words, *kind.once)}
@@ -325,13 +325,13 @@ def parse_entry(
     fit = parse_fit(content["fit"], density=fields["density"], source=file) if "fit" in table else None
     material = kind.build(name=name, source=reader.source, temperature=reader.temperature, values=values, fit=fit,
                           **fields)
-    passivity.check(material, loss_tolerances=tolerances, source=file, notes=notes)
+    passivity.check_passive(material, loss_tolerances=tolerances, source=file, notes=notes)
     _question_small_losses(material, values, dimensions)
     return material
 
 
 def _with_losses_once(
-    table: Table, kind: Kind, entries: Mapping[str, object], dimensions: Mapping[str, str]
+    table: FileTable, kind: EntryKind, entries: Mapping[str, object], dimensions: Mapping[str, str]
 ) -> dict[str, object]:
     """`entries` with the losses that the file states once for all constants.
 
@@ -342,7 +342,7 @@ def _with_losses_once(
     for key, (word, of) in kind.once.items():
         if key not in table:
             continue
-        share(table, key, word)
+        loss_number(table, key, word)
         for name, entry in entries.items():
             if dimensions[name] not in of or not isinstance(entry, Mapping):
                 continue
@@ -368,12 +368,12 @@ class _Absorption:
     speed: Mapping[str, object]
 
     @classmethod
-    def taken(cls, table: Table, entries: Mapping[str, object]) -> _Absorption | None:
+    def taken(cls, table: FileTable, entries: Mapping[str, object]) -> _Absorption | None:
         """The absorption that the entry of the sound speed states, if it does."""
         entry = entries.get("sound_speed")
         if not isinstance(entry, Mapping) or "value" not in entry or not any(word in entry for word in WORDS):
             return None
-        own = Table(table.source, "sound_speed", entry)
+        own = FileTable(table.source, "sound_speed", entry)
         _, factor = unit_factor(own, "speed")
         value = own.optional_number("value")
         if value is None or value <= 0:
@@ -429,7 +429,7 @@ def _question_small_losses(material: Material, values: Mapping[str, Value], dime
     found = []
     for key, value in values.items():
         share = abs(value.value.imag / value.value.real) if value.value.real else 0.0
-        factor = unit_factor(Table("", "", {"unit": value.unit}), dimensions[key])[1] if value.unit else 1.0
+        factor = unit_factor(FileTable("", "", {"unit": value.unit}), dimensions[key])[1] if value.unit else 1.0
         printed = abs(value.value.real) / factor
         ceramic = isinstance(material, Piezoelectric) and _LOSES.get(dimensions[key]) is not None
         if 0.0 < share < QUESTIONABLE and value.source != RECORDING and (printed >= PLAIN or ceramic):

@@ -28,7 +28,7 @@ from materials.versions import (
     withdrawal_text,
 )
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 from workbench.files.writing import write_atomic
 
 #: First in the file, so that it is known for what it is.
@@ -148,7 +148,7 @@ def _read(path: Path) -> list[_Entry]:
 
 
 def _read_entry(entry: object, field: str, *, source: str) -> _Entry:
-    table = Table.of(entry, source=source, field=field, expected="a name, a content and its sha256")
+    table = FileTable.of(entry, source=source, field=field, expected="a name, a content and its sha256")
     name, content, digest = (table.text(key) for key in ("name", "content", "sha256"))
     split = split_version(name)
     # A name is a path below the folder: nothing but letters, digits, _ and - on both sides of one slash.

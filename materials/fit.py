@@ -36,7 +36,7 @@ from dataclasses import dataclass, field
 
 from materials.value import date_text
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _KEYS = ("recordings", "algorithm", "software", "start", "band", "temperature", "mape_percent", "rms_log_residual",
@@ -44,7 +44,7 @@ _KEYS = ("recordings", "algorithm", "software", "start", "band", "temperature", 
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordingSource:
     """A recorded spectrum and the chip file it was fitted with: their names, and the SHA-256 of their contents.
 
     ``chip_sha256`` is empty where the chip is no file.
@@ -73,7 +73,7 @@ class Fit:
     ln(Z_fit / Z_measured).
     """
 
-    recordings: tuple[Recording, ...]
+    recordings: tuple[RecordingSource, ...]
     algorithm: str
     software: str
     date: str
@@ -103,7 +103,7 @@ def parse_fit(table: object, *, density: float, source: str) -> Fit:
     Raises:
         InputError: an unknown key, something missing, or of the wrong kind.
     """
-    entry = Table.of(table, source=source, field="fit", expected="a table [fit]").only(_KEYS)
+    entry = FileTable.of(table, source=source, field="fit", expected="a table [fit]").only(_KEYS)
     confidence = _figure(entry, "confidence")
     if not 0.0 < confidence < 1.0:
         raise InputError(entry.source, entry.at("confidence"), confidence, "a level between 0 and 1, such as 0.95")
@@ -131,14 +131,14 @@ def parse_fit(table: object, *, density: float, source: str) -> Fit:
     )
 
 
-def _figure(entry: Table, key: str) -> float:
+def _figure(entry: FileTable, key: str) -> float:
     found = entry.optional_number(key)
     if found is None or found < 0.0:
         raise InputError(entry.source, entry.at(key), found, "a number not below zero")
     return found
 
 
-def _band(entry: Table) -> tuple[float, float]:
+def _band(entry: FileTable) -> tuple[float, float]:
     expected = 'two rising frequencies, for example ["910 kHz", "1155 kHz"]'
     low, high = entry.quantities("band", "frequency", expected=expected)
     if not 0.0 < low < high:
@@ -146,25 +146,25 @@ def _band(entry: Table) -> tuple[float, float]:
     return low, high
 
 
-def _recordings(entry: Table) -> tuple[Recording, ...]:
+def _recordings(entry: FileTable) -> tuple[RecordingSource, ...]:
     found = entry.content.get("recordings")
     if not isinstance(found, list) or not found:
         raise entry.error("recordings", "a list of recordings, at least one")
-    return tuple(_recording(Table.of(item, source=entry.source, field=f"{entry.at('recordings')}[{k}]",
-                                     expected="a table of path, sha256, chip, chip_sha256"))
+    return tuple(_recording(FileTable.of(item, source=entry.source, field=f"{entry.at('recordings')}[{k}]",
+                                         expected="a table of path, sha256, chip, chip_sha256"))
                  for k, item in enumerate(found))
 
 
-def _recording(table: Table) -> Recording:
+def _recording(table: FileTable) -> RecordingSource:
     table.only(("path", "sha256", "chip", "chip_sha256"))
     digests = {"sha256": table.text("sha256"), "chip_sha256": table.text("chip_sha256", "")}
     for key, digest in digests.items():
         if _SHA256.fullmatch(digest) is None and (digest or key == "sha256"):
             raise table.error(key, "a SHA-256: 64 hexadecimal digits")
-    return Recording(table.text("path"), digests["sha256"], table.text("chip"), digests["chip_sha256"])
+    return RecordingSource(table.text("path"), digests["sha256"], table.text("chip"), digests["chip_sha256"])
 
 
-def _correlation(entry: Table) -> Correlation:
+def _correlation(entry: FileTable) -> Correlation:
     table = entry.table("correlation", expected="a table of names and rows").only(("names", "rows"))
     names, rows = table.texts("names"), table.content.get("rows")
     size = len(names)

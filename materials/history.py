@@ -20,7 +20,7 @@ from materials.versions import (
     withdrawal_text,
 )
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def withdraw(registry: Registry, name: str, *, reason: str, date: str) -> None:
         raise InputError("materials", "name", name, expected)
     if not reason.strip():
         raise InputError("materials", "reason", reason, "why it is withdrawn")
-    date_text(Table("materials", "", {"date": date}), "date")
+    date_text(FileTable("materials", "", {"date": date}), "date")
     try:
         put(withdrawal_text(Withdrawal(date, reason)).encode("utf-8"), [withdrawal_file(path)])
     except FileExistsError:

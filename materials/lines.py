@@ -14,7 +14,7 @@ _KEY = re.compile(r"""^\s*([\w."'-]+)\s*=""")
 
 
 @contextmanager
-def located(path: Path) -> Iterator[None]:
+def with_line_number(path: Path) -> Iterator[None]:
     """Adds to a complaint about the file at `path` the line that it is about, as far as there is one.
 
     What is missing has none: there the complaint says where the file ends, which shows a truncated one.

@@ -25,7 +25,7 @@ from enum import Enum
 
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS, parse_quantity
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 #: The words for a loss, of which a number takes one.
 WORDS = ("loss", "loss_tangent", "q", "attenuation")
@@ -81,7 +81,7 @@ class Loss:
     stated: str = ""
 
 
-def read_loss(table: Table, loses: Loses, real: float, *, factor: float, rounding: float) -> Loss:
+def read_loss(table: FileTable, loses: Loses, real: float, *, factor: float, rounding: float) -> Loss:
     """The loss of the number `real` (in the unit of its entry, whose `factor` to SI this is) that `table` states.
 
     `rounding` (SI) is half a unit of the last printed digit of the number.
@@ -115,7 +115,7 @@ def read_loss(table: Table, loses: Loses, real: float, *, factor: float, roundin
     return Loss(imaginary(value, number), spread, tolerance, _words(table, word))
 
 
-def attenuation_of_sound(table: Table, speed: float) -> tuple[float, float | None, float, str] | None:
+def attenuation_of_sound(table: FileTable, speed: float) -> tuple[float, float | None, float, str] | None:
     """The attenuation (Np/m) of sound of a `speed` (m/s) in a fluid, its uncertainty, the frequency (Hz) it is of, and
     the words it is stated in; None where `table` states none.
 
@@ -144,7 +144,7 @@ def attenuation_of_sound(table: Table, speed: float) -> tuple[float, float | Non
     return alpha_of(number), None if uncertainty is None else slope * uncertainty, frequency, stated
 
 
-def _word(table: Table, loses: Loses) -> str | None:
+def _word(table: FileTable, loses: Loses) -> str | None:
     """The word that the loss is stated in, if any."""
     given = [word for word in WORDS if word in table]
     for word in given:
@@ -161,7 +161,7 @@ def _word(table: Table, loses: Loses) -> str | None:
 _Imaginary = Callable[[float, float], float]
 
 
-def _stated(table: Table, word: str, loses: Loses) -> tuple[float, float | None, _Imaginary]:
+def _stated(table: FileTable, word: str, loses: Loses) -> tuple[float, float | None, _Imaginary]:
     """The number of a `word`, its uncertainty if stated, and what makes it an imaginary part."""
     sign = 1.0 if loses is Loses.SOFTLY else -1.0
     wave = loses is Loses.AS_WAVE
@@ -173,8 +173,8 @@ def _stated(table: Table, word: str, loses: Loses) -> tuple[float, float | None,
         alpha, spread, frequency = _attenuation(table, law=1)
         omega = 2.0 * math.pi * frequency
         return alpha, spread, lambda value, x: -(value**2) * x / omega
-    number = share(table, word, word)
-    spread = share(table, "loss_uncertainty", word, uncertainty=True) if "loss_uncertainty" in table else None
+    number = loss_number(table, word, word)
+    spread = loss_number(table, "loss_uncertainty", word, uncertainty=True) if "loss_uncertainty" in table else None
     match word:
         case "loss":
             return number, spread, lambda value, x: sign * value * x
@@ -184,7 +184,7 @@ def _stated(table: Table, word: str, loses: Loses) -> tuple[float, float | None,
             return number, spread, lambda value, x: of_tangent(value, 1.0 / x)
 
 
-def share(table: Table, key: str, word: str, *, uncertainty: bool = False) -> float:
+def loss_number(table: FileTable, key: str, word: str, *, uncertainty: bool = False) -> float:
     """The number under `key` that a loss in a `word` is, or the `uncertainty` of such a loss; not of an attenuation.
 
     Raises:
@@ -213,7 +213,7 @@ _UNIT = re.compile(r"(dB|Np)/(?:\(([^()]+)\)|([^()]+))$")
 _PART = re.compile(r"([A-Za-zµμ]+)(?:\^(\d))?$")
 
 
-def _attenuation(table: Table, *, law: int) -> tuple[float, float | None, float]:
+def _attenuation(table: FileTable, *, law: int) -> tuple[float, float | None, float]:
     """The attenuation (Np/m), its uncertainty, and the frequency (Hz) it is of.
 
     It grows with the frequency to the power `law`: an attenuation per frequency to just that power needs none.
@@ -246,7 +246,7 @@ def _attenuation(table: Table, *, law: int) -> tuple[float, float | None, float]
     return factor * scale, spread, frequency
 
 
-def _amount(table: Table, key: str, text: str, expected: str) -> tuple[float, float, int]:
+def _amount(table: FileTable, key: str, text: str, expected: str) -> tuple[float, float, int]:
     """Np/m at the frequency (Hz) that comes next, and the power of the frequency that it grows with by its unit."""
     whole = _AMOUNT.match(text)
     value, unit = (float(whole[1]), whole[2]) if whole else (math.nan, text)
@@ -266,7 +266,7 @@ def _amount(table: Table, key: str, text: str, expected: str) -> tuple[float, fl
     return value, UNITS["frequency"][frequencies[0][1]], int(frequencies[0][2] or 1)
 
 
-def _frequency(table: Table, word: str) -> float:
+def _frequency(table: FileTable, word: str) -> float:
     """The frequency (Hz) that a loss in a `word` is of."""
     if "frequency" not in table:
         raise InputError(table.source, table.at(word), table.content[word],
@@ -277,7 +277,7 @@ def _frequency(table: Table, word: str) -> float:
     return frequency
 
 
-def _words(table: Table, word: str) -> str:
+def _words(table: FileTable, word: str) -> str:
     """The loss as the file states it."""
     at = f" at {table.content['frequency']}" if "frequency" in table else ""
     return f"{word.replace('_', ' ')} {table.content[word]}{at}"

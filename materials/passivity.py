@@ -36,7 +36,7 @@ class PassivityWarning(UserWarning):
     """A material would create energy, but by no more than the rounding of its printed constants explains."""
 
 
-def energy_matrix(material: Piezoelectric) -> NDArray[np.complex128]:
+def stored_energy_matrix(material: Piezoelectric) -> NDArray[np.complex128]:
     """K = [[-C, e^T], [e, eps]], 9 x 9, in Pa.
 
     Rows are the strains 11 22 33 23 13 12 (Voigt, engineering shear) and the fields 1 2 3. The fields are measured in
@@ -82,7 +82,7 @@ def dissipation_matrix(material: Piezoelectric | IsotropicSolid) -> NDArray[np.f
     import numpy as np
 
     if isinstance(material, Piezoelectric):
-        return np.asarray(energy_matrix(material).imag)
+        return np.asarray(stored_energy_matrix(material).imag)
     return -np.diag([complex(material.bulk_modulus).imag, complex(material.shear_modulus).imag])
 
 
@@ -108,7 +108,7 @@ def rounding_tolerance(material: Piezoelectric | IsotropicSolid, loss_tolerances
     return float(np.linalg.norm(rounding, 2))
 
 
-def check(
+def check_passive(
     material: Material, *, loss_tolerances: Mapping[str, float], source: str, notes: list[str] | None = None
 ) -> None:
     """Refuse a material that no passive, stable matter can be.
@@ -196,7 +196,7 @@ def _check_stiffness(material: Piezoelectric | IsotropicSolid, source: str) -> N
         return  # positive moduli, already checked, are the whole condition
     import numpy as np
 
-    smallest = float(np.linalg.eigvalsh(-energy_matrix(material)[:6, :6].real)[0])
+    smallest = float(np.linalg.eigvalsh(-stored_energy_matrix(material)[:6, :6].real)[0])
     if smallest <= 0:
         raise InputError(source, "stiffness matrix", f"smallest eigenvalue {smallest / 1e9:.4g} GPa",
                          "a positive definite stiffness")

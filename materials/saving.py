@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from materials import toml
-from materials.entry import KINDS, Kind, parse_entry
+from materials.entry import KINDS, EntryKind, parse_entry
 from materials.fit import Fit
 from materials.kinds import Fluid, Material
 from materials.registry import PACKAGE_DATA, bibliography_keys
@@ -65,7 +65,7 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
                    fit=replace(fit, density=found["density"]))
 
 
-def save(material: Material, name: str, *, folder: Path) -> str:
+def save_fit(material: Material, name: str, *, folder: Path) -> str:
     """Save a fitted material as the next version of `name`; the name of that version, such as ``pzt4/disc_7@2``.
 
     Nothing that is there is changed. Any number of runs may save at once, and one that is killed leaves no part of an
@@ -141,11 +141,11 @@ def _thermal(material: Material) -> dict[str, complex]:
     return {} if isinstance(material, Fluid) else material.thermal()
 
 
-def _kind(material: Material) -> Kind:
+def _kind(material: Material) -> EntryKind:
     return next(kind for kind in KINDS.values() if kind.build is type(material))
 
 
-def _unit(kind: Kind, name: str) -> str:
+def _unit(kind: EntryKind, name: str) -> str:
     """The SI unit of a field: a number in it is read back as it was written."""
     dimensions = {**kind.required, **kind.optional, **(kind.forms[0].dimensions if kind.forms else {})}
     return next(unit for unit, factor in UNITS[dimensions[name]].items() if factor == 1.0)
@@ -158,16 +158,16 @@ def _loss_is_stated(value: Value) -> bool:
 
 def _value_text(value: Value, head: Mapping[str, str]) -> str:
     number = complex(value.value)
-    pairs = {"value": toml.number(number.real)}
+    pairs = {"value": toml.toml_number(number.real)}
     if _loss_is_stated(value):
-        pairs["loss"] = toml.number(number.imag)
+        pairs["loss"] = toml.toml_number(number.imag)
     pairs["unit"] = toml.quoted(value.unit)
     for key in ("uncertainty", "low", "high", "loss_uncertainty", "loss_low", "loss_high"):
         known = getattr(value, key)
         if known is not None:
-            pairs[key] = toml.number(known)
+            pairs[key] = toml.toml_number(known)
     if value.rounding:
-        pairs["rounding"] = toml.number(value.rounding)
+        pairs["rounding"] = toml.toml_number(value.rounding)
     for key in ("status", "loss_status", "source", "conditions", "note"):
         text = getattr(value, key)
         if text and text != head.get(key):
@@ -182,7 +182,7 @@ def _fit_lines(fit: Fit) -> list[str]:
         sample = [f"{toml.quoted(key)} = {toml.quoted(text)}" for key, text in fit.sample.items()]
         lines += ["[fit.sample]", *sample, ""]
     if fit.correlation is not None:
-        rows = [toml.array([toml.number(entry) for entry in row]) for row in fit.correlation.rows]
+        rows = [toml.array([toml.toml_number(entry) for entry in row]) for row in fit.correlation.rows]
         lines += ["[fit.correlation]", f"names = {_texts(fit.correlation.names)}", f"rows = {toml.array(rows)}", ""]
     recordings = toml.array([
         toml.inline({field.name: toml.quoted(getattr(recording, field.name)) for field in fields(recording)})
@@ -194,7 +194,8 @@ def _fit_lines(fit: Fit) -> list[str]:
     lines.append(f"band = {_texts(tuple(f'{end!r} Hz' for end in map(float, fit.band)))}")
     if fit.temperature is not None:
         lines.append(f"temperature = {toml.quoted(f'{float(fit.temperature)!r} K')}")
-    lines += [f"{key} = {toml.number(getattr(fit, key))}" for key in ("mape_percent", "rms_log_residual", "confidence")]
+    lines += [f"{key} = {toml.toml_number(getattr(fit, key))}" for key in ("mape_percent", "rms_log_residual",
+                                                                           "confidence")]
     lines += [f"{key} = {_texts(getattr(fit, key))}" for key in ("free", "fixed", "notes")]
     return [*lines, f"forced = {'true' if fit.forced else 'false'}", f"date = {toml.quoted(fit.date)}"]
 

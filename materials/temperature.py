@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 _KEYS = ("origin", "scale", "coefficients", "powers", "denominator_coefficients", "denominator_powers", "range")
 
@@ -54,14 +54,14 @@ class Law:
         return float(self.unit_factor * top / bottom)
 
 
-def _numbers(table: Table, key: str) -> list[float]:
+def _numbers(table: FileTable, key: str) -> list[float]:
     found = table.content.get(key)
     if not isinstance(found, list) or not found or not all(type(item) in (int, float) for item in found):
         raise table.error(key, "a list of numbers")
     return [float(item) for item in found]
 
 
-def _sum_of_powers(table: Table, coefficients: str, powers: str) -> tuple[tuple[float, float], ...]:
+def _sum_of_powers(table: FileTable, coefficients: str, powers: str) -> tuple[tuple[float, float], ...]:
     factors, exponents = _numbers(table, coefficients), _numbers(table, powers)
     if len(factors) != len(exponents):
         raise InputError(table.source, table.at(powers), exponents,
@@ -75,8 +75,8 @@ def parse_law(entry: object, unit_factor: float, *, source: str, field: str) -> 
     Raises:
         InputError: an unknown or missing key, lists that do not match, a temperature without its unit, an empty range.
     """
-    table = Table.of(entry, source=source, field=field,
-                     expected="a table with origin, scale, coefficients, powers and range").only(_KEYS)
+    table = FileTable.of(entry, source=source, field=field,
+                         expected="a table with origin, scale, coefficients, powers and range").only(_KEYS)
     origin, scale = table.quantity("origin", "temperature"), table.quantity("scale", "temperature")
     if scale <= 0 or "degC" in str(table.content["scale"]):
         raise table.error("scale", 'a temperature difference in K, for example "1 K"')

@@ -12,7 +12,7 @@ def quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def number(value: float) -> str:
+def toml_number(value: float) -> str:
     """A TOML float, to the last bit; in powers of ten where that is shorter to read."""
     value = float(value)
     if value == 0.0 or 1e-3 <= abs(value) < 1e6 or not math.isfinite(value):

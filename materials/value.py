@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from materials.loss import Loses, read_loss
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 #: The source of a number that was fitted: its entry says in [fit] to which recording.
 RECORDING = "recording"
@@ -65,7 +65,7 @@ class Value:
     loss_stated: str = ""
 
 
-def date_text(table: Table, key: str) -> str:
+def date_text(table: FileTable, key: str) -> str:
     """The date in ISO 8601 under `key`.
 
     Raises:
@@ -79,7 +79,7 @@ def date_text(table: Table, key: str) -> str:
     return found
 
 
-def unit_factor(entry: Table, dimension: str) -> tuple[str, float]:
+def unit_factor(entry: FileTable, dimension: str) -> tuple[str, float]:
     """The unit of an entry and its factor to SI.
 
     Raises:
@@ -93,7 +93,7 @@ def unit_factor(entry: Table, dimension: str) -> tuple[str, float]:
     return unit, units[unit]
 
 
-def source_of(table: Table, references: Collection[str], default: str | None = None) -> str:
+def source_of(table: FileTable, references: Collection[str], default: str | None = None) -> str:
     """The key of a reference under ``source``; a number whose origin cannot be looked up is refused.
 
     Raises:
@@ -133,7 +133,7 @@ def parse_value(
         InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source or
             status, an interval that does not hold its value, a loss of the wrong form (see :func:`read_loss`).
     """
-    table = Table.of(entry, source=source, field=field, expected='a table such as { value = 1.0, unit = "GPa" }')
+    table = FileTable.of(entry, source=source, field=field, expected='a table such as { value = 1.0, unit = "GPa" }')
     table.only([*(key for key in _KEYS if loses.words or not key.startswith("loss")), *loses.keys])
     unit, factor = unit_factor(table, dimension)
     real = table.optional_number("value")
@@ -166,7 +166,7 @@ def parse_value(
     )
 
 
-def _spread(table: Table, key: str, factor: float) -> float | None:
+def _spread(table: FileTable, key: str, factor: float) -> float | None:
     """An uncertainty (SI), not below zero."""
     spread = table.optional_number(key)
     if spread is not None and spread < 0:
@@ -174,7 +174,7 @@ def _spread(table: Table, key: str, factor: float) -> float | None:
     return None if spread is None else spread * factor
 
 
-def _end(table: Table, key: str, inside: float, factor: float) -> float | None:
+def _end(table: FileTable, key: str, inside: float, factor: float) -> float | None:
     """One end of an interval (SI), which has to hold the number `inside` (in the unit of the entry)."""
     end = table.optional_number(key)
     if end is not None and (end > inside if key.endswith("low") else end < inside):

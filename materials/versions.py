@@ -18,11 +18,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from materials.lines import located
+from materials.lines import with_line_number
 from materials.toml import quoted
 from materials.value import date_text
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*/[A-Za-z0-9][A-Za-z0-9_-]*")
 _VERSION = re.compile(rf"({_NAME.pattern})@([1-9][0-9]*)")
@@ -94,8 +94,8 @@ def read_withdrawal(entry: Path) -> Withdrawal | None:
     path = withdrawal_file(entry)
     if not path.is_file():
         return None
-    with located(path):
-        table = Table.read(path).only(("date", "reason"))
+    with with_line_number(path):
+        table = FileTable.read(path).only(("date", "reason"))
         return Withdrawal(date_text(table, "date"), table.text("reason"))
 
 

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from geometry.chip import Chip
     from geometry.mesh import SectionMesh
     from materials.kinds import Material
-    from workbench.operators import FullOperators
-    from workbench.problem import Problem
-    from workbench.spectrum import Spectrum
+    from workbench.fem.operators import FullOperators
+    from workbench.model.problem import Problem
+    from workbench.results.spectrum import Spectrum
 
-# One BLAS thread (see workbench.solve.one_thread) and a window that needs no display, before numpy and vtk load.
+# One BLAS thread (see workbench.fem.solve.one_thread) and a window that needs no display, before numpy and vtk load.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
@@ -56,12 +56,12 @@ def tables_fit(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     from support import check_table
 
     from workbench.commands import terminal
-    from workbench.report.page import Table
+    from workbench.report.page import TextTable
 
     found: list[str] = []
     drawn = terminal.table_lines
 
-    def checked(title: str, table: Table, *, width: int) -> list[str]:
+    def checked(title: str, table: TextTable, *, width: int) -> list[str]:
         check_table(drawn(title, table, width=80), title, table.columns, table.rows)
         found.append(title)
         return drawn(title, table, width=width)
@@ -139,7 +139,7 @@ def _reference_spectrum(name: str) -> Spectrum:
     """The independent solver's spectrum; its sign is already the electrical engineer's."""
     import numpy as np
 
-    from workbench.spectrum import Spectrum
+    from workbench.results.spectrum import Spectrum
 
     frequency, real, imaginary = np.loadtxt(REFERENCE / f"{name}.csv", delimiter=",", skiprows=1, unpack=True)
     return Spectrum(frequency, real + 1j * imaginary)
@@ -204,8 +204,8 @@ def _meshed(chip: Chip, materials: Mapping[str, Material], *, elements_per_wavel
     """The base model of a chip on quadratic elements, of a size that the top of its band rules."""
     from geometry.mesh import mesh_section
     from geometry.section import cut_section
-    from workbench.discretisation import Discretisation
-    from workbench.problem import problem
+    from workbench.model.discretisation import Discretisation
+    from workbench.model.problem import problem
 
     section = cut_section(chip)
     made = Discretisation(2, elements_per_wavelength, thickness, corner_refinement=corner_refinement, growth=1.5,
@@ -309,6 +309,6 @@ def filled(small_chip: Chip, filled_materials: dict[str, Material]) -> Problem:
 @pytest.fixture(scope="session")
 def filled_operators(filled: Problem) -> FullOperators:
     """The operators of `filled`."""
-    from workbench.operators import assemble
+    from workbench.fem.operators import assemble
 
     return assemble(filled.mesh, filled.terms)

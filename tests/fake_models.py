@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.evaluation import Evaluation
-from workbench.design.parts import Part, named
+from workbench.design.parts import StudyPart, numbers_by_name
 from workbench.design.plan import Study
 from workbench.files.writing import write_atomic
-from workbench.ranges import Progress
+from workbench.reduced.ranges import Progress
 
 Real = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ class FormulaModels:
     made: str = ""
     ballast: int = 0
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
+    def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> bytes:
         if not path.exists():
             write_atomic(path, pickle.dumps(self.formula(study, part, 1e-6)))
             if self.made:
@@ -91,10 +91,10 @@ class FormulaModels:
         progress(1.0)
         return path.read_bytes()
 
-    def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
-        return self.formula(study, part, 0.0)(named(study, point))
+    def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:
+        return self.formula(study, part, 0.0)(numbers_by_name(study, point))
 
-    def formula(self, study: Study, part: Part, off: float) -> FormulaModel:
+    def formula(self, study: Study, part: StudyPart, off: float) -> FormulaModel:
         """The model of a part."""
         return FormulaModel(tuple(axis.name for axis in study.numbers), study.figures,
                             tuple(abs(axis.high) for axis in study.numbers), float(part.number), self.pause,

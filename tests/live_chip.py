@@ -8,8 +8,8 @@ from pathlib import Path
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
 from workbench.app.session import Session
-from workbench.discretisation import Discretisation
-from workbench.spectrum import Spectrum
+from workbench.model.discretisation import Discretisation
+from workbench.results.spectrum import Spectrum
 
 TEXT = """
 [chip]

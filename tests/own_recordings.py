@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign, read_campaign
-from workbench.diagnosis.device import model
-from workbench.spectrum import Spectrum, write_csv
+from workbench.diagnosis.device import device_model
+from workbench.results.spectrum import Spectrum, write_csv
 
 Real = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def conceal(
 
     `files` and `recorded` as of :func:`any_recordings`; `accuracy` of the mesh that the recordings are made on.
     """
-    device = model(any_recordings(folder, files, recorded), accuracy=accuracy)
+    device = device_model(any_recordings(folder, files, recorded), accuracy=accuracy)
     x = np.array([p.start for p in device.parameters])
     for name, value in values.items():
         x[device.index(name)] = value

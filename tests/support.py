@@ -19,11 +19,11 @@ from geometry.mesh import SectionMesh
 from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
-from workbench.discretisation import Discretisation
+from workbench.fem.operators import FullOperators
+from workbench.fem.solve import System
 from workbench.fitting.parameter import Parameter
-from workbench.operators import FullOperators
+from workbench.model.discretisation import Discretisation
 from workbench.physics.term import Condition, Term
-from workbench.solve import System
 
 #: A transducer the size of a pea, as a chip file.
 DISC = """

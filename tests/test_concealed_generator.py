@@ -23,10 +23,10 @@ from scipy.special import jn_zeros, jv
 from geometry.chip import read_chip
 from geometry.shapes import with_shapes
 from materials.registry import Registry
-from workbench.operators import assemble as assemble_theirs
-from workbench.problem import build, fill
-from workbench.solve import solve_full
-from workbench.spectrum import Spectrum
+from workbench.fem.operators import assemble as assemble_theirs
+from workbench.fem.solve import solve_full
+from workbench.model.problem import build, fill
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 

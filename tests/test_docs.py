@@ -17,8 +17,8 @@ import pytest
 
 import workbench as wb
 from workbench.bench.setup import Acquisition, Standards
+from workbench.commands.options import command_parser
 from workbench.diagnosis.state import STATE_KEYS
-from workbench.options import parser
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -92,7 +92,7 @@ def test_commands_that_are_printed_exist(name: str, command: str, capsys: pytest
     match words:
         case ["workbench" | ".venv/bin/workbench", *rest]:
             try:
-                parser().parse_args(rest)
+                command_parser().parse_args(rest)
             except SystemExit:
                 pytest.fail(f"{name}: {command}\n{capsys.readouterr().err}")
             files = [word for word in rest if word.startswith(("geometry/", "tests/", "examples/"))]

@@ -18,12 +18,12 @@ from support import quadratic
 from geometry.chip import Chip, read_chip
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.merit import figures
-from workbench.operators import assemble
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import build, fill
 from workbench.physics.boundary_layer import ThermalBoundaryLayer, ViscousBoundaryLayer
-from workbench.problem import build, fill
-from workbench.solve import solve_full
-from workbench.spectrum import Spectrum
+from workbench.results.merit import figures
+from workbench.results.spectrum import Spectrum
 
 # What the paper's constants are warned of is told of in their own tests.
 pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")

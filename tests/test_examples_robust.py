@@ -16,8 +16,8 @@ import pytest
 from geometry.chip import read_chip
 from geometry.chip_file import write_chip
 from materials.registry import Registry
+from workbench.commands.options import command_parser
 from workbench.design.goal import read_goal
-from workbench.options import parser
 
 _SPEC = importlib.util.spec_from_file_location(
     "robust", Path(__file__).resolve().parents[1] / "examples" / "19_robust_by_measurement.py")
@@ -33,7 +33,7 @@ def test_every_command_is_one_and_the_goals_are_read(tmp_path: Path, monkeypatch
     monkeypatch.setattr(example, "outcome", lambda folder: None)
     example.robust_by_measurement(tmp_path / "out")
     for command in given:
-        parser().parse_args(command)
+        command_parser().parse_args(command)
     assert [command[0] for command in given] == ["fit", "fit", *(["design", "tolerance"] * 2)]
     known = Registry((tmp_path / "out" / "truth",))
     goals = {name: read_goal(tmp_path / "out" / f"{name}.toml", registry=known) for name in ("nominal", "robust")}

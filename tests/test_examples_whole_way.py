@@ -12,9 +12,9 @@ import pytest
 from geometry.chip import read_chip
 from materials.registry import Registry
 from workbench.bench.setup import read_bench
+from workbench.commands.options import COMMANDS, command_parser
 from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
-from workbench.options import COMMANDS, parser
-from workbench.parameter_names import part
+from workbench.model.numbers import real_part
 
 _SPEC = importlib.util.spec_from_file_location(
     "whole_way", Path(__file__).resolve().parents[1] / "examples" / "11_whole_way.py")
@@ -43,7 +43,7 @@ def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_every_command_of_the_whole_way_is_one(commands: Any) -> None:
     _, given = commands
     for command in given:
-        parser().parse_args(command)
+        command_parser().parse_args(command)
     stages = [command[0] for command in given if command[0] != "bench"]
     assert stages[:11] == ["measure"] * 4 + ["fit", "measure", "fit", "materials", "simulate", "measure", "compare"]
     # What only the bench may see is named to nothing else.
@@ -76,7 +76,7 @@ def test_the_truth_is_not_what_the_fits_begin_with() -> None:
         values, begun = registry.load(true).parameters(), registry.load(start).parameters()
         for key in values.keys() - {"density"}:
             for name in (key, f"{key}.loss"):
-                value, other = part(values, name), part(begun, name)
+                value, other = real_part(values, name), real_part(begun, name)
                 if name in free:
                     assert abs(value - other) > 0.01 * abs(value), name
                 else:

@@ -12,9 +12,9 @@ from geometry.chip_file import write_chip
 from geometry.dimension import Dimension
 from geometry.names import ROLES
 from geometry.plausible import THICKNESSES
-from workbench.drive import parse_drive
 from workbench.files.errors import InputError
 from workbench.files.tables import read_toml
+from workbench.model.drive import parse_drive
 
 ROOT = Path(__file__).resolve().parent.parent
 PATH = ROOT / "geometry/chips/reference_chip.toml"

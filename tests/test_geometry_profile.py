@@ -16,7 +16,7 @@ from geometry.dimension import Dimension
 from geometry.export import export_step
 from geometry.free_section import FreeSection
 from workbench.files.errors import InputError
-from workbench.problem import LeftOutWarning, build, fill
+from workbench.model.problem import LeftOutWarning, build, fill
 
 pytest.importorskip("cadquery")
 

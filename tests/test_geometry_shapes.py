@@ -17,10 +17,10 @@ from geometry.mesh import MeshError, SectionMesh, mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
 from geometry.shapes import moved
-from geometry.solid import solids, volume
-from workbench.elements import Lagrange
+from geometry.solid import chip_solids, volume
+from workbench.fem.elements import Lagrange
 from workbench.files.errors import InputError
-from workbench.shaped_mesh import shaped
+from workbench.model.shaped_mesh import shaped
 
 ORDER = 4
 LOCAL = np.array(Lagrange(ORDER).doflocs).T
@@ -151,7 +151,7 @@ def test_solids_and_volumes_are_those_of_the_shapes(small_chip: Chip) -> None:
     # The paraboloid holds half of its cylinder.
     assert found["transducer"] == pytest.approx(
         math.pi * disc.outer_radius**2 * (disc.thickness.value + 5e-6), rel=1e-12)
-    drawn = solids(chip)
+    drawn = chip_solids(chip)
     for region in ("transducer", "couplant", "bond", "superstrate", "cavity"):
         assert volume(drawn[region]) == pytest.approx(found[region], rel=1e-7)
 

@@ -14,7 +14,7 @@ from geometry.export import export_step, export_stl
 from geometry.kernel import SolidError
 from geometry.parts import Ports
 from geometry.section import cut_section
-from geometry.solid import part_volumes, parts, ports_volume, solids, volume
+from geometry.solid import chip_solids, part_volumes, parts, ports_volume, volume
 from workbench.files.errors import InputError
 
 cadquery = pytest.importorskip("cadquery", reason="solids need CadQuery, the extra 'cad'")
@@ -28,7 +28,7 @@ PLAIN = replace(DRILLED, ports=None)
 def test_solids_without_ports_are_the_revolved_section(path: Path) -> None:
     chip = replace(read_chip(path), ports=None)
     section = cut_section(chip)
-    made = solids(chip)
+    made = chip_solids(chip)
     for name, layers in parts(chip).items():
         # Cylinders are integrated to rounding.
         assert volume(made[name]) == pytest.approx(sum(section.volume(layer.region) for layer in layers), rel=1e-12)
@@ -36,11 +36,11 @@ def test_solids_without_ports_are_the_revolved_section(path: Path) -> None:
 
 
 def test_the_printed_part_is_one_solid_with_a_pocket() -> None:
-    assert list(solids(PLAIN)) == ["transducer", "couplant", "substrate", "bond", "superstrate", "cavity"]
+    assert list(chip_solids(PLAIN)) == ["transducer", "couplant", "substrate", "bond", "superstrate", "cavity"]
     expected = math.pi * (13e-3**2 * (0.85e-3 + 0.72e-3) - 4e-3**2 * 0.72e-3)
-    assert volume(solids(PLAIN)["substrate"]) == pytest.approx(expected, rel=1e-12)
+    assert volume(chip_solids(PLAIN)["substrate"]) == pytest.approx(expected, rel=1e-12)
     # Lid face, floor of the pocket, its wall, rim on top, outer surface; no seam where the layers met.
-    assert len(solids(PLAIN)["substrate"].Faces()) == 5
+    assert len(chip_solids(PLAIN)["substrate"].Faces()) == 5
 
 
 def test_a_wall_of_another_material_is_a_part_of_its_own() -> None:
@@ -49,7 +49,7 @@ def test_a_wall_of_another_material_is_a_part_of_its_own() -> None:
 
 
 def test_solids_are_where_the_chip_says_in_millimetres() -> None:
-    for name, solid in solids(DRILLED).items():
+    for name, solid in chip_solids(DRILLED).items():
         box = solid.BoundingBox()
         low, high = box.zmin, box.zmax
         if name == "cavity":
@@ -64,7 +64,7 @@ def test_solids_are_where_the_chip_says_in_millimetres() -> None:
 
 
 def test_parts_do_not_overlap() -> None:
-    made = list(solids(DRILLED).values())
+    made = list(chip_solids(DRILLED).values())
     for i, one in enumerate(made):
         for other in made[:i]:
             assert one.intersect(other).Volume() == pytest.approx(0.0, abs=1e-9)
@@ -73,7 +73,7 @@ def test_parts_do_not_overlap() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_ports_remove_the_volume_of_their_channels(count: int) -> None:
     chip = replace(DRILLED, ports=Ports(Dimension(0.4e-3), None, count))
-    removed = volume(solids(PLAIN)["substrate"]) - volume(solids(chip)["substrate"])
+    removed = volume(chip_solids(PLAIN)["substrate"]) - volume(chip_solids(chip)["substrate"])
     # Edges are splines within 1e-7 mm of the true curve: measured 1e-8 of the channel.
     assert removed == pytest.approx(ports_volume(chip), rel=1e-7)
     # A straight plug from wall to wall is 9 mm long on the axis, and about (radius / wall radius)^2 more beside it.
@@ -93,13 +93,13 @@ def test_the_volume_of_a_port_is_the_integral_of_its_chord() -> None:
     assert part_volumes(PLAIN)["substrate"] - part_volumes(chip)["substrate"] == pytest.approx(
         1e-9 * integral, rel=1e-9
     )
-    solids(chip)  # a channel almost as wide as the wall is high still has its volume
+    chip_solids(chip)  # a channel almost as wide as the wall is high still has its volume
     with pytest.raises(InputError, match="ports"):
         ports_volume(PLAIN)
 
 
 def test_ports_are_open_to_cavity_and_outside() -> None:
-    substrate = solids(DRILLED)["substrate"]
+    substrate = chip_solids(DRILLED)["substrate"]
     height = 2.89 + 0.36
     for x in (4.05, 8.0, 12.95, -4.05, -12.95):
         assert not substrate.isInside(cadquery.Vector(x, 0.0, height), 1e-6)
@@ -111,13 +111,13 @@ def test_a_solid_of_another_volume_is_refused(monkeypatch: pytest.MonkeyPatch) -
     wrong: dict[str, float] = {name: 1.00001 * value for name, value in part_volumes(PLAIN).items()}
     monkeypatch.setattr("geometry.solid.part_volumes", lambda chip: wrong)
     with pytest.raises(SolidError, match="volume of the solid 'transducer'"):
-        solids(PLAIN)
+        chip_solids(PLAIN)
 
 
 def test_a_part_in_two_pieces_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("geometry.solid._fused", cadquery.Compound.makeCompound)  # the printed layers side by side
     with pytest.raises(SolidError, match="'substrate' should be one valid solid and is 2"):
-        solids(PLAIN)
+        chip_solids(PLAIN)
 
 
 # ---- files

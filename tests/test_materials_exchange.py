@@ -14,19 +14,19 @@ from materials import (
     Fit,
     Imported,
     Material,
-    Recording,
+    RecordingSource,
     Registry,
     WithdrawnWarning,
     export_entries,
     fitted,
     import_entries,
-    save,
+    save_fit,
     withdraw,
 )
 from workbench.files.errors import InputError
 
 FIT = Fit(
-    recordings=(Recording("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",
+    recordings=(RecordingSource("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",
     date="2026-11-21T14:40:00+00:00", band=(910e3, 1155e3), mape_percent=0.41, rms_log_residual=0.005, confidence=0.95,
     free=("c33",), notes=("gemessen in Zürich",),
 )  # fmt: skip
@@ -41,7 +41,7 @@ def ours(tmp_path: Path) -> Path:
     """A folder with two versions, the first one withdrawn."""
     folder = tmp_path / "ours"
     for mape_percent in (1.0, 2.0):
-        save(_found(mape_percent), "pzt4/disc_7", folder=folder)
+        save_fit(_found(mape_percent), "pzt4/disc_7", folder=folder)
     withdraw(Registry((folder,)), "pzt4/disc_7@1", reason="slipped", date="2026-11-22")
     return folder
 
@@ -68,7 +68,7 @@ def test_what_is_imported_is_what_was_exported_to_the_letter(ours: Path, tmp_pat
     assert import_entries(path, folder=theirs) == tuple(Imported(entry.name, False) for entry in both)
     assert {p: p.stat().st_mtime_ns for p in theirs.rglob("*.*")} == before
     # And the next fit goes on from there.
-    assert save(_found(3.0), "pzt4/disc_7", folder=theirs) == "pzt4/disc_7@3"
+    assert save_fit(_found(3.0), "pzt4/disc_7", folder=theirs) == "pzt4/disc_7@3"
 
 
 def test_a_name_means_in_an_export_what_it_means_elsewhere(ours: Path) -> None:
@@ -99,7 +99,7 @@ def test_entries_written_by_hand_keep_their_line_ends(tmp_path: Path) -> None:
 def test_another_content_under_a_name_is_refused_and_nothing_is_imported(ours: Path, tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
     # The second entry of the file is the one in the way.
-    save(_found(9.0), "pzt4/disc_7", folder=theirs)
+    save_fit(_found(9.0), "pzt4/disc_7", folder=theirs)
     path = theirs / "pzt4" / "disc_7@1.toml"
     path.rename(path.with_name("disc_7@2.toml"))
     before = {p: p.read_bytes() for p in theirs.rglob("*.toml")}

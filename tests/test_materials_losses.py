@@ -19,13 +19,13 @@ from materials import (
     Material,
     PassivityWarning,
     Piezoelectric,
-    Recording,
+    RecordingSource,
     Registry,
     Value,
     describe,
     fitted,
     passivity,
-    save,
+    save_fit,
     with_assumed_loss,
 )
 from workbench.files.errors import InputError
@@ -248,13 +248,13 @@ def test_a_loss_tangent_typed_as_a_loss_is_asked_about(tmp_path: Path) -> None:
 
 
 def test_what_a_fit_saves_is_read_back_with_its_loss(tmp_path: Path) -> None:
-    recording = Recording(path="disc.csv", sha256="0" * 64, chip="disc.toml", chip_sha256="0" * 64)
+    recording = RecordingSource(path="disc.csv", sha256="0" * 64, chip="disc.toml", chip_sha256="0" * 64)
     fit = Fit(recordings=(recording,), algorithm="a", software="s", date="2026-01-01T00:00:00+00:00",
               band=(0.9e6, 1.2e6), free=("c33",), fixed=(), mape_percent=1.0, rms_log_residual=0.01, confidence=0.95)
     start = load(tmp_path, STIFF.replace("loss = 0.02", "loss_tangent = 0.02") + 'ceramic = "soft"\n')
     found = fitted(start, {"c33": Value(1.2e11 - 1e9j, "Pa", "")}, fit=fit)
     own = Registry((tmp_path,))
-    assert save(found, "thing/disc", folder=tmp_path) == "thing/disc@1"
+    assert save_fit(found, "thing/disc", folder=tmp_path) == "thing/disc@1"
     again = own.load("thing/disc")
     assert isinstance(again, Piezoelectric)
     assert again.parameters() == found.parameters()

@@ -69,7 +69,7 @@ def test_complex_piezoelectric_constants_are_part_of_the_matrix() -> None:
     assert passivity.smallest_dissipation(within) >= 0
     assert passivity.smallest_dissipation(beyond) < 0
     with pytest.raises(InputError, match="dissipation matrix"):
-        passivity.check(beyond, loss_tolerances={}, source="here")
+        passivity.check_passive(beyond, loss_tolerances={}, source="here")
 
 
 def test_matrix_gives_the_power_lost() -> None:
@@ -112,7 +112,7 @@ def test_table_3_is_active_by_less_than_its_rounding() -> None:
 
 def test_without_declared_rounding_the_same_constants_are_refused() -> None:
     with pytest.raises(InputError, match=r"smallest eigenvalue -0\.000526 GPa"):
-        passivity.check(_fitted(), loss_tolerances={}, source="here")
+        passivity.check_passive(_fitted(), loss_tolerances={}, source="here")
 
 
 def test_tolerance_covers_every_choice_of_the_unprinted_digits() -> None:
@@ -139,19 +139,20 @@ def test_tolerance_covers_every_choice_of_the_unprinted_digits() -> None:
 def test_a_flipped_sign_names_the_convention(name: str) -> None:
     material = _with_losses(_initial(), c11=-0.14 * GPA, c13=0.07 * GPA, c33=-0.12 * GPA, c44=-0.1 * GPA, eps11=3.0,
                             eps33=3.0)
-    passivity.check(material, loss_tolerances={}, source="here")
+    passivity.check_passive(material, loss_tolerances={}, source="here")
     changed: dict[str, Any] = {name: material.parameters()[name].conjugate()}
     flipped = replace(material, **changed)
     with pytest.raises(InputError, match=rf"here: {name}: .*e\^\{{-i w t\}}"):
-        passivity.check(flipped, loss_tolerances={}, source="here")
+        passivity.check_passive(flipped, loss_tolerances={}, source="here")
 
 
 @pytest.mark.parametrize("name", ["bulk_modulus", "shear_modulus"])
 def test_a_flipped_sign_of_an_isotropic_solid(name: str) -> None:
     solid = IsotropicSolid(name="s", density=1100.0, bulk_modulus=3e9 - 1e7j, shear_modulus=1e9 - 1e7j)
-    passivity.check(solid, loss_tolerances={}, source="here")
+    passivity.check_passive(solid, loss_tolerances={}, source="here")
     with pytest.raises(InputError, match=rf"{name}.*negative imaginary stiffness"):
-        passivity.check(replace(solid, **{name: getattr(solid, name).conjugate()}), loss_tolerances={}, source="here")
+        passivity.check_passive(replace(solid, **{name: getattr(solid, name).conjugate()}), loss_tolerances={},
+                                source="here")
 
 
 def test_isotropic_reduction_agrees_with_the_full_matrix() -> None:
@@ -176,13 +177,13 @@ def test_losses_exactly_on_the_boundary_are_neither_refused_nor_warned_of() -> N
         smallest.append(passivity.smallest_dissipation(material))
         with warnings.catch_warnings():
             warnings.simplefilter("error", PassivityWarning)
-            passivity.check(material, loss_tolerances={}, source="here")
+            passivity.check_passive(material, loss_tolerances={}, source="here")
     assert min(smallest) < 0  # rounding did go below zero, so the allowance was needed
 
 
 def test_unstable_stiffness_is_refused() -> None:
     with pytest.raises(InputError, match="positive definite"):
-        passivity.check(replace(_initial(), c13=120 * GPA), loss_tolerances={}, source="here")
+        passivity.check_passive(replace(_initial(), c13=120 * GPA), loss_tolerances={}, source="here")
 
 
 @pytest.mark.parametrize(
@@ -197,4 +198,4 @@ def test_unstable_stiffness_is_refused() -> None:
 )
 def test_impossible_numbers_are_refused(material: Fluid | IsotropicSolid) -> None:
     with pytest.raises(InputError, match=r"a positive number|a finite number"):
-        passivity.check(material, loss_tolerances={}, source="here")
+        passivity.check_passive(material, loss_tolerances={}, source="here")

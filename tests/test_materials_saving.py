@@ -17,7 +17,7 @@ from materials import (
     Fluid,
     Material,
     Piezoelectric,
-    Recording,
+    RecordingSource,
     Registry,
     UseWarning,
     Value,
@@ -27,7 +27,7 @@ from materials import (
     differences,
     fitted,
     history,
-    save,
+    save_fit,
     user_folder,
     user_registry,
     withdraw,
@@ -35,7 +35,8 @@ from materials import (
 from workbench.files.errors import InputError
 
 FIT = Fit(
-    recordings=(Recording("a \"disc\".csv", "0" * 64, "disc.toml", "f" * 64), Recording("b.csv", "1" * 64, "stack")),
+    recordings=(RecordingSource("a \"disc\".csv", "0" * 64, "disc.toml", "f" * 64),
+                RecordingSource("b.csv", "1" * 64, "stack")),
     algorithm="joint", software="acoustofluidic-chip-workbench 0.1.0", date="2026-11-21T14:40:00+00:00",
     band=(910e3, 1.1550000000000002e6), mape_percent=0.41, rms_log_residual=1 / 300, confidence=0.95,
     free=("c33", "c33 loss"), fixed=("eps11",), start="pzt4/acevedo_2026_initial", temperature=296.15,
@@ -73,7 +74,7 @@ def _same(mine: Material, theirs: Material) -> None:
 
 def test_a_saved_fit_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
     found = _found()
-    assert save(found, "pzt4/disc_7", folder=tmp_path) == "pzt4/disc_7@1"
+    assert save_fit(found, "pzt4/disc_7", folder=tmp_path) == "pzt4/disc_7@1"
     read = Registry((tmp_path,)).load("pzt4/disc_7")
     assert read.name == "pzt4/disc_7@1"
     _same(found, read)
@@ -91,7 +92,7 @@ def test_a_saved_fit_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
 def test_a_saved_fit_keeps_the_thermal_constants(tmp_path: Path) -> None:
     # Young's modulus and Poisson's ratio are converted; the conductivity is what the source printed.
     found = fitted(Registry().load("borosilicate_glass"), {}, fit=FIT)
-    save(found, "borosilicate_glass/lid_3", folder=tmp_path)
+    save_fit(found, "borosilicate_glass/lid_3", folder=tmp_path)
     read = Registry((tmp_path,)).load("borosilicate_glass/lid_3")
     _same(found, read)
     assert read.values["thermal_conductivity"].source == "schott_borofloat33"
@@ -111,10 +112,10 @@ def test_what_was_held_fixed_keeps_its_source() -> None:
 
 
 def test_a_fit_that_sets_out_from_a_fit_says_where_the_rest_is_from(tmp_path: Path) -> None:
-    save(_found(), "pzt4/disc_7", folder=tmp_path)
+    save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
     second = fitted(Registry((tmp_path,)).load("pzt4/disc_7"), {}, fit=FIT)
     assert second.values["c33"].conditions == "as in pzt4/disc_7@1"
-    save(second, "pzt4/disc_8", folder=tmp_path)
+    save_fit(second, "pzt4/disc_8", folder=tmp_path)
     _same(second, Registry((tmp_path,)).load("pzt4/disc_8"))
 
 
@@ -125,7 +126,7 @@ def test_every_material_can_be_saved_as_a_fit(name: str, tmp_path: Path) -> None
         warnings.simplefilter("ignore")  # the passivity of the paper's own constants
         start = Registry().load(name)
         found = _found(start)
-        _same(found, Registry((tmp_path,)).load(save(found, f"{name.split('/')[0]}/again", folder=tmp_path)))
+        _same(found, Registry((tmp_path,)).load(save_fit(found, f"{name.split('/')[0]}/again", folder=tmp_path)))
     assert found.parameters() == start.parameters()
     assert all(value.source == start.source or value.source in ("recording", start.values[key].source)
                for key, value in found.values.items())
@@ -138,9 +139,9 @@ def test_an_estimate_of_something_else_is_refused() -> None:
 
 def test_what_is_no_fit_is_not_saved(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no fit"):
-        save(_start(), "pzt4/disc_7", folder=tmp_path)
+        save_fit(_start(), "pzt4/disc_7", folder=tmp_path)
     with pytest.raises(ValueError, match="density"):
-        save(replace(_found(), density=7000.0), "pzt4/disc_7", folder=tmp_path)
+        save_fit(replace(_found(), density=7000.0), "pzt4/disc_7", folder=tmp_path)
 
 
 @pytest.mark.parametrize(("found", "message"), [
@@ -150,7 +151,7 @@ def test_what_is_no_fit_is_not_saved(tmp_path: Path) -> None:
     (lambda: fitted(_start(), {"c33": Value(121e9, "", "", loss_high=-1.0)}, fit=FIT), "c33.loss_high"),
     (lambda: fitted(_start(), {"c33": Value(121e9, "", "", status="good")}, fit=FIT), "c33.status.*'good'"),
     (lambda: _found(fit=replace(FIT, recordings=())), "fit.recordings.*at least one"),
-    (lambda: _found(fit=replace(FIT, recordings=(Recording("a", "12", "b"),))), "sha256.*64 hexadecimal digits"),
+    (lambda: _found(fit=replace(FIT, recordings=(RecordingSource("a", "12", "b"),))), "sha256.*64 hexadecimal digits"),
     (lambda: _found(fit=replace(FIT, date="yesterday")), "fit.date.*'yesterday'"),
     (lambda: _found(fit=replace(FIT, band=(2e6, 1e6))), "fit.band.*two rising"),
     (lambda: _found(fit=replace(FIT, confidence=95.0)), "fit.confidence.*95.0.*between 0 and 1"),
@@ -165,7 +166,7 @@ def test_what_could_not_be_read_back_is_not_saved(
     found: Callable[[], Material], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=message):
-        save(found(), "pzt4/disc_7", folder=tmp_path)
+        save_fit(found(), "pzt4/disc_7", folder=tmp_path)
     assert not list(tmp_path.rglob("*"))
 
 
@@ -173,19 +174,19 @@ def test_an_active_fit_is_not_saved(tmp_path: Path) -> None:
     # Signs all right, but c13'' too large for c11'' and c33'' together: an eigenvalue below zero.
     active = fitted(_start(), {"c13": Value(74.3e9 + 1e9j, "", "")}, fit=FIT)
     with pytest.raises(InputError, match="dissipation matrix"):
-        save(active, "pzt4/disc_7", folder=tmp_path)
+        save_fit(active, "pzt4/disc_7", folder=tmp_path)
 
 
 @pytest.mark.parametrize("name", ["disc_7", "pzt4/disc_7@1", "pzt4/../disc", "/etc/disc", "pzt4/", "a/b/c", "pzt4/a.b"])
 def test_a_name_that_cannot_be_used(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="material/name in letters") as caught:
-        save(_found(), name, folder=tmp_path)
+        save_fit(_found(), name, folder=tmp_path)
     assert caught.value.value == name
 
 
 def test_an_entry_without_versions_gets_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"acevedo_2026_fitted\.toml has no versions"):
-        save(_found(), "pzt4/acevedo_2026_fitted", folder=tmp_path)
+        save_fit(_found(), "pzt4/acevedo_2026_fitted", folder=tmp_path)
 
 
 # --- versions --------------------------------------------------------------------------------------------------------
@@ -193,7 +194,8 @@ def test_an_entry_without_versions_gets_none(tmp_path: Path) -> None:
 
 def test_a_name_means_the_newest_version(tmp_path: Path) -> None:
     registry = Registry((tmp_path,))
-    names = [save(_found(fit=replace(FIT, mape_percent=float(k))), "pzt4/disc_7", folder=tmp_path) for k in range(11)]
+    names = [save_fit(_found(fit=replace(FIT, mape_percent=float(k))), "pzt4/disc_7", folder=tmp_path)
+             for k in range(11)]
     assert names == [f"pzt4/disc_7@{k + 1}" for k in range(11)]  # @10 comes after @9, not after @1
     assert registry.load("pzt4/disc_7").name == "pzt4/disc_7@11"
     assert registry.load("pzt4/disc_7@2").name == "pzt4/disc_7@2"
@@ -202,25 +204,25 @@ def test_a_name_means_the_newest_version(tmp_path: Path) -> None:
 
 
 def test_saving_changes_nothing_that_is_there(tmp_path: Path) -> None:
-    save(_found(), "pzt4/disc_7", folder=tmp_path)
+    save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
     before = (tmp_path / "pzt4" / "disc_7@1.toml").read_bytes()
-    save(_found(fit=replace(FIT, mape_percent=3.0)), "pzt4/disc_7", folder=tmp_path)
+    save_fit(_found(fit=replace(FIT, mape_percent=3.0)), "pzt4/disc_7", folder=tmp_path)
     assert (tmp_path / "pzt4" / "disc_7@1.toml").read_bytes() == before
     assert {path.name for path in (tmp_path / "pzt4").iterdir()} == {"disc_7@1.toml", "disc_7@2.toml"}
 
 
 def test_saving_does_not_change_what_a_chip_file_means(tmp_path: Path) -> None:
     # "pla" has one entry, so a second one that is no saved fit would make the name ambiguous.
-    save(_found(Registry().load("pla")), "pla/print_3", folder=tmp_path)
+    save_fit(_found(Registry().load("pla")), "pla/print_3", folder=tmp_path)
     assert Registry((tmp_path,)).load("pla").name == "pla/acevedo_2026"
 
 
 def test_a_material_known_from_fits_alone(tmp_path: Path) -> None:
     pla = _found(Registry().load("pla"))
-    save(pla, "resin/print_3", folder=tmp_path)
-    save(pla, "resin/print_3", folder=tmp_path)
+    save_fit(pla, "resin/print_3", folder=tmp_path)
+    save_fit(pla, "resin/print_3", folder=tmp_path)
     assert Registry((tmp_path,)).load("resin").name == "resin/print_3@2"
-    save(pla, "resin/print_4", folder=tmp_path)
+    save_fit(pla, "resin/print_4", folder=tmp_path)
     with pytest.raises(InputError, match=r"one of resin/print_3, resin/print_4 \(none is declared"):
         Registry((tmp_path,)).load("resin")
 
@@ -229,7 +231,7 @@ def test_a_material_known_from_fits_alone(tmp_path: Path) -> None:
     ("pzt4/disk_7", "pzt4/disc_7"), ("pzt4/disc_7@9", "pzt4/disc_7@1"), ("pzt4/disc_7@01", "pzt4/disc_7@1"),
 ])
 def test_a_wrong_name_is_answered_with_near_ones(wrong: str, near: str, tmp_path: Path) -> None:
-    save(_found(), "pzt4/disc_7", folder=tmp_path)
+    save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
     with pytest.raises(InputError, match=f"received '{wrong}'") as caught:
         Registry((tmp_path,)).load(wrong)
     assert near in caught.value.nearest
@@ -239,7 +241,7 @@ def test_the_users_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert user_folder() == tmp_path / "acoustofluidic-chip-workbench" / "materials"
     assert user_registry() == Registry()  # it does not exist yet
-    save(_found(), "pzt4/disc_7", folder=user_folder())
+    save_fit(_found(), "pzt4/disc_7", folder=user_folder())
     assert user_registry().load("pzt4/disc_7").name == "pzt4/disc_7@1"
     # Named once more, it is not there twice.
     assert user_registry([user_folder()]).load("pzt4/disc_7").name == "pzt4/disc_7@1"
@@ -256,13 +258,13 @@ DATE = "2026-11-22T09:00:00+00:00"
 def test_a_withdrawn_version_is_read_by_its_full_name_alone(tmp_path: Path) -> None:
     registry = Registry((tmp_path,))
     for _ in range(2):
-        save(_found(), "pzt4/disc_7", folder=tmp_path)
+        save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
     withdraw(registry, "pzt4/disc_7@2", reason='the "wrong" disc', date=DATE)
     assert registry.load("pzt4/disc_7").name == "pzt4/disc_7@1"
     with pytest.warns(WithdrawnWarning, match=f'disc_7@2 was withdrawn on {DATE[:10]}.*the "wrong" disc') as said:
         assert registry.load("pzt4/disc_7@2").name == "pzt4/disc_7@2"
     assert said[0].filename == __file__
-    assert save(_found(), "pzt4/disc_7", folder=tmp_path) == "pzt4/disc_7@3"
+    assert save_fit(_found(), "pzt4/disc_7", folder=tmp_path) == "pzt4/disc_7@3"
     records = history(registry, "pzt4/disc_7")
     assert [record.withdrawal is not None for record in records] == [False, True, False]
     withdraw(registry, "pzt4/disc_7@1", reason="old", date=DATE)
@@ -281,7 +283,7 @@ def test_a_withdrawn_version_is_read_by_its_full_name_alone(tmp_path: Path) -> N
 def test_mistakes_in_withdrawing(name: str, reason: str, date: str, message: str, tmp_path: Path) -> None:
     registry = Registry((tmp_path,))
     for _ in range(2):
-        save(_found(), "pzt4/disc_7", folder=tmp_path)
+        save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
     withdraw(registry, "pzt4/disc_7@1", reason="first", date=DATE)
     with pytest.raises(InputError, match=message):
         withdraw(registry, name, reason=reason, date=date)
@@ -335,7 +337,7 @@ def _said(materials: list[Material], band: tuple[float, float]) -> list[str]:
 
 
 def test_use_outside_the_fit_is_warned_of_once_with_both_numbers(tmp_path: Path) -> None:
-    save(_found(), "pzt4/disc_7", folder=tmp_path)
+    save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
     disc, pla = Registry((tmp_path,)).load("pzt4/disc_7"), Registry().load("pla")
     assert _said([disc, pla, disc], FIT.band) == []
     assert _said([disc], (1e6, 1.1e6)) == []
@@ -362,7 +364,7 @@ def test_a_fit_is_described_with_intervals_and_provenance(tmp_path: Path) -> Non
 
 
 def _saved(tmp_path: Path) -> tuple[Registry, Path]:
-    save(_found(), "pzt4/disc_7", folder=tmp_path)
+    save_fit(_found(), "pzt4/disc_7", folder=tmp_path)
     return Registry((tmp_path,)), tmp_path / "pzt4" / "disc_7@1.toml"
 
 
@@ -396,7 +398,7 @@ def test_a_spoiled_entry_is_named_with_its_line(mistake: str, tmp_path: Path) ->
         registry.load("pzt4/disc_7")
     assert caught.value.source.startswith(str(path))
     # And it hides no other entry.
-    assert save(_found(), "pzt4/disc_7", folder=tmp_path) == "pzt4/disc_7@2"
+    assert save_fit(_found(), "pzt4/disc_7", folder=tmp_path) == "pzt4/disc_7@2"
     assert registry.load("pzt4/disc_7").name == "pzt4/disc_7@2"
     first, second = history(registry, "pzt4/disc_7")
     assert f"line {line}" in first.fault

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import workbench as wb
-from workbench.spectrum import Origin
+from workbench.results.spectrum import Origin
 
 ROOT = Path(__file__).resolve().parent.parent
 SPECTRUM = wb.Spectrum(np.linspace(1e6, 1.1e6, 11), np.linspace(10.0, 20.0, 11) - 5.0j, np.full(11, 0.1),

@@ -19,8 +19,8 @@ import live_chip
 import pytest
 
 from geometry.chip import read_chip
-from workbench.simulation import simulate
-from workbench.spectrum import write_csv
+from workbench.results.spectrum import write_csv
+from workbench.simulation.run import simulate
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 QUIET = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",

@@ -20,9 +20,9 @@ from workbench.app.controls import controls
 from workbench.app.entry import typed_number, typed_tolerance
 from workbench.app.growth import Wanted, growing_elsewhere
 from workbench.app.history import History
-from workbench.app.local import along, around, local_model
+from workbench.app.local import along, local_model, local_ranges
 from workbench.app.panels import figure_cards, picture
-from workbench.app.plot import HEIGHT, LEFT, RIGHT, Scale, curves, ticks
+from workbench.app.plot import HEIGHT, LEFT, RIGHT, PlotScale, curves, ticks
 from workbench.app.refit import known_to
 from workbench.app.session import NotReady, Session
 from workbench.app.works import Works
@@ -30,11 +30,11 @@ from workbench.cli import main
 from workbench.diagnosis.campaign import read_campaign
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import dimension_parameter, material_parameter
-from workbench.problem import build, fill
-from workbench.ranges import OutOfRange, RangeModel
+from workbench.model.problem import build, fill
+from workbench.reduced.ranges import OutOfRange, RangeModel
 from workbench.render.live import LivePicture
-from workbench.simulation import simulate
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
+from workbench.simulation.run import simulate
 
 THICKNESS, RADIUS, MODULUS = "substrate.thickness", f"{CAVITY}.radius", f"{PLA}.shear_modulus"
 MOVED = {THICKNESS: 0.791e-3, RADIUS: 1.51e-3, MODULUS: 0.935e9}
@@ -152,7 +152,7 @@ def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
     session.move(THICKNESS, 0.805e-3)
     centre = session.values
     model = session._best(centre)
-    line, star = (local_model(model, centre, reach) for reach in (along(model, THICKNESS), around(model, centre)))
+    line, star = (local_model(model, centre, reach) for reach in (along(model, THICKNESS), local_ranges(model, centre)))
     assert line is not None
     assert star is not None
     far, near, beside = centre | {THICKNESS: 0.783e-3}, centre | {THICKNESS: 0.804e-3}, centre | {RADIUS: 1.502e-3}
@@ -161,7 +161,7 @@ def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
     assert not star.holds(model, near | {RADIUS: 1.502e-3})
     for local, values in ((line, far), (line, near), (star, near), (star, beside)):
         assert np.abs(local(values).impedance / model(values).impedance - 1.0).max() < model.tolerance
-    assert local_model(model, centre, around(model, centre), lambda: True) is None
+    assert local_model(model, centre, local_ranges(model, centre), lambda: True) is None
     # First near all numbers, then for the one that moves; then nothing is left to do.
     assert [session.prepare() for _ in range(3)] == [True, True, False]
     assert session.spectrum().response.prediction.model is not model.compact
@@ -360,7 +360,7 @@ def test_background_work_says_what_it_does_and_is_one_of_a_kind() -> None:
 def test_lines_of_the_spectrum_are_where_the_scale_says() -> None:
     frequency = np.linspace(1e6, 2e6, 11)
     spectrum = Spectrum(frequency, np.geomspace(1.0, 100.0, 11) * np.exp(-0.5j * np.pi))
-    scale = Scale.of((1e6, 2e6), [spectrum.magnitude])
+    scale = PlotScale.of((1e6, 2e6), [spectrum.magnitude])
     assert scale.frequency_at(LEFT / 920.0) == 1e6
     assert scale.frequency_at(0.0) == 1e6
     assert scale.frequency_at(float(scale.x(1.25e6)) / 920.0) == pytest.approx(1.25e6)

@@ -9,8 +9,8 @@ import pytest
 from support import CAVITY_LAYERS
 
 from workbench.cli import main
-from workbench.discretisation import ROWS
-from workbench.spectrum import Spectrum, write_csv
+from workbench.model.discretisation import ROWS
+from workbench.results.spectrum import Spectrum, write_csv
 
 CHIP = """
 [chip]

@@ -14,12 +14,12 @@ import pytest
 from support import FluidState
 
 from geometry.chip import read_chip
-from workbench.basins import find_walls, lowest_pass, outward
-from workbench.field_forces import ParticleForces, particle_forces
-from workbench.nodal import mesh_of, raster
-from workbench.particles import GRAVITY, Particle, compressibility, net_weight
-from workbench.simulation import snapshot
-from workbench.traps import find_traps
+from workbench.acoustics.basins import find_walls, lowest_pass, outward
+from workbench.acoustics.forces import ParticleForces, particle_forces
+from workbench.acoustics.nodal import mesh_of, raster
+from workbench.acoustics.traps import find_traps
+from workbench.model.particles import GRAVITY, Particle, compressibility, net_weight
+from workbench.simulation.run import snapshot
 
 WATER = FluidState(density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
 SMALL_CHIP = Path(__file__).parent.parent / "examples" / "small_campaign" / "chip.toml"

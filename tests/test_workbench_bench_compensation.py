@@ -10,8 +10,8 @@ import pytest
 from workbench.bench.compensation import Compensation, Fixture, Load, compensate, fixture_from_load
 from workbench.files.errors import InputError
 from workbench.instruments.circuit import Circuit
-from workbench.merit import bvd_impedance
-from workbench.spectrum import Spectrum
+from workbench.results.merit import bvd_impedance
+from workbench.results.spectrum import Spectrum
 
 FREQUENCY = np.linspace(0.9e6, 1.15e6, 51)
 DEVICE = bvd_impedance(FREQUENCY, motional_resistance=5.0, motional_inductance=150e-6, motional_capacitance=165e-12,

@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workbench.bench.plan import combined, expected_points, next_target
+from workbench.bench.plan import combined_points, expected_points, next_target
 from workbench.bench.setup import (
     Acquisition,
     BenchSetup,
     Limits,
     ReferenceResistor,
     Standards,
-    Sweep,
+    SweepPlan,
 )
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
-from workbench.merit import figures
-from workbench.spectrum import Spectrum
+from workbench.results.merit import figures
+from workbench.results.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference" / "chip_filled.csv"
 
@@ -54,7 +54,7 @@ def chip_filled() -> Any:
 
 
 def test_up_and_down_at_every_level() -> None:
-    sweep = Sweep(1e6, 1.002e6, step=1e3, direction="both", repeats=2)
+    sweep = SweepPlan(1e6, 1.002e6, step=1e3, direction="both", repeats=2)
     points = swept(setup(sweep, (1.0, 5.0)))
     up = [1e6, 1.001e6, 1.002e6]
     assert [p.frequency for p in points] == 2 * (up + up[::-1] + up + up[::-1])
@@ -66,7 +66,7 @@ def test_up_and_down_at_every_level() -> None:
 
 
 def test_a_plan_taken_up_anywhere_goes_on_as_it_would_have() -> None:
-    found = setup(Sweep(0.91e6, 1.155e6, kind="adaptive", points=60, direction="both"))
+    found = setup(SweepPlan(0.91e6, 1.155e6, kind="adaptive", points=60, direction="both"))
     at = chip_filled().interpolant()
     points = swept(found, at)
     for cut in (0, 7, 20, 59, 60, 100, len(points) - 1):
@@ -86,9 +86,9 @@ def test_adaptive_points_find_the_figures_of_merit_that_481_do(noise: Any) -> An
     def errors(kind: Any) -> Any:
         rows = []
         for seed in range(3):
-            points = swept(setup(Sweep(0.91e6, 1.15e6, kind=kind)), at, noise, seed)
+            points = swept(setup(SweepPlan(0.91e6, 1.15e6, kind=kind)), at, noise, seed)
             assert len(points) == 481 if kind == "linear" else len(points) <= 100
-            found = figures(combined(points))
+            found = figures(combined_points(points))
             rows.append([found.f0 - truth.f0, found.z_min / truth.z_min - 1.0, found.q / truth.q - 1.0])
         return np.sqrt(np.mean(np.square(rows), axis=0))
 
@@ -99,13 +99,13 @@ def test_adaptive_points_find_the_figures_of_merit_that_481_do(noise: Any) -> An
 
 
 def test_a_smooth_spectrum_costs_no_more_than_the_even_points() -> None:
-    points = swept(setup(Sweep(0.9e6, 1.1e6, kind="adaptive")), lambda f: 1.0 / (2j * np.pi * f * 1e-9))
+    points = swept(setup(SweepPlan(0.9e6, 1.1e6, kind="adaptive")), lambda f: 1.0 / (2j * np.pi * f * 1e-9))
     assert len(points) == 25
 
 
 def test_points_of_one_frequency_are_weighted() -> None:
     points = [Measured(1e6, 5.0, 0, 10.0 + 0j, 1.0), Measured(1e6, 5.0, 1, 13.0 + 0j, 2.0),
               Measured(2e6, 5.0, 0, 1j, 0.1)]
-    found = combined(points[::-1])
+    found = combined_points(points[::-1])
     np.testing.assert_allclose(found.impedance, [(10.0 + 13.0 / 4.0) / 1.25, 1j])
     np.testing.assert_allclose(found.uncertainty, [1.25**-0.5, 0.1])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workbench.bench.run_file import Event, Journal, Point, exists, journal_path, new_run, read_run, write_run
+from workbench.bench.run_file import Event, Journal, RunPoint, exists, journal_path, new_run, read_run, write_run
 from workbench.files.errors import InputError
 
 INSTRUMENTS = {"generator": "FY3224S", "oscilloscope": "TEKTRONIX,TDS 2024B,0,CF:91.1CT FV:v22.11"}
@@ -15,7 +15,7 @@ INSTRUMENTS = {"generator": "FY3224S", "oscilloscope": "TEKTRONIX,TDS 2024B,0,CF
 
 def point(sequence: Any, *, samples: int = 40) -> Any:
     rng = np.random.default_rng(sequence)
-    return Point(
+    return RunPoint(
         sequence, 1e6 + 500.0 * sequence, 5.0, 4.5, sequence % 2, 1.7e9 + sequence,
         raw=rng.integers(-100, 100, (2, 2, samples)).astype(np.int16), volts_per_count=rng.random((2, 2)),
         volts_at_zero=rng.random((2, 2)), start=rng.random(2), step=4e-9,
@@ -26,7 +26,7 @@ def point(sequence: Any, *, samples: int = 40) -> Any:
 
 
 def same(first: Any, second: Any) -> None:
-    for field in dataclasses.fields(Point):
+    for field in dataclasses.fields(RunPoint):
         a, b = getattr(first, field.name), getattr(second, field.name)
         if isinstance(a, np.ndarray):
             assert a.dtype == b.dtype

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workbench.bench.setup import Sweep, read_bench
+from workbench.bench.setup import SweepPlan, read_bench
 from workbench.bench.spectra import read_compensation
 from workbench.files.errors import InputError
 
@@ -75,11 +75,11 @@ def test_everything_is_read_in_si(tmp_path: Path) -> None:
 
 
 def test_the_papers_sweep_has_481_points_that_the_generator_can_be_set_to() -> None:
-    grid = Sweep(0.88e6, 1.12e6, step=500.0).grid()
+    grid = SweepPlan(0.88e6, 1.12e6, step=500.0).grid()
     assert len(grid) == 481
     assert grid[0] == 0.88e6
     assert grid[-1] == 1.12e6
-    uneven = Sweep(1e6, 1.001e6, step=33.333).grid()
+    uneven = SweepPlan(1e6, 1.001e6, step=33.333).grid()
     np.testing.assert_allclose(uneven * 100.0, np.round(uneven * 100.0), atol=1e-6)
 
 

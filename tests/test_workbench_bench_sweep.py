@@ -20,7 +20,7 @@ from workbench.bench.spectra import level_spectra
 from workbench.bench.sweep import BenchFailure, LimitExceeded, _doubts, measure
 from workbench.files.errors import InputError
 from workbench.instruments.circuit import IDEAL, resistor
-from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, Kind
+from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, FaultKind
 from workbench.instruments.instrument import InstrumentError, Waveform
 from workbench.instruments.simulated import Drift, SimulatedBench
 
@@ -146,9 +146,9 @@ def test_the_successor_of_a_killed_process_makes_the_bench_safe_first(bench: Any
 
 
 @pytest.mark.parametrize("fault", [
-    Fault(OSCILLOSCOPE, Kind.HIDDEN, at=120), Fault(GENERATOR, Kind.IGNORED_AMPLITUDE, at=12),
-    Fault(OSCILLOSCOPE, Kind.RESTART, at=120), Fault(GENERATOR, Kind.RESTART, at=20),
-    Fault(OSCILLOSCOPE, Kind.CLIPPED, at=150), Fault(OSCILLOSCOPE, Kind.DISCONNECT, at=150, seconds=0.05),
+    Fault(OSCILLOSCOPE, FaultKind.HIDDEN, at=120), Fault(GENERATOR, FaultKind.IGNORED_AMPLITUDE, at=12),
+    Fault(OSCILLOSCOPE, FaultKind.RESTART, at=120), Fault(GENERATOR, FaultKind.RESTART, at=20),
+    Fault(OSCILLOSCOPE, FaultKind.CLIPPED, at=150), Fault(OSCILLOSCOPE, FaultKind.DISCONNECT, at=150, seconds=0.05),
 ])
 def test_a_fault_costs_an_attempt_and_no_truth(bench: Any, tmp_path: Path, fault: Any) -> None:
     bench.inject(fault)
@@ -182,7 +182,7 @@ def test_a_capture_that_suddenly_clips_is_taken_again(
 
 def test_a_bench_that_stays_broken_ends_in_good_order(bench: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    bench.inject(Fault(OSCILLOSCOPE, Kind.HIDDEN, at=200, count=1000))
+    bench.inject(Fault(OSCILLOSCOPE, FaultKind.HIDDEN, at=200, count=1000))
     with pytest.raises(BenchFailure, match=r"failed 3 times.*--resume"):
         measure(setup(bench, tmp_path), path, sleep=no_wait)
     assert safe(bench, path)
@@ -211,7 +211,7 @@ def test_a_generator_that_ignores_the_safe_state_is_seen(bench: Any, tmp_path: P
         rig.connect()
         rig.drive(1e6, 5.0)
         rig.ranged_capture()
-        bench.inject(Fault(GENERATOR, Kind.IGNORED_AMPLITUDE, count=ignored))
+        bench.inject(Fault(GENERATOR, FaultKind.IGNORED_AMPLITUDE, count=ignored))
         if ends_off:
             rig.make_safe()
             assert safe(bench, path)

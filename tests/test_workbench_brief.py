@@ -9,15 +9,15 @@ import pytest
 from test_workbench_barriers import NEUTRAL, half_wave
 
 import workbench as wb
-from workbench.brief import COLUMNS, LINES, Brief
-from workbench.comparison import compare
+from workbench.acoustics.traps import find_traps
+from workbench.fem.solve import Solution
 from workbench.fitting.joint import FitResult
-from workbench.merit import bvd_impedance, figures
-from workbench.notebook import Shown, Summary
 from workbench.readers import Reading
-from workbench.solve import Solution
-from workbench.spectrum import Spectrum, spectrum_of
-from workbench.traps import find_traps
+from workbench.results.brief import COLUMNS, LINES, Brief
+from workbench.results.comparison import compare
+from workbench.results.merit import bvd_impedance, figures
+from workbench.results.notebook import Shown, Summary
+from workbench.results.spectrum import Spectrum, spectrum_of
 
 FREQUENCY = np.linspace(0.95e6, 1.13e6, 401)
 SPECTRUM = Spectrum(FREQUENCY, bvd_impedance(

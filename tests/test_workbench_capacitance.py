@@ -14,10 +14,10 @@ from geometry.chip import Chip, Dimension, State, read_chip
 from geometry.parts import ElectrodeDisc
 from materials.kinds import Material, Piezoelectric
 from materials.registry import Registry
-from workbench.capacitance import METER_FREQUENCY, Capacitance, capacitance
+from workbench.fem.capacitance import METER_FREQUENCY, Capacitance, capacitance
+from workbench.fem.operators import assemble
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.operators import assemble
-from workbench.problem import Problem, build, fill
+from workbench.model.problem import Problem, build, fill
 
 SMALL_CHIP = Path(__file__).parent.parent / "examples" / "small_campaign" / "chip.toml"
 #: The clamped plate capacitor of the small chip's disc, 8 mm across and 2 mm thick: 165 pF.

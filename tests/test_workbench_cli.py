@@ -14,10 +14,10 @@ import pytest
 
 from workbench.cli import main
 from workbench.commands import export as export_command
+from workbench.commands.options import command_parser
+from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError
-from workbench.options import parser
 from workbench.physics.term import ModelError
-from workbench.solve import NotConverged
 
 CHIP = str(Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml")
 COMMANDS = ("simulate", "compare", "mesh", "export", "render", "sensitivity", "materials", "measure", "import", "bench")
@@ -56,7 +56,7 @@ def test_every_option_says_what_it_is_for_and_its_default(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "400")
     assert command in text_of_help([command], capsys)
-    (subparsers,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    (subparsers,) = (a for a in command_parser()._actions if isinstance(a, argparse._SubParsersAction))
     for action in every_action(subparsers.choices[command]):
         if action.option_strings and "--help" not in action.option_strings:
             assert action.help, action.option_strings

@@ -15,14 +15,14 @@ from support import CAVITY_LAYERS, DISC, check_report, quadratic, standard_json
 
 from geometry.chip import read_chip
 from geometry.chip_section import volumes
-from materials import Fit, Material, Recording, Registry, Value, fitted, save, user_folder
+from materials import Fit, Material, RecordingSource, Registry, Value, fitted, save_fit, user_folder
 from materials.registry import PACKAGE_DATA
 from workbench.cli import main
 from workbench.commands import mesh, states
-from workbench.discretisation import ROWS
+from workbench.model.discretisation import ROWS
 from workbench.readers import read_recording
-from workbench.simulation import simulate as simulate_state
-from workbench.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_csv
+from workbench.simulation.run import simulate as simulate_state
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
 
@@ -350,7 +350,7 @@ def test_materials_are_listed_shown_and_checked(tmp_path: Path, capsys: pytest.C
 
 def saved_fit(c33: float) -> Material:
     """The ceramic of the disc above, as a fit would have left it."""
-    fit = Fit(recordings=(Recording("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",
+    fit = Fit(recordings=(RecordingSource("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",
               date="2026-11-21", band=(300e3, 450e3), mape_percent=0.41, rms_log_residual=0.005, confidence=0.95,
               free=("c33",))
     estimate = Value(c33 - 1.2e8j, "", "", uncertainty=3e8, low=c33 - 6e8, high=c33 + 6e8, status="fitted")
@@ -364,7 +364,7 @@ def test_saved_fits_are_kept_from_the_command_line(tmp_path: Path, capsys: pytes
         return " ".join((out + err).split())
 
     for c33 in (115e9, 118e9):
-        save(saved_fit(c33), "pzt4/disc_7", folder=user_folder())
+        save_fit(saved_fit(c33), "pzt4/disc_7", folder=user_folder())
     listed = said("list")
     assert "pzt4/disc_7@2 │ Piezoelectric │ 7500 │ fitted, 0.3 to 0.45 MHz" in listed
     shown = said("show", "pzt4/disc_7")
@@ -401,8 +401,8 @@ def test_a_chip_may_be_made_of_a_saved_fit(disc: Path, tmp_path: Path, capsys: p
     disc.write_text(DISC.replace("pzt4/acevedo_2026_initial", "pzt4/disc_7"))
     assert main(["mesh", str(disc), *SMALL]) == 2
     assert "'pzt4/disc_7'" in capsys.readouterr().err
-    save(saved_fit(115e9), "pzt4/disc_7", folder=user_folder())
+    save_fit(saved_fit(115e9), "pzt4/disc_7", folder=user_folder())
     assert main(["mesh", str(disc), *SMALL]) == 0
-    save(saved_fit(115e9), "pzt4/disc_8", folder=tmp_path / "other")
+    save_fit(saved_fit(115e9), "pzt4/disc_8", folder=tmp_path / "other")
     disc.write_text(DISC.replace("pzt4/acevedo_2026_initial", "pzt4/disc_8"))
     assert main(["mesh", str(disc), "--materials", str(tmp_path / "other"), *SMALL]) == 0

@@ -16,7 +16,7 @@ from workbench import cli
 from workbench.bench import rig
 from workbench.commands import bench as command
 from workbench.instruments.circuit import open_circuit, resistor
-from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, Kind
+from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, FaultKind
 from workbench.instruments.opening import FoundPort, who_answers
 from workbench.instruments.simulated import SimulatedBench
 
@@ -70,14 +70,14 @@ def test_check_says_what_it_found_and_leaves_the_drive_off(
 
 
 @pytest.mark.parametrize(("fault", "message"), [
-    (Fault(GENERATOR, Kind.DEAFNESS, count=1000), "nothing came within"),
-    (Fault(GENERATOR, Kind.WRONG_INSTRUMENT, count=1000), "MHS-5200A"),
-    (Fault(GENERATOR, Kind.IGNORED_FREQUENCY, count=1000), "after 'bf100000000'; expected 1000000.00 Hz"),
-    (Fault(OSCILLOSCOPE, Kind.WRONG_INSTRUMENT, count=1000), "RIGOL"),
-    (Fault(OSCILLOSCOPE, Kind.NO_TRIGGER, count=1000), "no trigger from CH1"),
-    (Fault(OSCILLOSCOPE, Kind.CLIPPED, count=1000), "off the screen"),
-    (Fault(OSCILLOSCOPE, Kind.HIDDEN, count=1000), "sent 'CURVE?'"),
-    (Fault(GENERATOR, Kind.IGNORED_AMPLITUDE, count=1000), "CH1 (total) shows no signal"),
+    (Fault(GENERATOR, FaultKind.DEAFNESS, count=1000), "nothing came within"),
+    (Fault(GENERATOR, FaultKind.WRONG_INSTRUMENT, count=1000), "MHS-5200A"),
+    (Fault(GENERATOR, FaultKind.IGNORED_FREQUENCY, count=1000), "after 'bf100000000'; expected 1000000.00 Hz"),
+    (Fault(OSCILLOSCOPE, FaultKind.WRONG_INSTRUMENT, count=1000), "RIGOL"),
+    (Fault(OSCILLOSCOPE, FaultKind.NO_TRIGGER, count=1000), "no trigger from CH1"),
+    (Fault(OSCILLOSCOPE, FaultKind.CLIPPED, count=1000), "off the screen"),
+    (Fault(OSCILLOSCOPE, FaultKind.HIDDEN, count=1000), "sent 'CURVE?'"),
+    (Fault(GENERATOR, FaultKind.IGNORED_AMPLITUDE, count=1000), "CH1 (total) shows no signal"),
 ])
 def test_check_says_what_is_wrong(
     bench: SimulatedBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: Fault, message: str
@@ -118,7 +118,7 @@ def test_check_of_a_drive_that_cannot_be_switched_off(
     monkeypatch.setattr(rig, "_PAUSE_OFF", 0.0)
     monkeypatch.setattr(rig, "_ATTEMPTS_OFF", 2)
     bench._generator.main.amplitude = 0
-    bench.inject(Fault(GENERATOR, Kind.DEAFNESS, at=20, count=1000))
+    bench.inject(Fault(GENERATOR, FaultKind.DEAFNESS, at=20, count=1000))
     assert cli.main(["bench", "check", written(tmp_path)]) == 1
     assert "may still be on" in " ".join(capsys.readouterr().err.split())
     assert (tmp_path / "BENCH.toml.drive-on").exists()
@@ -198,7 +198,7 @@ def test_simulate_refuses(capsys: pytest.CaptureFixture[str], arguments: list[st
 def test_simulate_a_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The device behind the ports is the chip's own spectrum: the usual simulation, but for the order of the fields."""
     from geometry.chip import read_chip
-    from workbench.simulation import simulate
+    from workbench.simulation.run import simulate
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     chip = Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml"

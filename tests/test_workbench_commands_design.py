@@ -18,8 +18,8 @@ from workbench.cli import main
 from workbench.design import optimisation
 from workbench.design.evaluation import Evaluation
 from workbench.design.modelling import ChipSolver
-from workbench.simulation import snapshot
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
+from workbench.simulation.run import snapshot
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
 GOAL = """

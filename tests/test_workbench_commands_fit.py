@@ -13,12 +13,12 @@ from geometry.chip import read_chip
 from materials import Registry
 from workbench.cli import main
 from workbench.commands import fit_job
+from workbench.fem.operators import assemble
 from workbench.fitting.joint import FitResult
-from workbench.operators import assemble
-from workbench.problem import build, fill
+from workbench.model.problem import build, fill
 from workbench.readers import read_recording
-from workbench.reduction import reduce
-from workbench.spectrum import Spectrum, write_csv
+from workbench.reduced.reduction import reduce
+from workbench.results.spectrum import Spectrum, write_csv
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
 

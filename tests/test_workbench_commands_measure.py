@@ -19,9 +19,9 @@ from workbench.cli import main
 from workbench.commands.measure import sketch
 from workbench.instruments.circuit import device_of, open_circuit, resistor
 from workbench.instruments.simulated import SimulatedBench
-from workbench.merit import bvd_impedance
 from workbench.readers import read_recording
-from workbench.spectrum import Spectrum
+from workbench.results.merit import bvd_impedance
+from workbench.results.spectrum import Spectrum
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
 

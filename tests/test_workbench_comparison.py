@@ -1,4 +1,4 @@
-"""workbench.comparison: residuals whose answers are known, and the arithmetic of the paper's Table 5."""
+"""workbench.results.comparison: residuals whose answers are known, and the arithmetic of the paper's Table 5."""
 
 import itertools
 from pathlib import Path
@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workbench.comparison import MetricRow, compare
-from workbench.merit import bvd_impedance, figures
 from workbench.readers import read_recording
-from workbench.spectrum import Spectrum
+from workbench.results.comparison import MetricRow, compare
+from workbench.results.merit import bvd_impedance, figures
+from workbench.results.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 SWEEP = np.arange(910e3, 1155.1e3, 500.0)

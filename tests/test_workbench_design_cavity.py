@@ -13,13 +13,13 @@ from geometry.chip import Chip
 from geometry.shapes import with_shapes
 from materials.kinds import Fluid
 from workbench.design.cavity import Cavity, CavityField, NoCavity, Places, Surroundings, cavity_field, cavity_of
-from workbench.design.dual import Dual, slope
-from workbench.design.trapping import NoTrap, find_trap, focus_time, largest_square
-from workbench.dimensions import flexible
-from workbench.elements import gauss_lobatto
-from workbench.operators import assemble
-from workbench.particles import Particle, viscous_scattering
-from workbench.problem import Problem
+from workbench.design.dual import Dual, dual_derivative
+from workbench.design.trapping import NoTrap, find_trap, largest_square, trap_focus_time
+from workbench.fem.elements import gauss_lobatto
+from workbench.fem.operators import assemble
+from workbench.model.dimensions import flexible
+from workbench.model.particles import Particle, viscous_scattering
+from workbench.model.problem import Problem
 
 RADIUS, HEIGHT = 2e-3, 0.72e-3
 WATER = Fluid(name="water", density=998.0, sound_speed=1482.0, shear_viscosity=1e-3)
@@ -96,7 +96,7 @@ def test_focusing_takes_the_time_of_its_closed_form() -> None:
     seconds = 3.0 * WATER.shear_viscosity / (4.0 * contrast * (WAVE * BEAD.radius) ** 2 * energy) * math.log(
         math.tan(WAVE * stop) / math.tan(WAVE * start))
     # Gauss's rule of 24 points over 1 / sin, and the force of a neutral bead.
-    assert focus_time(find_trap(found), square).value == pytest.approx(seconds, rel=1e-5)
+    assert trap_focus_time(find_trap(found), square).value == pytest.approx(seconds, rel=1e-5)
 
 
 def test_derivatives_follow_the_stretched_wave() -> None:
@@ -163,10 +163,10 @@ def test_what_does_not_lead_to_the_trap_is_said() -> None:
     short = CavityField(found.cavity, found.coefficients, found.gradient,
                         replace(found.around, frequency=found.around.frequency * 0.8), found.unfitted)
     with pytest.raises(NoTrap, match="there is a wall"):
-        focus_time(find_trap(short), Dual(1.0, np.zeros(2)))
+        trap_focus_time(find_trap(short), Dual(1.0, np.zeros(2)))
     heavy = replace(BEAD, density=19300.0)
     with pytest.raises(NoTrap, match="does not get there"):
-        focus_time(find_trap(field(plane, place=cavity(replace(heavy, density=500.0)))), Dual(1e-9, np.zeros(2)))
+        trap_focus_time(find_trap(field(plane, place=cavity(replace(heavy, density=500.0)))), Dual(1e-9, np.zeros(2)))
 
 
 def test_numbers_with_derivatives_follow_the_rules() -> None:
@@ -178,7 +178,7 @@ def test_numbers_with_derivatives_follow_the_rules() -> None:
                                             (value(3.0, 5.0 + step) - value(3.0, 5.0 - step)) / (2.0 * step)], rel=1e-8)
     assert (x.sqrt() * x.sqrt()).gradient == pytest.approx(x.gradient)
     # Differences of sixth order leave rounding only.
-    assert float(slope(lambda t: np.array(t**3.5), 2.0)) == pytest.approx(3.5 * 2.0**2.5, rel=1e-11)
+    assert float(dual_derivative(lambda t: np.array(t**3.5), 2.0)) == pytest.approx(3.5 * 2.0**2.5, rel=1e-11)
 
 
 def test_a_cavity_that_a_length_deforms_has_no_such_field(small_chip: Chip, filled: Problem) -> None:

@@ -11,16 +11,16 @@ import pytest
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
+from workbench.acoustics.traps import focus_time
 from workbench.design.bases import OF_PRESSURE, NotConfirmed
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import FIGURES
 from workbench.design.model import DesignModel, design_model, full_evaluation, of_range_model
-from workbench.drive import GeneratorDrive, PowerDrive
 from workbench.files.errors import InputError
-from workbench.parameter_names import part
-from workbench.ranges import OutOfRange
-from workbench.simulation import simulate
-from workbench.traps import focus_time
+from workbench.model.drive import GeneratorDrive, PowerDrive
+from workbench.model.numbers import real_part
+from workbench.reduced.ranges import OutOfRange
+from workbench.simulation.run import simulate
 
 #: The published losses of the disc are rounded.
 pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")
@@ -107,7 +107,7 @@ def differences(of: object, point: dict[str, float], step: float) -> dict[str, n
 
 
 def test_gradients_are_exact(model: DesignModel) -> None:
-    point = {name: part(model.values, name) for name in model.names}
+    point = {name: real_part(model.values, name) for name in model.names}
     found = model(point, gradient=True)
     slopes = differences(model, point, 2e-4)
     for name in ALL:
@@ -119,7 +119,7 @@ def test_gradients_are_exact(model: DesignModel) -> None:
 
 @pytest.mark.parametrize("drive", [GeneratorDrive(10.0), PowerDrive(0.5)])
 def test_gradients_follow_the_drive_and_a_stated_frequency(model: DesignModel, drive: object) -> None:
-    point = {name: part(model.values, name) for name in model.names}
+    point = {name: real_part(model.values, name) for name in model.names}
     centre = model(point).frequency
     for frequency in (None, centre + 500.0):
         driven = replace(model, operation=replace(WARM, drive=drive, frequency=frequency))
@@ -135,7 +135,7 @@ def test_gradients_follow_the_drive_and_a_stated_frequency(model: DesignModel, d
 
 
 def test_gradients_of_a_full_evaluation_are_those_of_the_reduced_model(chip: Chip, model: DesignModel) -> None:
-    point = {name: part(model.values, name) for name in model.names}
+    point = {name: real_part(model.values, name) for name in model.names}
     exact, small = full(chip, point, gradient=True), model(point, gradient=True)
     for name in ("f0", "z_min", "q", "mean_e_ac", "loss.substrate"):
         scale = np.abs(exact.gradient[name] * np.array(list(point.values()))).max()

@@ -16,21 +16,21 @@ from support import STACK
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
 from workbench.design.bounds import parse_bounds
-from workbench.design.boxes import Reach, sides_within
+from workbench.design.boxes import TrustRegion, sides_within
 from workbench.design.descent import descend
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.evolution import evolve, undominated
-from workbench.design.goal import Goal, Objective, Robust, Search, read_goal
+from workbench.design.goal import DesignObjective, Goal, Robust, SearchOptions, read_goal
 from workbench.design.modelling import Report
 from workbench.design.optimisation import optimise
 from workbench.design.programme import Programme
 from workbench.design.search import attempt, optima, search_all
 from workbench.design.spread import Spread
 from workbench.design.steps import settle
-from workbench.design.variables import Length, MaterialChoice, Stock, changed
-from workbench.drive import VoltageDrive
+from workbench.design.variables import LengthVariable, MaterialChoice, Stock, changed
 from workbench.files.errors import InputError
-from workbench.ranges import NotCovered
+from workbench.model.drive import VoltageDrive
+from workbench.reduced.ranges import NotCovered
 
 CHIPS = Path(__file__).parents[1] / "geometry" / "chips"
 #: Millimetres of three lengths at which the made-up energy density is largest.
@@ -89,8 +89,9 @@ def programme(*texts: str, step: float | None = None, hill: Hill | None = None, 
     bounds = tuple(bound for text in texts
                    for bound in parse_bounds(text, lengths, chip.regions, VoltageDrive(), source="test", field="bound"))
     low, high = ranges.get("substrate", (0.7, 0.9))
-    variables = (Length(SUBSTRATE, 1e-3 * low, 1e-3 * high, step), Length(SIDEWALL, 0.65e-3, 0.8e-3, step))
-    return Programme(hill or Hill(), variables, Objective("e_ac", maximise=True), bounds, lengths)
+    variables = (LengthVariable(SUBSTRATE, 1e-3 * low, 1e-3 * high, step),
+                 LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3, step))
+    return Programme(hill or Hill(), variables, DesignObjective("e_ac", maximise=True), bounds, lengths)
 
 
 #: The transducer of the reference chip makes a little energy, within the rounding of its losses, and says so.
@@ -177,7 +178,7 @@ def test_slopes_are_differences() -> None:
 
 
 def test_all_starts_find_the_one_optimum() -> None:
-    one, search = programme("f0 >= 1.1 MHz"), Search(starts=10)
+    one, search = programme("f0 >= 1.1 MHz"), SearchOptions(starts=10)
     found = optima(search_all(one, search, one.unknowns({SUBSTRATE: 0.85e-3, SIDEWALL: 0.72e-3})))
     assert len(found[0].starts) == 10
 
@@ -196,7 +197,7 @@ def test_two_optima_are_told_apart_and_counted() -> None:
             return replace(other, gradient=turned)
 
     one = programme(hill=Two())
-    found = optima(search_all(one, Search(starts=6, looked_at=1, descended=1), np.array([0.5, 0.5])))
+    found = optima(search_all(one, SearchOptions(starts=6, looked_at=1, descended=1), np.array([0.5, 0.5])))
     assert len(found) == 2
     assert sorted([*found[0].starts, *found[1].starts]) == list(range(6))
     # The glass of 1 mm is 0.04 mm from the top.
@@ -206,9 +207,9 @@ def test_two_optima_are_told_apart_and_counted() -> None:
 
 def test_a_start_depends_on_its_number_and_the_seed_alone() -> None:
     one = programme()
-    first, again = (attempt(one, Search(seed=3, looked_at=4), 5) for _ in range(2))
+    first, again = (attempt(one, SearchOptions(seed=3, looked_at=4), 5) for _ in range(2))
     assert np.array_equal(first.best.start, again.best.start)
-    assert not np.array_equal(first.best.start, attempt(one, Search(seed=3, looked_at=4), 6).best.start)
+    assert not np.array_equal(first.best.start, attempt(one, SearchOptions(seed=3, looked_at=4), 6).best.start)
 
 
 @pytest.mark.parametrize("texts", [(), ("f0 >= 1.05 MHz",), ("substrate.thickness + sidewall.thickness <= 1.51 mm",)])
@@ -234,8 +235,8 @@ def test_the_rest_is_optimal_beside_a_step() -> None:
 def test_an_evolutionary_search_finds_the_stock_of_brute_force() -> None:
     values = (0.7e-3, 0.78e-3, 0.9e-3)
     one = programme("f0 >= 1.05 MHz", step=0.02e-3)
-    one = replace(one, variables=(Length(SUBSTRATE, values[0], values[-1]), one.variables[1]))
-    found = evolve([one], [Stock(SUBSTRATE, values)], Search(population=16, generations=12))
+    one = replace(one, variables=(LengthVariable(SUBSTRATE, values[0], values[-1]), one.variables[1]))
+    found = evolve([one], [Stock(SUBSTRATE, values)], SearchOptions(population=16, generations=12))
     assert len(found) == 1
     assert found[0].lengths[SUBSTRATE] == 0.78e-3
     assert found[0].lengths[SIDEWALL] == pytest.approx(0.74e-3, abs=1e-9)
@@ -245,7 +246,8 @@ def test_a_front_lies_between_its_two_optima() -> None:
     # Largest e_ac against smallest heating, its square root: every chip is on the front. Against f0, only those of a
     # substrate above the hill's top are.
     one = programme(substrate=(0.75, 0.95))
-    found = evolve([one, one.under(Objective("f0", maximise=False))], [], Search(population=16, generations=15))
+    found = evolve([one, one.under(DesignObjective("f0", maximise=False))], [],
+                   SearchOptions(population=16, generations=15))
     substrates = np.array([each.lengths[SUBSTRATE] for each in found])
     assert len(found) > 5
     # By the first objective: from the hill's top on, thicker and thicker.
@@ -259,8 +261,8 @@ def test_a_front_lies_between_its_two_optima() -> None:
 
 
 def test_boxes_keep_to_the_bounds() -> None:
-    variables = (Length("a", 1.0, 2.0), Length("b", 1.0, 1.1))
-    reach = Reach.relative({"a": 1.5, "b": 1.05}, 0.2)
+    variables = (LengthVariable("a", 1.0, 2.0), LengthVariable("b", 1.0, 1.1))
+    reach = TrustRegion.relative({"a": 1.5, "b": 1.05}, 0.2)
     box = reach.about({"a": 1.2, "b": 1.05}, variables)
     assert box["a"] == pytest.approx((1.0, 1.6))
     assert box["b"] == pytest.approx((1.0, 1.1))
@@ -313,13 +315,13 @@ class FakeModel:
         return self
 
 
-def goal(*variables: Length | Stock | MaterialChoice, texts: tuple[str, ...] = (), **changes: object) -> Goal:
+def goal(*variables: LengthVariable | Stock | MaterialChoice, texts: tuple[str, ...] = (), **changes: object) -> Goal:
     chip = read_chip(CHIPS / "reference_chip.toml")
     bounds = tuple(bound for text in texts for bound in parse_bounds(
         text, chip.dimensions(), chip.regions, VoltageDrive(), source="test", field="bound"))
-    own = variables or (Length(SUBSTRATE, 0.76e-3, 0.9e-3, 20e-6), Length(SIDEWALL, 0.65e-3, 0.8e-3))
-    found = Goal("goal.toml", chip, "filled", Operation(), (Objective("e_ac", maximise=True),), own, bounds,
-                 search=Search(starts=4, looked_at=4, descended=1))
+    own = variables or (LengthVariable(SUBSTRATE, 0.76e-3, 0.9e-3, 20e-6), LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3))
+    found = Goal("goal.toml", chip, "filled", Operation(), (DesignObjective("e_ac", maximise=True),), own, bounds,
+                 search=SearchOptions(starts=4, looked_at=4, descended=1))
     return replace(found, **changes)
 
 
@@ -359,7 +361,7 @@ def test_what_cannot_be_kept_is_said() -> None:
 
 def test_models_move_to_where_the_optimum_is() -> None:
     # Bounds from 0.5 to 0.85 mm of a sidewall of 0.72 mm, models of 2 % to either side: the top is at 0.74 mm.
-    task = goal(Length(SUBSTRATE, 0.5e-3, 1.2e-3), Length(SIDEWALL, 0.5e-3, 0.85e-3))
+    task = goal(LengthVariable(SUBSTRATE, 0.5e-3, 1.2e-3), LengthVariable(SIDEWALL, 0.5e-3, 0.85e-3))
     task = replace(task, search=replace(task.search, reach=0.02, moves=5))
     found = optimise(task, solver=FakeSolver())
     assert found.searched[0].models > 1
@@ -381,7 +383,8 @@ def test_a_box_that_no_model_covers_is_halved() -> None:
 def test_stock_and_materials_are_those_of_brute_force() -> None:
     glass = ("soda_lime_glass/independent_reference", "borosilicate_glass")
     stock = (0.5e-3, 1.0e-3, 1.1e-3)
-    task = goal(Length(SIDEWALL, 0.65e-3, 0.8e-3), Stock(SUPERSTRATE, stock), MaterialChoice("superstrate", glass))
+    task = goal(LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3), Stock(SUPERSTRATE, stock),
+                MaterialChoice("superstrate", glass))
     found = optimise(task, solver=FakeSolver())
     assert len(found.searched) == 6
     solver = FakeSolver()
@@ -400,7 +403,7 @@ def test_stock_alone_needs_no_model() -> None:
 
 
 def test_an_evolutionary_goal_takes_stock_on_one_model() -> None:
-    task = goal(Length(SIDEWALL, 0.65e-3, 0.8e-3), Stock(SUPERSTRATE, (0.9e-3, 1.0e-3, 1.2e-3)))
+    task = goal(LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3), Stock(SUPERSTRATE, (0.9e-3, 1.0e-3, 1.2e-3)))
     task = replace(task, search=replace(task.search, evolutionary=True, population=10, generations=8))
     found = optimise(task, solver=FakeSolver())
     assert len(found.searched) == 1
@@ -410,8 +413,8 @@ def test_an_evolutionary_goal_takes_stock_on_one_model() -> None:
 
 
 def test_a_front_is_confirmed_at_its_ends_and_its_knee() -> None:
-    task = goal(Length(SUBSTRATE, 0.76e-3, 0.95e-3), Length(SIDEWALL, 0.65e-3, 0.8e-3))
-    task = replace(task, objectives=(*task.objectives, Objective("f0", maximise=False)),
+    task = goal(LengthVariable(SUBSTRATE, 0.76e-3, 0.95e-3), LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3))
+    task = replace(task, objectives=(*task.objectives, DesignObjective("f0", maximise=False)),
                    search=replace(task.search, evolutionary=True, population=12, generations=8))
     found = optimise(task, solver=FakeSolver())
     confirmed = [hasattr(each, "accepted") for each in found.front]
@@ -432,7 +435,7 @@ def test_a_robust_optimum_keeps_away_from_a_bound() -> None:
     layers = tuple(replace(each, thickness=replace(each.thickness, tolerance=10e-6)) if each.region == "substrate"
                    else each for each in base.chip.layers)
     task = replace(base, chip=replace(base.chip, layers=layers), robust=Robust(0.05, samples=400),
-                   variables=(Length(SUBSTRATE, 0.76e-3, 0.9e-3), Length(SIDEWALL, 0.65e-3, 0.8e-3)))
+                   variables=(LengthVariable(SUBSTRATE, 0.76e-3, 0.9e-3), LengthVariable(SIDEWALL, 0.65e-3, 0.8e-3)))
     nominal = optimise(replace(task, robust=None), solver=FakeSolver()).best.candidate.lengths[SUBSTRATE]
     robust = optimise(task, solver=FakeSolver()).best.candidate.lengths[SUBSTRATE]
     assert 1e3 * nominal == pytest.approx(0.85 / 1.05, abs=1e-4)

@@ -16,9 +16,9 @@ from materials.registry import Registry
 from workbench.design.axes import MaterialAxis, NumberAxis, with_materials
 from workbench.design.parts import parts_of, ranges_of
 from workbench.design.plan import Study, read_study
-from workbench.drive import PowerDrive, VoltageDrive
 from workbench.files.errors import InputError
 from workbench.files.tables import read_toml
+from workbench.model.drive import PowerDrive, VoltageDrive
 
 pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")
 

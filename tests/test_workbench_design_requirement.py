@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from workbench.design.requirement import Requirement, parse_requirement, parse_requirements
-from workbench.drive import GeneratorDrive, PowerDrive, VoltageDrive
 from workbench.files.errors import InputError
+from workbench.model.drive import GeneratorDrive, PowerDrive, VoltageDrive
 
 REGIONS = ("transducer", "bond", "cavity")
 

@@ -21,7 +21,7 @@ from workbench.design.tolerance import Tolerance, tolerance
 from workbench.design.tolerance_report import tightening_table, unclear_tightenings
 from workbench.design.yields import Tightening
 from workbench.files.errors import InputError
-from workbench.problem import fill
+from workbench.model.problem import fill
 
 PZT = "pzt4/acevedo_2026_initial"
 #: A coarse mesh, the same on both sides of every comparison.

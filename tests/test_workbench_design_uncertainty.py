@@ -19,11 +19,11 @@ from materials.kinds import Piezoelectric
 from materials.passivity import smallest_dissipation
 from materials.registry import Registry
 from workbench.design import stated
-from workbench.design.centre import centred
+from workbench.design.centre import centred_chip
 from workbench.design.stated import numbers_of, parse_statement, read_statements, stated_uncertainty
 from workbench.design.uncertainty import CUT, Input, Uncertainty, from_limits, from_standard
 from workbench.files.errors import InputError
-from workbench.problem import FilledChip, fill
+from workbench.model.problem import FilledChip, fill
 
 PZT = "pzt4/acevedo_2026_initial"
 FILLED = DISC + CAVITY_LAYERS + '\n[states.filled]\ncavity = "water"\n'
@@ -217,7 +217,7 @@ def test_a_fit_is_taken_with_its_correlations_and_without_its_bench(tmp_path: Pa
 
 def test_a_chip_at_the_means_of_a_fit_has_its_numbers(tmp_path: Path) -> None:
     known = stated_uncertainty(chip(), posteriors=[fitted_json(tmp_path)])
-    there = fill(*reordered(centred(chip(), None, known.nominal())))
+    there = fill(*reordered(centred_chip(chip(), None, known.nominal())))
     numbers = numbers_of(there)
     assert {name: numbers[name] for name in known.names} == pytest.approx(known.nominal(), rel=1e-12)
     before = numbers_of(fill(chip()))

@@ -11,16 +11,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
-from workbench.design.drives import Quantity, label_of, quantities
+from workbench.design.drives import DrivenFigure, driven_figures, label_of
 from workbench.design.evaluation import Evaluation
-from workbench.design.figures import figure
+from workbench.design.figures import figure_named
 from workbench.design.outcomes import evaluate
 from workbench.design.requirement import Requirement, parse_requirement
 from workbench.design.sensitivity import SHARE, check_sobol, names_to_ask, sensitivities, sobol
 from workbench.design.uncertainty import CUT, Input, Uncertainty, from_limits, from_standard
-from workbench.design.yields import Bound, LinearModel, Yields, bound, share, yields
-from workbench.drive import PowerDrive, VoltageDrive
+from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, passed_share, yields
 from workbench.files.errors import InputError
+from workbench.model.drive import PowerDrive, VoltageDrive
 
 Real = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def found_yields(model: Polynomial, known: Uncertainty, texts: Mapping[str, str]
                   LinearModel(known.means, nominal.figures, nominal.gradient), seed=5)
 
 
-def limits(text: str, label: str, nominal: float) -> Bound:
+def limits(text: str, label: str, nominal: float) -> RequiredRange:
     return bound(parse_requirement(text, ()), label, nominal)
 
 
@@ -154,16 +154,16 @@ def test_a_sample_without_the_figure_fails_and_is_counted() -> None:
 
 def test_the_interval_is_that_of_clopper_and_pearson() -> None:
     # Clopper and Pearson (1934): 10 of 20, 0.272 to 0.728; none of 10, 1 - 0.025^(1/10) at most.
-    half = share(np.arange(20) < 10)
+    half = passed_share(np.arange(20) < 10)
     assert (half.low, half.high) == pytest.approx((0.2720, 0.7280), abs=1e-4)
-    none = share(np.zeros(10, dtype=bool))
+    none = passed_share(np.zeros(10, dtype=bool))
     assert (none.value, none.low, none.high) == pytest.approx((0.0, 0.0, 1.0 - 0.025**0.1))
 
 
 def test_a_yield_is_found_as_often_as_its_interval_says() -> None:
     # 200 intervals of 95 %: those that miss are binomial, 10 expected, and more than 22 happen once in 10 000 times.
     random = np.random.default_rng(0)
-    shares = [share(random.random(60) < 0.8) for _ in range(200)]
+    shares = [passed_share(random.random(60) < 0.8) for _ in range(200)]
     assert sum(not each.low <= 0.8 <= each.high for each in shares) <= 22
 
 
@@ -290,8 +290,8 @@ def test_figures_are_asked_for_once_at_each_drive() -> None:
     plain = VoltageDrive()
     texts = ("f0 within 5 kHz", "e_ac >= 5 J/m^3", "e_ac >= 2 J/m^3 at 10 Vpp", "e_ac >= 5 J/m^3 at 1 W",
              "f0 within 9 kHz at 1 W", "loss.bond <= 10 % at 1 W")
-    asked = quantities(("f0",), [required(text) for text in texts], plain)
+    asked = driven_figures(("f0",), [required(text) for text in texts], plain)
     assert [each.label for each in asked] == ["f0", "e_ac", "e_ac at 1 W of electrical input power", "loss.bond"]
     labels = [label_of(required(text), asked, plain) for text in texts]
     assert labels == ["f0", "e_ac", "e_ac", asked[2].label, "f0", "loss.bond"]
-    assert asked[2] == Quantity(asked[2].label, figure("e_ac"), PowerDrive(1.0))
+    assert asked[2] == DrivenFigure(asked[2].label, figure_named("e_ac"), PowerDrive(1.0))

@@ -16,7 +16,7 @@ import pytest
 
 from workbench.cli import main
 from workbench.diagnosis.campaign import read_campaign
-from workbench.diagnosis.device import Model, model
+from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.record import UNNEEDED
 
 TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
@@ -85,7 +85,7 @@ def stated(tmp_path_factory: pytest.TempPathFactory) -> Model:
     folder = tmp_path_factory.mktemp("stated") / "trial"
     shutil.copytree(TRIAL, folder)
     without(folder / "campaign.toml", "empty", "filled_low", "filled_high", "filled_again")
-    found = model(read_campaign(folder / "campaign.toml"), accuracy=5e-3)
+    found = device_model(read_campaign(folder / "campaign.toml"), accuracy=5e-3)
     found.fitted.cover(np.array([p.start for p in found.parameters]), {}, UNNEEDED)
     return found
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from workbench.diagnosis.campaign import read_campaign
-from workbench.diagnosis.device import model
+from workbench.diagnosis.device import device_model
 from workbench.diagnosis.state import scatter
 from workbench.files.errors import InputError
-from workbench.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_csv
 
 LAYER = """
 [[layers]]
@@ -204,7 +204,7 @@ def test_radii_that_coincide_are_one_parameter_however_they_are_named(folder: Pa
     assert {name: value for name, value in campaign.known.items() if name.endswith("radius")} == {
         RADII[0]: pytest.approx(2e-5)}
     assert campaign.tied[RADII[0]] == RADII[1:]
-    free = model(campaign, accuracy=2e-2).parameters
+    free = device_model(campaign, accuracy=2e-2).parameters
     assert [parameter.name for parameter in free if parameter.name.endswith("radius")].count(RADII[0]) == 1
     path.write_text(CAMPAIGN.replace("[known]\n", f'[known]\n"{RADII[1]}" = "10 um"\n"{RADII[2]}" = "20 um"\n'))
     with pytest.raises(InputError, match="radi"):

@@ -14,11 +14,11 @@ from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.catalogue import effects
 from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.files.errors import InputError
-from workbench.parameter_names import Kind, ParameterName
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.open_bond import OpenBond
 from workbench.physics.softening import DRIVE_SQUARED
-from workbench.physics.term import Free
-from workbench.problem import Problem, build, with_boundary_layers
+from workbench.physics.term import FreeParameter
 
 ROOT = Path(__file__).resolve().parent.parent
 TRIAL = ROOT / "tests" / "data" / "trials" / "0000" / "campaign.toml"
@@ -97,7 +97,7 @@ def test_what_terms_say_is_free_of_them_is_what_their_hypothesis_moves(found: Ma
     told = 0
     for effect in found.values():
         for state, terms in effect.terms.items():
-            free: dict[str, Free] = {each.name: each for term in terms for each in term.free()}
+            free: dict[str, FreeParameter] = {each.name: each for term in terms for each in term.free()}
             told += len(free)
             if free:
                 assert list(free) == [p.name for p in effect.parameters], effect.name
@@ -164,7 +164,7 @@ def test_what_is_open_lies_between_the_cavity_and_the_rim_of_what_holds(found: M
 def test_the_gauge_scales_what_a_fit_of_a_disc_cannot_tell(found: Mapping[str, Effect]) -> None:
     effect = found["density that the constants were fitted with"]
     (gauge,) = effect.parameters
-    assert (effect.kind, gauge.name, gauge.parsed.kind) == ("mass", "transducer.gauge", Kind.TERM)
+    assert (effect.kind, gauge.name, gauge.parsed.kind) == ("mass", "transducer.gauge", ParameterKind.TERM)
     assert (gauge.start, gauge.low, gauge.high) == (0.0, -0.08, 0.08)
     powers = dict(gauge.powers)
     assert powers.keys() == {f"pzt/trial.{name}" for name in (

@@ -24,13 +24,13 @@ from workbench.diagnosis.evidence import WrongEvidence
 from workbench.diagnosis.findings import Begun, Found, NotTried, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns
-from workbench.diagnosis.inference import Search
+from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales, Weighed
 from workbench.diagnosis.ranking import Score
 from workbench.diagnosis.workers import Workers
+from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import Parameter
-from workbench.solve import NotConverged
 
 SMALL, LARGE = (Effect(name, "bench", "bench", "", (Parameter(name, 0.0, -1.0, 1.0, None, "1"),))
                 for name in ("small", "large"))
@@ -52,7 +52,7 @@ FITTED = 7
 WORTH = {"nothing": (-100.0, 10.0), "small": (-99.5, 9.9), "large": (-20.0, 0.1)}
 
 
-class Made(Search):
+class Made(DiagnosisSearch):
     """A search that ends where it is told, whose time is over after `tasks`, or that is interrupted there where it
     `stops`; some methods `fail`, by their names and those of hypotheses."""
 

@@ -13,27 +13,28 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from workbench.diagnosis.evidence import Linearised, WrongEvidence, checked, occam_factor, over_scales
+from workbench.diagnosis.evidence import LinearisedProblem, WrongEvidence, checked, occam_factor, over_scales
 
 Real = NDArray[np.float64]
 
 
-def problem(below: float = 3.0, above: float = 5.0, slope: float = 1.0) -> tuple[Linearised, dict[str, Real]]:
+def problem(below: float = 3.0, above: float = 5.0, slope: float = 1.0) -> tuple[LinearisedProblem, dict[str, Real]]:
     """One parameter with a prior of deviation 0.5, one anywhere between -below and above, and two deviations."""
     random = np.random.default_rng(4)
     tangents = random.standard_normal((30, 2)) * [1.0, slope]
     residual = random.standard_normal(30) + 0.4 * tangents[:, 0] - 0.3 * tangents[:, 1]
     deviations = random.standard_normal((30, 2))
-    made = Linearised.of(tangents, residual, deviations, precision=np.diag([4.0, 0.0]), offset=np.array([0.1, 0.0]),
-                         widths=np.array([np.nan, below + above]), below=np.array([9.0, below]),
-                         above=np.array([9.0, above]))
+    made = LinearisedProblem.of(tangents, residual, deviations, precision=np.diag([4.0, 0.0]),
+                                offset=np.array([0.1, 0.0]),
+                                widths=np.array([np.nan, below + above]), below=np.array([9.0, below]),
+                                above=np.array([9.0, above]))
     return made, {"tangents": tangents, "residual": residual, "deviations": deviations}
 
 
 def averaged_by_brute_force(data: dict[str, Real], scales: Real, below: float, above: float) -> float:
     """The same on a grid: ln of the likelihood averaged over the prior of one parameter and the range of the other.
 
-    Relative to the normalisation of white noise of unit size, as :class:`Linearised` is.
+    Relative to the normalisation of white noise of unit size, as :class:`LinearisedProblem` is.
     """
     covariance = np.eye(30) + data["deviations"] @ np.diag(scales**2) @ data["deviations"].T
     inverse, log_determinant = np.linalg.inv(covariance), np.linalg.slogdet(covariance)[1]
@@ -102,12 +103,12 @@ def test_what_a_block_adds_is_the_difference_of_two_averages() -> None:
             assert added == pytest.approx(whole - without, abs=1e-6)
 
 
-def at_bounds(tangents: Real, residual: Real, below: float, above: float) -> Linearised:
+def at_bounds(tangents: Real, residual: Real, below: float, above: float) -> LinearisedProblem:
     """Two parameters of ranges without a prior, and one of a wide prior that nothing sees."""
     own = np.column_stack([np.zeros(len(residual)), tangents])
-    return Linearised.of(own, residual, np.zeros((len(residual), 0)), precision=np.diag([1.0, 0.0, 0.0]),
-                         offset=np.zeros(3), widths=np.array([np.nan, *[below + above] * 2]),
-                         below=np.array([9.0, below, below]), above=np.array([9.0, above, above]))
+    return LinearisedProblem.of(own, residual, np.zeros((len(residual), 0)), precision=np.diag([1.0, 0.0, 0.0]),
+                                offset=np.zeros(3), widths=np.array([np.nan, *[below + above] * 2]),
+                                below=np.array([9.0, below, below]), above=np.array([9.0, above, above]))
 
 
 @pytest.mark.parametrize("seen", [1e-150, 1e-6, 1e-2, 1.0, 1e6])

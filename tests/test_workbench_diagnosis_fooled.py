@@ -19,14 +19,14 @@ from geometry.chip import read_chip
 from materials.registry import user_registry
 from workbench.diagnosis.appraisal import diagnose_model
 from workbench.diagnosis.campaign import read_campaign
-from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.outcome import Diagnosis, Estimate
+from workbench.diagnosis.device import Model, device_model
+from workbench.diagnosis.outcome import Diagnosis, FoundNumber
+from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.fitting.seen import through_bench
-from workbench.operators import assemble
-from workbench.problem import build, fill, with_boundary_layers
-from workbench.reduction import reduce
-from workbench.spectrum import Spectrum, write_csv
+from workbench.model.problem import build, fill, with_boundary_layers
+from workbench.reduced.reduction import reduce
+from workbench.results.spectrum import Spectrum, write_csv
 
 Real = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ class Bench:
         lines = ["[known]", *(f'"{name}" = "{error}"' for name, error in known.items())]
         path = self.folder / "campaign.toml"
         path.write_text("\n".join([*self.states, *lines]) + "\n")
-        return model(read_campaign(path, materials=[MATERIALS]), accuracy=ACCURACY)
+        return device_model(read_campaign(path, materials=[MATERIALS]), accuracy=ACCURACY)
 
     def diagnosed(self, known: Mapping[str, str]) -> Diagnosis:
         return diagnose_model(self.model(known))
@@ -102,7 +102,7 @@ def named(found: Diagnosis) -> list[str]:
     return [effect.name for effect in found.effects]
 
 
-def estimate(found: Diagnosis, name: str) -> Estimate:
+def estimate(found: Diagnosis, name: str) -> FoundNumber:
     """The parameter of that name of what is established."""
     return next(each for every in found.established for each in every.estimates if each.name == name)
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from workbench.diagnosis.campaign import Campaign, read_campaign
-from workbench.diagnosis.device import model
+from workbench.diagnosis.device import device_model
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import Parameter
-from workbench.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_csv
 
 LAYER = '[[layers]]\nrole = "{role}"\nmaterial = "{material}"\nthickness = {thickness}\nradius = "4 mm"\n{more}\n'
 HEAD = '[chip]\nname = "small"\nband = ["0.88 MHz", "1.12 MHz"]\n'
@@ -291,7 +291,7 @@ def test_what_else_is_known_is_one_of_two_words(folder: Path) -> None:
 
 
 def test_known_numbers_come_first_and_then_what_states_add(folder: Path) -> None:
-    found = model(read(folder, f"""
+    found = device_model(read(folder, f"""
 [known]
 "couplant.thickness" = "3 um"
 "bench.gain" = "0.5 %"

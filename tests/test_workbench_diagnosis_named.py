@@ -17,7 +17,7 @@ from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.catalogue import effects
 from workbench.diagnosis.hypothesis import Device
-from workbench.discretisation import ACCURACY
+from workbench.model.discretisation import ACCURACY
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
-from workbench.diagnosis.next_measurement import in_words, options
+from workbench.diagnosis.next_measurement import next_measurement_text, options
 from workbench.fitting.parameter import Parameter
 from workbench.physics.softening import DRIVE_SQUARED
 
@@ -112,10 +112,10 @@ def test_the_leads_are_measured_where_hypotheses_differ_by_them() -> None:
 
 def test_it_is_said_in_numbers() -> None:
     found = options(likelihood(), [(explanation(0.0), 0.0), (explanation(0.5), 0.0)], 20.0)
-    text = in_words(found, ("leads", "glass"), 20.0)
+    text = next_measurement_text(found, ("leads", "glass"), 20.0)
     assert text.startswith("Record one again, 4 times: odds of 20.1 are expected between leads and glass.")
     # 1 - ln(1 + exp(-1.5 / 8)) / ln 2
     assert "once settles: record one again 13 %, record two again 0 %." in text
     assert "Not compared: another temperature" in text
-    assert "short of the 20 that would settle it" in in_words(found[1:], ("leads", "glass"), 20.0)
-    assert in_words([], (), 20.0) == ""
+    assert "short of the 20 that would settle it" in next_measurement_text(found[1:], ("leads", "glass"), 20.0)
+    assert next_measurement_text([], (), 20.0) == ""

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from workbench.commands import diagnosis_report
-from workbench.diagnosis.appraisal import established, located
-from workbench.diagnosis.conclusion import Conclusion, share
+from workbench.diagnosis.appraisal import established, suspect_places
+from workbench.diagnosis.conclusion import Conclusion, explained_share
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
 from workbench.diagnosis.findings import Found, NotTried, Settled
 from workbench.diagnosis.hypothesis import Effect
@@ -22,12 +22,12 @@ from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.knowledge import Taken
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria
-from workbench.diagnosis.outcome import Diagnosis, Established, Estimate, Left, Place
+from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Left, SuspectPlace
 from workbench.diagnosis.record import record
 from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
 from workbench.physics.term import Admissible
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 FREQUENCY = np.linspace(0.9e6, 1.1e6, 201)
 NOISE = np.full(201, 0.002)
@@ -78,8 +78,8 @@ def model() -> Any:
                            fitted=SimpleNamespace(refusals=[], recordings=()))
 
 
-def estimate(name: str, value: float, unit: str, stated: float = 0.0, sigmas: float | None = None) -> Estimate:
-    return Estimate(name, value, 0.9 * value, 1.1 * value, unit, stated, sigmas)
+def estimate(name: str, value: float, unit: str, stated: float = 0.0, sigmas: float | None = None) -> FoundNumber:
+    return FoundNumber(name, value, 0.9 * value, 1.1 * value, unit, stated, sigmas)
 
 
 TOLD = Established(LEADS, (estimate("bench.series_resistance", 0.15, "ohm"),
@@ -101,7 +101,7 @@ def diagnosis(verdict: str, chosen: Evidence = NOTHING, rivals: tuple[Evidence, 
         device, found, Conclusion(Decision(verdict, chosen, rivals, log_odds), named if told else base,
                                   (settled(GLASS),) * len(rivals)),
         Criteria(), fits["stated"], fits["base"], fits["best"] if told else fits["base"], told,
-        Left(0.003, 0.0028, 0.001, 0.0015, ""), (Place("bond", "anything", 1.0, (), 0.5),),
+        Left(0.003, 0.0028, 0.001, 0.0015, ""), (SuspectPlace("bond", "anything", 1.0, (), 0.5),),
         (estimate("pla.density", 1180.0, "kg/m^3", 1150.0, 2.5),), (), (), (), 12.0), **changed)
 
 
@@ -193,8 +193,8 @@ def test_of_two_effects_each_takes_what_it_adds_to_those_before_it() -> None:
     assert [each.effect.name for each in found] == ["leads", GLASS.name]
     assert [each.share for each in found] == [pytest.approx((0.05**2 - 0.02**2) / whole, rel=1e-12),
                                               pytest.approx((0.02**2 - 0.01**2) / whole, rel=1e-12)]
-    assert found[1].estimates[0] == Estimate("glass.shear_modulus", 25e9, pytest.approx(25e9 - 1.96e8),
-                                             pytest.approx(25e9 + 1.96e8), "Pa", 26e9, -1.0)
+    assert found[1].estimates[0] == FoundNumber("glass.shear_modulus", 25e9, pytest.approx(25e9 - 1.96e8),
+                                                pytest.approx(25e9 + 1.96e8), "Pa", 26e9, -1.0)
     assert found[1].admissible
     limits = {"glass.shear_modulus": Admissible(26e9, 30e9, "Pa", "this glass")}
     outside = replace(GLASS, admissible=limits)
@@ -241,7 +241,7 @@ def test_a_material_is_marked_wherever_it_is() -> None:
 
 
 def test_a_factor_of_what_is_stated_is_told_as_one() -> None:
-    found = Estimate("water/iapws_2011.sound_speed", 1.0052, 1.0046, 1.0058, "1", 1.0, None, True)
+    found = FoundNumber("water/iapws_2011.sound_speed", 1.0052, 1.0046, 1.0058, "1", 1.0, None, True)
     assert found.in_words == "+0.52 % (+0.46 % to +0.58 %) of what is stated"
 
 
@@ -249,18 +249,18 @@ def test_what_known_parameters_had_to_leave_is_a_mismatch() -> None:
     """Nothing is left of Z, with a modulus one uncertainty from what is known of it, until that is released."""
     device = model()
     device.known = 3
-    assert share(device, explanation(), explanation(GLASS)) == pytest.approx(1.0)
-    assert share(device, explanation(), explanation(LEADS)) == 0.0
+    assert explained_share(device, explanation(), explanation(GLASS)) == pytest.approx(1.0)
+    assert explained_share(device, explanation(), explanation(LEADS)) == 0.0
 
 
 def test_regions_that_the_search_settled_come_first() -> None:
     weighed = tuple((Hypothesis(region=region), worth) for region, worth in (("cavity", 8.0), ("bond", 3.0)))
     base = replace(settled(), beside=weighed)
-    assert [(place.region, place.evidence) for place in located(base, Found(base, (base,), ()))
+    assert [(place.region, place.evidence) for place in suspect_places(base, Found(base, (base,), ()))
             ] == [("cavity", 8.0), ("bond", 3.0)]
     beside = settled(region="bond")
     found = Found(base, (replace(beside, explanation=replace(beside.explanation, log_evidence=2.0)), base), ())
-    told = [(place.region, place.evidence, place.sigmas) for place in located(base, found)]
+    told = [(place.region, place.evidence, place.sigmas) for place in suspect_places(base, found)]
     assert told == [("bond", 2.0, 2.0), ("cavity", 8.0, 4.0)]
 
 

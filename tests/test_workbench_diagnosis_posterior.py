@@ -19,8 +19,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from workbench.diagnosis.appraisal import diagnose_model
-from workbench.diagnosis.device import Model, model
-from workbench.diagnosis.evidence import Linearised
+from workbench.diagnosis.device import Model, device_model
+from workbench.diagnosis.evidence import LinearisedProblem
 from workbench.diagnosis.likelihood import Hypothesis, Local, Scales
 from workbench.diagnosis.posterior import Posterior
 from workbench.fitting.parameter import Parameter
@@ -50,7 +50,7 @@ def recorded(folder: Path, values: Mapping[str, float]) -> tuple[Model, Real]:
     """The model of a campaign whose recording was made with these values of its parameters, and all of these (p,)."""
     exact = {"pzt/trial.c33": 1.0003 * C33, **values}
     campaign, x = conceal(folder, {"disc.toml": DISC, "campaign.toml": CAMPAIGN}, FREQUENCIES, exact, accuracy=1e-3)
-    return model(campaign, accuracy=1e-3), x
+    return device_model(campaign, accuracy=1e-3), x
 
 
 def settled(device: Model, name: str, truth: Real, scales: Scales | None = None) -> Posterior:
@@ -115,7 +115,7 @@ class Straight:
 
     def linearised(self, hypothesis: Hypothesis, search: SimpleNamespace, x: Real) -> Local:
         widths = np.where(search.precision > 0.0, np.nan, search.high - search.low)
-        problem = Linearised.of(
+        problem = LinearisedProblem.of(
             self.tangents, self.residual, self.columns, precision=np.diag(search.precision**2),
             offset=x - search.centre, widths=widths, below=x - search.low, above=search.high - x)
         return Local(problem, self.settings, (2, 0, 0, 0), SimpleNamespace())

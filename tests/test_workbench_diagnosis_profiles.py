@@ -11,7 +11,7 @@ from own_recordings import DISC, PRINTED, any_recordings, conceal
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.catalogue import effects_and_others
 from workbench.diagnosis.hypothesis import Device
-from workbench.discretisation import ACCURACY
+from workbench.model.discretisation import ACCURACY
 
 pytest.importorskip("cadquery")
 pytestmark = pytest.mark.slow

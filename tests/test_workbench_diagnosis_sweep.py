@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from own_recordings import DISC, DISC_RECORDED, conceal
 
 from workbench.diagnosis.descent import LEVELS
-from workbench.diagnosis.device import model
-from workbench.diagnosis.inference import Search
+from workbench.diagnosis.device import device_model
+from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Hypothesis
 from workbench.diagnosis.sweep import HELD, LOOKED_AT, SIZES, corners, swept, ways
 
@@ -29,10 +29,10 @@ CAMPAIGN = DISC_RECORDED + """
 WIDTH = "bare rim.width"
 
 
-def searched(folder: Path, values: Mapping[str, float]) -> Search:
+def searched(folder: Path, values: Mapping[str, float]) -> DiagnosisSearch:
     """A search on a disc that was recorded with other values."""
     campaign, _ = conceal(folder, {"disc.toml": DISC, "campaign.toml": CAMPAIGN}, FREQUENCIES, values, accuracy=5e-4)
-    return Search(model(campaign))
+    return DiagnosisSearch(device_model(campaign))
 
 
 def test_a_strong_effect_leaves_least_of_all_and_in_its_own_size(tmp_path: Path) -> None:

@@ -8,15 +8,15 @@ from support import moved_onto, quadratic
 
 from geometry.chip import Chip, read_chip
 from geometry.mesh import MeshError
-from geometry.names import LEVEL, outside, part
+from geometry.names import LEVEL, outside, part_name
 from materials.registry import Registry
-from workbench.dimensions import flexible
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.operators import assemble
+from workbench.model.dimensions import flexible
+from workbench.model.problem import Problem, build, fill
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.surface_load import SurfaceLoad
-from workbench.problem import Problem, build, fill
-from workbench.solve import solve_full
 
 CHIP = """
 [chip]
@@ -159,7 +159,7 @@ def test_a_mesh_of_another_chip_is_refused(chip: Chip, problem: Problem) -> None
 
 def test_a_term_on_a_part_of_a_boundary_stays_there(chip: Chip, problem: Problem) -> None:
     # The lid's outside is its top and its side: a load on what lies level is on the top alone.
-    load = SurfaceLoad(part(outside("superstrate"), LEVEL), "superstrate", "load")
+    load = SurfaceLoad(part_name(outside("superstrate"), LEVEL), "superstrate", "load")
     values = {"load.normal_impedance": 1e5, "load.tangential_impedance": 0.0}
     loaded = flexible(problem.with_terms((load,), values), chip)
     operators = assemble(loaded.mesh, loaded.terms)

@@ -17,17 +17,17 @@ from geometry.dimension import Dimension
 from geometry.mesh import MeshError
 from geometry.shapes import with_shapes
 from materials.registry import Registry
-from workbench.dimensions import flexible
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.moved_parts import Interpolation
-from workbench.operators import assemble
+from workbench.model.dimensions import flexible
+from workbench.model.moved_parts import Interpolation
+from workbench.model.problem import Problem, build, fill
+from workbench.model.shaped_mesh import shaped
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.couplant_shear import CouplantShear
-from workbench.physics.shaped import Grid
+from workbench.physics.shaped import InterpolationGrid
 from workbench.physics.term import ModelError
-from workbench.problem import Problem, build, fill
-from workbench.shaped_mesh import shaped
-from workbench.solve import solve_full
 
 #: Every kind of shape, two of them (draft and barrel) on the same cells, with the sizes that are tried: none at a node.
 RANGES = {"sidewall.draft": (-0.1, 0.1), "sidewall.barrel": (-0.1e-3, 0.1e-3), "superstrate.bow": (-8e-6, 8e-6),
@@ -209,7 +209,7 @@ def test_a_mesh_without_the_shapes_of_its_chip_is_refused(chip: Chip, problem: P
 def test_a_grid_interpolates_its_polynomials(degrees: tuple[int, ...]) -> None:
     bounds = tuple((0.3 - 0.1 * k, 1.1) for k in range(len(degrees)))
     start = tuple(0.6 + 0.05 * k for k in range(len(degrees)))
-    grid = Grid(bounds, start, degrees, bounds)
+    grid = InterpolationGrid(bounds, start, degrees, bounds)
 
     def function(x: tuple[float, ...]) -> float:
         # The powers of each variable that the grid has alone, and the product of the first of all pairs.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from workbench.drive import GeneratorDrive, PowerDrive, VoltageDrive, parse_drive
 from workbench.files.errors import InputError
+from workbench.model.drive import GeneratorDrive, PowerDrive, VoltageDrive, parse_drive
 
 IMPEDANCE = np.array([4.0 + 0j, 50.0 - 20.0j, 1e3j])
 

@@ -12,12 +12,12 @@ from geometry.chip import Chip
 from geometry.mesh import mesh_section
 from geometry.section import cut_section
 from materials.kinds import Material
-from workbench.discretisation import ACCURACY, discretisation
-from workbench.elements import Lagrange, gauss_lobatto
-from workbench.operators import assemble
-from workbench.problem import problem
-from workbench.reduction import reduce
-from workbench.spectrum import Spectrum
+from workbench.fem.elements import Lagrange, gauss_lobatto
+from workbench.fem.operators import assemble
+from workbench.model.discretisation import ACCURACY, discretisation
+from workbench.model.problem import problem
+from workbench.reduced.reduction import reduce
+from workbench.results.spectrum import Spectrum
 
 ORDERS = (1, 2, 3, 4, 5)
 

@@ -13,10 +13,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import sparse
 
-from workbench.factorisation import CHOICE, KNOWN, Factorisation, Ldlt, SuperLU, chosen, factorisation
-from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem
-from workbench.solve import NotConverged, System, factorise, solve_full
+from workbench.fem.factorisation import CHOICE, KNOWN, Factorisation, Ldlt, SuperLU, chosen, factorisation
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import NotConverged, System, factorise, solve_full
+from workbench.model.problem import Problem
 
 Complex = NDArray[np.complex128]
 
@@ -165,7 +165,7 @@ def test_threads_that_come_and_go_may_all_factorise() -> None:
 import threading
 import numpy as np
 from scipy import sparse
-from workbench.factorisation import Ldlt
+from workbench.fem.factorisation import Ldlt
 
 def work():
     matrix = sparse.eye(500, format="csc", dtype=complex)

@@ -14,15 +14,15 @@ from geometry.chip import Chip, parse_chip, read_chip
 from geometry.section import cut_section
 from materials.kinds import Fluid, Piezoelectric
 from materials.registry import Registry
-from workbench.discretisation import ACCURACY, Discretisation, discretisation
-from workbench.drive import GeneratorDrive, PowerDrive, VoltageDrive
-from workbench.fields import Fields, fields
-from workbench.nodal import integrate, sample
-from workbench.operators import FullOperators, assemble
+from workbench.acoustics.fields import Fields, fields
+from workbench.acoustics.nodal import integrate, interpolate
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import Solution, solve_full
+from workbench.model.discretisation import ACCURACY, Discretisation, discretisation
+from workbench.model.drive import GeneratorDrive, PowerDrive, VoltageDrive
+from workbench.model.problem import Problem, build, fill
 from workbench.physics.term import Monomial
-from workbench.problem import Problem, build, fill
-from workbench.simulation import loss_budget
-from workbench.solve import Solution, solve_full
+from workbench.simulation.run import loss_budget
 
 CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
 
@@ -163,10 +163,10 @@ def test_the_energy_density_integrates_to_the_systems_quadratic_forms(
 def test_the_fluid_moves_as_the_pressure_slopes(found: Fields) -> None:
     z = np.linspace(3.0e-3, 3.4e-3, 9)
     step = 2e-5
-    above, below = (sample(found.mesh, found.pressure, np.stack([0 * z + 0.5e-3, z + side], axis=1), ["cavity"])
+    above, below = (interpolate(found.mesh, found.pressure, np.stack([0 * z + 0.5e-3, z + side], axis=1), ["cavity"])
                     for side in (step, -step))
     expected = (above - below) / (2 * step) / (1j * 2 * math.pi * FREQUENCY * 998.2)
-    actual = sample(found.mesh, found.velocity, np.stack([0 * z + 0.5e-3, z], axis=1), ["cavity"])[:, 1]
+    actual = interpolate(found.mesh, found.velocity, np.stack([0 * z + 0.5e-3, z], axis=1), ["cavity"])[:, 1]
     # The difference itself is off by (k step)^2 / 6 of short evanescent waves: 1.3e-3 however fine the mesh.
     np.testing.assert_allclose(actual, expected, atol=2e-3 * np.abs(expected).max())
 
@@ -221,7 +221,7 @@ def test_recovered_fields_are_those_of_a_finer_mesh(found: Fields) -> None:
         limit = 1.2e-3
         points = np.stack([limit * random.random(400), bottom + (top - bottom) * random.random(400)], axis=1)
         for name in ("velocity", "stress") if region != "cavity" else ("velocity", "pressure"):
-            one, other = (sample(each.mesh, getattr(each, name), points, [region]) for each in (found, finer))
+            one, other = (interpolate(each.mesh, getattr(each, name), points, [region]) for each in (found, finer))
             # Observed 0.01 to 0.24 % rms; of second order at 10 per wavelength, a third more unknowns, 0.04 to 1.1 %.
             assert np.linalg.norm(one - other) < 3e-3 * np.linalg.norm(other), (region, name)
 
@@ -249,7 +249,7 @@ def test_fields_of_the_default_mesh_are_at_least_as_accurate_as_of_second_order(
         points = low + (high - low) * (0.001 + 0.998 * random.random((1500, 2)))
         # Observed 0.02 to 0.22 %, and 4.1 % in the couplant.
         for name, limit in zip(("velocity", "stress"), SECOND_ORDER[piece.region], strict=False):
-            found, exact = (sample(each.mesh, getattr(each, name), points, [piece.region]) for each in shown)
+            found, exact = (interpolate(each.mesh, getattr(each, name), points, [piece.region]) for each in shown)
             error = 100.0 * np.linalg.norm(found - exact) / np.linalg.norm(exact)
             assert error < limit, (piece.region, name)
 

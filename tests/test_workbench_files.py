@@ -15,8 +15,8 @@ import pytest
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import Table
-from workbench.files.writing import MARK, remedy, replacing, settled, writable_folder, write_atomic
+from workbench.files.tables import FileTable
+from workbench.files.writing import MARK, remedy, replacing, settle_folder, writable_folder, write_atomic
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
@@ -83,13 +83,13 @@ name = 2
 
 
 @pytest.fixture
-def table(tmp_path: Path) -> Table:
+def table(tmp_path: Path) -> FileTable:
     path = tmp_path / "a.toml"
     path.write_text(TEXT, encoding="utf-8")
-    return Table.read(path)
+    return FileTable.read(path)
 
 
-def test_a_table_gives_values_in_si(table: Table) -> None:
+def test_a_table_gives_values_in_si(table: FileTable) -> None:
     assert table.text("name") == table.optional_text("name") == "disc 1"
     assert table.text("empty", "a") == ""
     assert table.texts("free") == ("c33", "")
@@ -104,7 +104,7 @@ def test_a_table_gives_values_in_si(table: Table) -> None:
     assert list(table.table("inner")) == ["kind"]
 
 
-def test_a_default_stands_in_for_what_a_table_lacks(table: Table) -> None:
+def test_a_default_stands_in_for_what_a_table_lacks(table: FileTable) -> None:
     assert table.text("x", "a") == "a"
     assert table.texts("x", ("a",)) == ("a",)
     assert table.quantity("x", "length", 1.0) == 1.0
@@ -139,10 +139,10 @@ def test_a_default_stands_in_for_what_a_table_lacks(table: Table) -> None:
     (lambda t: t.tables("rows", expected="tables")[1].text("name"), "rows[1].name", 2, "a text"),
     (lambda t: t.required("nam", "a name"), "nam", None, "a name; did you mean 'name'"),
     (lambda t: t.table("inner").only(("name", "king")), "inner.kind", "kind", "one of king, name; did you mean 'king'"),
-    (lambda t: Table.of(3, source=t.source, field="fit"), "fit", 3, "a table"),
+    (lambda t: FileTable.of(3, source=t.source, field="fit"), "fit", 3, "a table"),
 ])
 def test_a_mistake_in_a_table_is_named(
-    take: Callable[[Table], object], field: str, value: object, expected: str, table: Table
+    take: Callable[[FileTable], object], field: str, value: object, expected: str, table: FileTable
 ) -> None:
     with pytest.raises(InputError) as caught:
         take(table)
@@ -211,13 +211,13 @@ def test_a_file_in_the_way_and_a_disk_without_room_are_refused(tmp_path: Path) -
 def test_a_folder_is_marked_until_its_results_are_complete(tmp_path: Path) -> None:
     folder = writable_folder(tmp_path / "out", source="x", field="y")
     assert "not complete" in (folder / MARK).read_text()
-    settled(folder, complete=False)
+    settle_folder(folder, complete=False)
     assert not list(folder.iterdir())  # nothing was written: nothing to warn of
     writable_folder(folder, source="x", field="y")
     write_atomic(folder / "spectrum.csv", "x")
-    settled(folder, complete=False)
+    settle_folder(folder, complete=False)
     assert sorted(path.name for path in folder.iterdir()) == [MARK, "spectrum.csv"]
-    settled(folder, complete=True)
+    settle_folder(folder, complete=True)
     assert [path.name for path in folder.iterdir()] == ["spectrum.csv"]
 
 

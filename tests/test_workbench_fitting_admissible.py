@@ -16,7 +16,7 @@ from workbench.files.errors import InputError
 from workbench.fitting.admissible import POISSON_RATIO, inequalities
 from workbench.fitting.constrained import Inequality
 from workbench.fitting.parameter import Parameter, material_parameter
-from workbench.problem import Problem
+from workbench.model.problem import Problem
 
 Real = NDArray[np.float64]
 

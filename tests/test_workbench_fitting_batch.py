@@ -19,8 +19,8 @@ from materials import Registry
 from workbench.files.errors import InputError
 from workbench.fitting import batch
 from workbench.fitting.batch import (
+    BatchMember,
     Job,
-    Member,
     Settings,
     content_key,
     finished,
@@ -109,7 +109,7 @@ def test_mistakes_in_the_file_are_named(listed: Path, old: str, new: str, field:
 
 
 def job(path: Path, name: str = "one", **changes: Any) -> Job:
-    return Job(name, (Member(name, path / "one.csv", path / "disc.toml", "pzt", **changes),))
+    return Job(name, (BatchMember(name, path / "one.csv", path / "disc.toml", "pzt", **changes),))
 
 
 def test_the_key_knows_all_that_decides(listed: Path) -> None:

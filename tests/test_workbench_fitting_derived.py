@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from workbench.fitting.derived import QUANTITIES, derived, moduli_of, quantities
+from workbench.fitting.derived import QUANTITIES, derived_moduli, moduli_of, moduli_quantities
 from workbench.fitting.parameter import POLYMER_FOUR
 from workbench.fitting.uncertainty import DEVIATIONS
 
@@ -15,7 +15,7 @@ DENSITY, FREQUENCY = 1131.7, 1.033e6
 
 
 def test_the_column_of_pla_in_table_4() -> None:
-    found = {d.name: d.value for d in derived(PLA, np.zeros((4, 4)), density=DENSITY, frequency=FREQUENCY)}
+    found = {d.name: d.value for d in derived_moduli(PLA, np.zeros((4, 4)), density=DENSITY, frequency=FREQUENCY)}
     # Printed value, and what the rounding of the printed moduli (0.005 GPa) and of the result allows.
     printed = {
         "Young's modulus": (2.57e9, 0.02e9), "Young's modulus, loss": (-0.13e9, 0.02e9),
@@ -35,11 +35,11 @@ def test_intervals_are_those_of_monte_carlo() -> None:
     factor = np.array([[1.0, 0, 0, 0], [0.3, 1.0, 0, 0], [-0.8, 0.2, 0.6, 0], [0.1, -0.5, 0.4, 0.8]])
     sizes = np.array([0.01 * 3.57e9, 0.05 * 0.03e9, 0.01 * 0.93e9, 0.05 * 0.05e9])
     covariance = (factor @ factor.T) * np.outer(sizes, sizes)
-    found = derived(PLA, covariance, density=DENSITY, frequency=FREQUENCY, density_error=5.0)
+    found = derived_moduli(PLA, covariance, density=DENSITY, frequency=FREQUENCY, density_error=5.0)
     count = 20_000
     draws = random.multivariate_normal(list(PLA.values()), covariance, size=count)
     densities = DENSITY + 5.0 * random.standard_normal(count)
-    sampled = np.array([quantities(x, float(rho), FREQUENCY) for x, rho in zip(draws, densities, strict=True)])
+    sampled = np.array([moduli_quantities(x, float(rho), FREQUENCY) for x, rho in zip(draws, densities, strict=True)])
     # A sampled deviation of 20 000 draws is itself uncertain by 0.5 %; four of those, and the curvature's 1 %.
     assert [d.standard_error for d in found] == pytest.approx(sampled.std(axis=0), rel=0.03)
     for one in found:
@@ -49,7 +49,7 @@ def test_intervals_are_those_of_monte_carlo() -> None:
 
 def test_no_absorption_is_below_zero() -> None:
     covariance = np.diag([0.0, (0.03e9) ** 2, 0.0, (0.05e9) ** 2])
-    found = {d.name: d for d in derived(PLA, covariance, density=DENSITY, frequency=FREQUENCY)}
+    found = {d.name: d for d in derived_moduli(PLA, covariance, density=DENSITY, frequency=FREQUENCY)}
     assert found["shear loss tangent"].low == 0.0
     assert found["longitudinal absorption"].low == 0.0
     assert found["Young's modulus, loss"].high > 0.0  # a number of either sign keeps its interval

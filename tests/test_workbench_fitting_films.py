@@ -10,12 +10,12 @@ import pytest
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
-from workbench.fitting.joint import FitResult, fit
+from workbench.fitting.joint import FitResult, fit_parameters
 from workbench.fitting.objective import Objective
-from workbench.fitting.predict import Predictor
 from workbench.fitting.prepare import Prepared, prepare
 from workbench.fitting.record import refusals
-from workbench.spectrum import Spectrum
+from workbench.reduced.predictor import Predictor
+from workbench.results.spectrum import Spectrum
 
 #: A sample on a disc, whose gel was stated as 20 um and is another; nothing says how exact the 20 um are.
 STACK = """
@@ -69,7 +69,8 @@ def prepared(chip: Chip) -> Prepared:
 
 
 def _fitted(prepared: Prepared, tries: int) -> FitResult:
-    return fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, tries=tries, bands=0, profiles=False)
+    return fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, tries=tries, bands=0,
+                          profiles=False)
 
 
 def test_a_search_goes_on_from_film_to_film_until_the_noise_is_reached(prepared: Prepared) -> None:

@@ -13,20 +13,20 @@ from support import started_at
 
 from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
-from workbench.dimensions import flexible
 from workbench.files.errors import InputError
 from workbench.fitting import multistart
 from workbench.fitting.constrained import minimise
-from workbench.fitting.joint import FINE, FitError, FitResult, fit
+from workbench.fitting.joint import FINE, FitError, FitResult, fit_parameters
 from workbench.fitting.multistart import prior_samples
-from workbench.fitting.objective import Objective, Recording
+from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters
-from workbench.fitting.predict import Predictor
-from workbench.fitting.search import SEARCHED_POINTS, Search
+from workbench.fitting.search import SEARCHED_POINTS, FitSearch
 from workbench.fitting.seen import through_bench
-from workbench.problem import Problem
-from workbench.reduction import NotEnriched
-from workbench.spectrum import Spectrum
+from workbench.model.dimensions import flexible
+from workbench.model.problem import Problem
+from workbench.reduced.predictor import Predictor
+from workbench.reduced.reduction import NotEnriched
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def disc(chip: Chip, filling: Filling, meshed: Meshed) -> Problem:
 def recorded(
     problem: Problem, chip: Chip, truth: Mapping[str, float], *, name: str = "disc", noise: float = NOISE,
     frequency: Real = GRID, seed: int = 1,
-) -> Recording:
+) -> FitRecording:
     """The problem recorded with the parameters `truth`, by the names that parameters have."""
     values = dict(problem.values)
     for key, number in truth.items():
@@ -80,7 +80,7 @@ def recorded(
                           bench.get("bench.clock", 0.0)).impedance
     seen = through_bench(impedance, 2.0 * np.pi * frequency, bench)[0]
     real, imaginary = np.random.default_rng(seed).standard_normal((2, frequency.size))
-    return Recording(name, problem, Spectrum(frequency, seen * np.exp(noise * (real + 1j * imaginary))), chip)
+    return FitRecording(name, problem, Spectrum(frequency, seen * np.exp(noise * (real + 1j * imaginary))), chip)
 
 
 def offsets(result: FitResult, truth: Mapping[str, float]) -> Real:
@@ -121,8 +121,8 @@ def told() -> list[tuple[str, float]]:
 def result(
     disc: Problem, chip: Chip, begun: tuple[Parameter, ...], truth: dict[str, float], told: list[tuple[str, float]]
 ) -> FitResult:
-    return fit([recorded(disc, chip, truth)], begun, tries=0, bands=2,
-               progress=lambda text, share: told.append((text, share)))
+    return fit_parameters([recorded(disc, chip, truth)], begun, tries=0, bands=2,
+                          progress=lambda text, share: told.append((text, share)))
 
 
 def test_the_truth_is_recovered_within_its_errors(result: FitResult, truth: dict[str, float]) -> None:
@@ -183,7 +183,7 @@ def test_a_dimension_and_the_bench_are_recovered(disc: Problem, chip: Chip) -> N
     free = parameters(disc, chip, PZT, ["c11", "transducer.thickness", "bench.series_resistance", "bench.gain"])
     truth = {f"{PZT}.c11": 1.05 * free[0].start, "transducer.thickness": 2.02e-3, "bench.series_resistance": 1.5,
              "bench.gain": 0.04}
-    found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0)
+    found = fit_parameters([recorded(disc, chip, truth)], free, tries=0, bands=0)
     off = offsets(found, truth)
     print(f"off by {np.round(off, 1)} standard errors")
     # The thickness is known to 0.5 % before and 1 % off: two priors, of which the data leave a small share.
@@ -204,13 +204,13 @@ def test_two_recordings_determine_what_they_share(
     one = recorded(disc, chip, {**shared, "bench.gain": 0.03})
     other = recorded(meshed(thin, filling, elements_per_wavelength=2.0), thin, {**shared, "bench.gain": -0.05},
                      name="thin", seed=2)
-    found = fit([one, other], free, tries=0, bands=0)
+    found = fit_parameters([one, other], free, tries=0, bands=0)
     assert [m.name for m in found.recordings] == ["disc", "thin"]
     assert [e.parameter.recordings for e in found.estimates] == [(), (), ("disc",), ("thin",)]
     exact = [*shared.values(), 0.03, -0.05]
     off = [(e.value - number) / e.standard_error for e, number in zip(found.estimates, exact, strict=True)]
     assert np.abs(off).max() < FAR
-    alone = fit([one], free[:3], tries=0, bands=0)
+    alone = fit_parameters([one], free[:3], tries=0, bands=0)
     gains = [both.standard_error / single.standard_error
              for both, single in zip(found.estimates[:2], alone.estimates[:2], strict=True)]
     print(f"errors of both over those of one: {np.round(gains, 2)}")
@@ -226,7 +226,7 @@ def test_coarser_meshes_are_searched_first_and_tell_the_error_of_the_mesh(
     one = recorded(disc, chip, truth)
     coarse = [replace(one, problem=meshed(chip, filling, elements_per_wavelength=1.0))]
     assert coarse[0].problem.mesh.mesh.t.shape[1] < disc.mesh.mesh.t.shape[1]
-    found = fit([one], free, coarse=coarse, tries=0, bands=0)
+    found = fit_parameters([one], free, coarse=coarse, tries=0, bands=0)
     assert np.abs(offsets(found, truth)).max() < FAR
     assert all(e.numerical > 0.0 and e.standard_error > e.numerical for e in found.estimates)
     assert not any("error of the mesh" in line for line in found.findings)
@@ -241,9 +241,9 @@ def test_coarser_meshes_are_searched_first_and_tell_the_error_of_the_mesh(
 def test_at_the_truth_there_is_nothing_to_gain(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c33"])
     start = {p.name: p.start for p in free}
-    clean = fit([recorded(disc, chip, start, noise=0.0)], free, tries=0, bands=0)
+    clean = fit_parameters([recorded(disc, chip, start, noise=0.0)], free, tries=0, bands=0)
     assert [e.value for e in clean.estimates] == pytest.approx(list(start.values()), rel=1e-6)
-    noisy = fit([recorded(disc, chip, start)], free, tries=0, bands=0)
+    noisy = fit_parameters([recorded(disc, chip, start)], free, tries=0, bands=0)
     assert noisy.converged
     assert np.abs(offsets(noisy, start)).max() < FAR
 
@@ -256,7 +256,7 @@ def test_a_fit_that_is_not_better_than_its_start_says_so(disc: Problem, chip: Ch
     exact = np.arange(GRID.size) % 6 == 0
     impedance = np.where(exact, other.measured.impedance, start.measured.impedance)
     uncertainty = np.where(exact, 1e-4, 0.5) * np.abs(impedance)
-    found = fit([replace(start, measured=Spectrum(GRID, impedance, uncertainty))], free, tries=0, bands=0)
+    found = fit_parameters([replace(start, measured=Spectrum(GRID, impedance, uncertainty))], free, tries=0, bands=0)
     assert found.recordings[0].noise.stated
     assert found.estimates[0].value == pytest.approx(1.03 * free[0].start, rel=1e-3)
     assert not found.improved
@@ -266,7 +266,7 @@ def test_a_fit_that_is_not_better_than_its_start_says_so(disc: Problem, chip: Ch
 def test_a_start_without_any_residual_has_converged(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c44", "c33"])
     start = {p.name: p.start for p in free}
-    assert fit([recorded(disc, chip, start, noise=0.0)], free, tries=0, bands=0, profiles=False).converged
+    assert fit_parameters([recorded(disc, chip, start, noise=0.0)], free, tries=0, bands=0, profiles=False).converged
 
 
 @pytest.fixture(scope="module")
@@ -282,7 +282,7 @@ def test_an_overtone_laid_on_its_neighbour_is_left(shear: tuple[Chip, Problem], 
     begun = parameters(problem, None, PZT, ["c11", "c44"])
     truth = {p.name: p.start for p in begun}
     one = recorded(problem, wide, truth, frequency=np.linspace(500e3, 1000e3, 161))
-    found = fit([one], started(begun, c44=factor), tries=24, bands=0, profiles=False)
+    found = fit_parameters([one], started(begun, c44=factor), tries=24, bands=0, profiles=False)
     ends = {s.label: s for s in found.starts}
     for label, each in ends.items():
         print(f"{label}: c44 x {each.end[1] / truth[f'{PZT}.c44']:.3f}, rms {each.rms:.3f}, {each.outcome}")
@@ -306,7 +306,7 @@ def test_a_residual_of_a_hundred_per_cent_is_never_explained(
     wide, problem = shear
     begun = parameters(problem, None, PZT, ["c11", "c44"])
     one = recorded(problem, wide, {p.name: p.start for p in begun}, frequency=np.linspace(500e3, 1000e3, points))
-    found = fit([one], started(begun, c44=factor), tries=24, bands=0, profiles=False)
+    found = fit_parameters([one], started(begun, c44=factor), tries=24, bands=0, profiles=False)
     assert found.recordings[0].after.rms_log_residual < 0.5 or len(found.starts) > 1
 
 
@@ -316,16 +316,16 @@ def test_samples_of_the_prior_are_only_tried_where_needed(
     wide, problem = shear
     begun = parameters(problem, None, PZT, ["c11", "c44"])
     one = recorded(problem, wide, {p.name: p.start for p in begun}, frequency=np.linspace(500e3, 1000e3, 161))
-    assert [s.label for s in fit([one], begun, tries=3, bands=0, profiles=False).starts] == ["start"]
+    assert [s.label for s in fit_parameters([one], begun, tries=3, bands=0, profiles=False).starts] == ["start"]
     # Without offsets, the samples are all there is.
     monkeypatch.setattr(multistart, "OVERTONE_FACTORS", {0: 1.0})
-    found = fit([one], started(begun, c44=0.8), tries=1, seed=3, bands=0, profiles=False)
+    found = fit_parameters([one], started(begun, c44=0.8), tries=1, seed=3, bands=0, profiles=False)
     assert [s.label for s in found.starts] == ["start", "draw 1"]
 
 
 def test_samples_are_distributed_as_the_prior(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "e33", "c33.loss"])
-    search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
+    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
     samples = np.array([x for _, x in prior_samples(search, 2000, 0)])
     assert (samples[:3] == [x for _, x in prior_samples(search, 3, 0)]).all()
     assert (samples[:3] != [x for _, x in prior_samples(search, 3, 1)]).all()
@@ -346,9 +346,9 @@ def test_every_start_is_told_by_its_label(disc: Problem, chip: Chip, monkeypatch
     impossible = np.array([free[0].low, free[1].high, start[2]])
     assert impossible[0] < impossible[1]
     truth = {free[0].name: 1.05 * start[0]}
-    descend = Search.descend
+    descend = FitSearch.descend
 
-    def picky(self: Search, x: Real, *arguments: Any, **named: Any) -> Any:
+    def picky(self: FitSearch, x: Real, *arguments: Any, **named: Any) -> Any:
         if abs(x[0] / start[0] - 0.97) < 1e-9:
             raise NotEnriched(1.0, 1e-2, 40)
         return descend(self, x, *arguments, **named)
@@ -356,9 +356,9 @@ def test_every_start_is_told_by_its_label(disc: Problem, chip: Chip, monkeypatch
     def refusing(*_arguments: Any, **_named: Any) -> Any:
         raise NotEnriched(1.0, 1e-2, 40)
 
-    monkeypatch.setattr(Search, "descend", picky)
+    monkeypatch.setattr(FitSearch, "descend", picky)
     starts = {"sister": start * [1.02, 0.98, 1.5], "poor": start * [0.97, 1.0, 1.0], "impossible": impossible}
-    found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False, starts=starts)
+    found = fit_parameters([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False, starts=starts)
     listed = {s.label: s for s in found.starts}
     assert list(listed) == ["start", "sister", "poor", "impossible"]
     assert listed["sister"].outcome == "same optimum"
@@ -368,9 +368,9 @@ def test_every_start_is_told_by_its_label(disc: Problem, chip: Chip, monkeypatch
     assert listed["impossible"].begin[0] > listed["impossible"].begin[1]
     assert any(line.startswith("3 of 4 descents reached the same optimum, 1 failed, the first of them: poor")
                for line in found.findings)
-    monkeypatch.setattr(Search, "descend", refusing)
+    monkeypatch.setattr(FitSearch, "descend", refusing)
     with pytest.raises(FitError, match="no start could be predicted: NotEnriched"):
-        fit([recorded(disc, chip, truth)], free, tries=0)
+        fit_parameters([recorded(disc, chip, truth)], free, tries=0)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -385,7 +385,7 @@ def test_a_search_that_was_cut_off_says_so(disc: Problem, chip: Chip, monkeypatc
         return minimise(*arguments, **{**named, "limit": 1})
 
     monkeypatch.setattr("workbench.fitting.search.minimise", short)
-    found = fit([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False)
+    found = fit_parameters([recorded(disc, chip, truth)], free, tries=0, bands=0, profiles=False)
     assert not found.converged
     assert "The search did not converge: the limit of 1 steps was reached." in found.findings
 
@@ -394,7 +394,8 @@ def test_a_recording_of_another_device_is_seen_in_what_remains(disc: Problem, ch
     # A density that the parameters cannot make up for, within the few that are free.
     other = disc.with_values({f"{PZT}.density": 9000.0, f"{PZT}.eps33": 1.3 * disc.values[f"{PZT}.eps33"]})
     one = replace(recorded(other, chip, {}), problem=disc)
-    found = fit([one], parameters(disc, None, PZT, ["c33.loss", "c11.loss"]), tries=0, bands=0, profiles=False)
+    found = fit_parameters([one], parameters(disc, None, PZT, ["c33.loss", "c11.loss"]), tries=0, bands=0,
+                           profiles=False)
     (match,) = found.recordings
     assert match.after.rms_log_residual > 0.1
     assert match.noise.correlation > 1.0
@@ -410,12 +411,12 @@ def test_what_cannot_be_fitted_is_refused(
 ) -> None:
     one = recorded(disc, chip, {}, frequency=np.linspace(300e3, 700e3, points))
     with pytest.raises(FitError, match=text):
-        fit([one], parameters(disc, None, PZT, names))
+        fit_parameters([one], parameters(disc, None, PZT, names))
 
 
 def test_a_loss_that_makes_energy_is_refused(disc: Problem, chip: Chip) -> None:
     with pytest.raises(InputError, match="would make energy"):
-        fit([recorded(disc, chip, {})], parameters(disc, None, PZT, ["c11", "e33.loss"]))
+        fit_parameters([recorded(disc, chip, {})], parameters(disc, None, PZT, ["c11", "e33.loss"]))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -428,7 +429,7 @@ def test_long_recordings_are_searched_on_a_part_of_their_points(
 ) -> None:
     frequency = np.linspace(300e3, 700e3, points)
     number = np.arange(1.0, points + 1.0)
-    whole = Recording("long", disc, Spectrum(frequency, np.asarray(number, dtype=complex), number))
+    whole = FitRecording("long", disc, Spectrum(frequency, np.asarray(number, dtype=complex), number))
     thin = whole.thinned(SEARCHED_POINTS).measured
     assert thin.frequency == pytest.approx(frequency[::every])
     assert thin.uncertainty is not None
@@ -438,15 +439,15 @@ def test_long_recordings_are_searched_on_a_part_of_their_points(
 
 def test_the_widths_are_those_the_points_can_show(disc: Problem, chip: Chip, begun: tuple[Parameter, ...]) -> None:
     # 61 points over 400 kHz: 6.7 kHz apart, 500 kHz in the middle.
-    search = Search(Objective([recorded(disc, chip, {})], begun, tolerance=1e-2))
+    search = FitSearch(Objective([recorded(disc, chip, {})], begun, tolerance=1e-2))
     assert search.widths() == pytest.approx([15e3, 0.0])
     fine = recorded(disc, chip, {}, frequency=np.linspace(300e3, 700e3, 401))
-    assert Search(Objective([fine], begun, tolerance=1e-2)).widths() == pytest.approx([15e3, 5e3, 1.5e3, 0.0])
+    assert FitSearch(Objective([fine], begun, tolerance=1e-2)).widths() == pytest.approx([15e3, 5e3, 1.5e3, 0.0])
 
 
 def test_parameters_held_fixed_stay_where_they_are(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c13", "c33"])
-    search = Search(Objective([recorded(disc, chip, {free[0].name: 1.05 * free[0].start})], free, tolerance=1e-3))
+    search = FitSearch(Objective([recorded(disc, chip, {free[0].name: 1.05 * free[0].start})], free, tolerance=1e-3))
     x = np.array([free[0].start, 1.01 * free[1].start, 0.99 * free[2].start])
     held = search.minimise(x, [0.01], fixed=(1, 2))
     assert held.x[1:] == pytest.approx(x[1:], abs=0.0)
@@ -461,7 +462,7 @@ def test_parameters_held_fixed_stay_where_they_are(disc: Problem, chip: Chip) ->
 
 def test_a_search_begins_strictly_inside(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c13", "c33"])
-    search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-3), free=(0, 1))
+    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-3), free=(0, 1))
     x = search.high.copy()
     begin = search.inside(x)
     assert (begin[:2] < x[:2]).all()
@@ -473,7 +474,7 @@ def test_a_search_begins_strictly_inside(disc: Problem, chip: Chip) -> None:
 
 def test_the_prior_stands_below_the_data(disc: Problem, chip: Chip) -> None:
     free = (*parameters(disc, None, PZT, ["c11", "e33"]), Parameter("bench.phase", 0.0, -1.0, 1.0, None, "rad"))
-    search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-3))
+    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-3))
     x = np.array([p.start + 0.3 * p.scale for p in free])
     found = search.evaluate(x, [0.01])
     # 0.3 priors away, and nothing of what nothing was known of.
@@ -486,7 +487,7 @@ def test_conditions_hold_with_the_values_that_are_held(disc: Problem, chip: Chip
     # c13'' held at s: c11'' has to lose 2 s^2 / c33'' at least, which is 1.44 times what the recording has.
     free = parameters(disc, None, PZT, ["c13.loss", "c11.loss"])
     c11, c33 = (disc.values[f"{PZT}.{name}"].imag for name in ("c11", "c33"))
-    search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-4))
+    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-4))
     held = search.minimise(np.array([1.2 * np.sqrt(0.5 * c11 * c33), 3.0 * c11]), [1e-4], fixed=(0,))
     assert held.x[1] == pytest.approx(1.44 * c11, rel=1e-2)
     assert all(i.margin(held.x) > 0.0 for i in search.inequalities)
@@ -494,7 +495,7 @@ def test_conditions_hold_with_the_values_that_are_held(disc: Problem, chip: Chip
 
 def test_a_way_down_is_not_followed_once_it_is_worse(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "c33"])
-    search = Search(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
+    search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
     start = np.array([p.start for p in free])
     best = search.descend(start, lambda: None)
     assert len(best.costs) == len(search.widths()) == 2

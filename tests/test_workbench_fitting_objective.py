@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.kinds import Material
-from workbench.fitting.objective import Objective, Recording
+from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import BENCH_ELEMENTS, Parameter, bench_parameter, parameters
-from workbench.fitting.predict import Predictor
 from workbench.fitting.seen import log_ratio, lorentzian, through_bench
-from workbench.parameter_names import LENGTHS
-from workbench.problem import Problem
-from workbench.spectrum import Spectrum
+from workbench.model.numbers import LENGTHS
+from workbench.model.problem import Problem
+from workbench.reduced.predictor import Predictor
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -58,10 +58,10 @@ def bare(chip: Chip, filling: dict[str, Material], meshed: Callable[..., Problem
     return disc, meshed(disc, {"transducer": filling["transducer"]}, elements_per_wavelength=1.5)
 
 
-def recording(name: str, problem: Problem, chip: Chip | None) -> Recording:
+def recording(name: str, problem: Problem, chip: Chip | None) -> FitRecording:
     """What another device, all of whose moduli are 3 % higher, would be recorded as."""
     values = {key: 1.03 * value for key, value in problem.values.items()}
-    return Recording(name, problem, Spectrum(GRID, Predictor(problem, GRID, tolerance=1e-4)(values).impedance), chip)
+    return FitRecording(name, problem, Spectrum(GRID, Predictor(problem, GRID, tolerance=1e-4)(values).impedance), chip)
 
 
 def differences(function: Callable[[Real], Real], x: Real, scale: Real) -> Real:

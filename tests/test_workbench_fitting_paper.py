@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 from materials.conversions import young_and_poisson
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.fitting import paper
-from workbench.fitting.objective import Recording
-from workbench.fitting.paper import (
+from workbench.fitting.objective import FitRecording
+from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
+from workbench.model.numbers import LOSS
+from workbench.model.problem import Problem
+from workbench.reproduction import fits as paper
+from workbench.reproduction.fits import (
     BLOCKS,
     CONVERGED,
     FIRST_WINDOW,
@@ -24,12 +29,7 @@ from workbench.fitting.paper import (
     fit_transducer,
     simplex,
 )
-from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
-from workbench.operators import assemble
-from workbench.parameter_names import LOSS
-from workbench.problem import Problem
-from workbench.solve import solve_full
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 #: About the strongest resonance of the small disc, at 955 kHz, which needs most of the ten parameters. The mesh is far
 #: too coarse there; recordings are of the same mesh.
@@ -51,10 +51,10 @@ def disc(small_disc: Problem) -> Problem:
 
 
 @pytest.fixture(scope="module")
-def changed(disc: Problem) -> Recording:
+def changed(disc: Problem) -> FitRecording:
     """A disc whose c11, e33 and c11'' are not what the problem says."""
     planted = {"pzt.c11": 1.03 * 137e9 - 0.20e9j, "pzt.e33": 0.97 * disc.values["pzt.e33"]}
-    return Recording("disc", disc, recorded(disc, planted))
+    return FitRecording("disc", disc, recorded(disc, planted))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ def squares(spectrum: Spectrum, model: ClosedForm, parts: Mapping[str, float], r
 def test_algorithm_2_runs_as_printed(disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     model = installed(monkeypatch, disc, "pzt", TRANSDUCER_TEN, overlap=0.5)
     spectrum = measured(model, PLANTED, noise=0.02)
-    found = fit_transducer(Recording("disc", disc, spectrum))
+    found = fit_transducer(FitRecording("disc", disc, spectrum))
     # Line 1
     assert found.resonance == GRID[np.argmin(np.abs(spectrum.impedance))]
     # Lines 7 to 24: blocks in their order, the narrow window first
@@ -171,7 +171,7 @@ def test_algorithm_2_runs_as_printed(disc: Problem, monkeypatch: pytest.MonkeyPa
 
 def test_algorithm_2_finds_what_is_there_to_be_found(disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     model = installed(monkeypatch, disc, "pzt", TRANSDUCER_TEN)
-    found = fit_transducer(Recording("disc", disc, measured(model, PLANTED, noise=1e-3)))
+    found = fit_transducer(FitRecording("disc", disc, measured(model, PLANTED, noise=1e-3)))
     # With orthogonal shapes every block finds its own. A cost off by the tolerance of 1e-4 at 241 points leaves
     # sqrt(1e-4 / 120) / GAIN = 2e-4 of a parameter, and as much for each of the others of its block.
     for name, unit in model.unit.items():
@@ -183,7 +183,7 @@ def test_algorithm_2_finds_what_is_there_to_be_found(disc: Problem, monkeypatch:
 def test_what_runs_off_is_said(disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     # Nothing in the printed algorithm holds c44: it goes where the spectrum sends it.
     model = installed(monkeypatch, disc, "pzt", TRANSDUCER_TEN)
-    found = fit_transducer(Recording("disc", disc, measured(model, {"c44": 1.7, "c33": 1.1, "c33.loss": 1.6})))
+    found = fit_transducer(FitRecording("disc", disc, measured(model, {"c44": 1.7, "c33": 1.1, "c33.loss": 1.6})))
     assert found.values["pzt.c44"] == pytest.approx(1.7 * disc.values["pzt.c44"].real, rel=1e-2)
     # A loss may be far from where it started: nobody knew it.
     assert found.strayed == ("pzt.c44",)
@@ -191,7 +191,7 @@ def test_what_runs_off_is_said(disc: Problem, monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_iterations_are_limited(disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     model = installed(monkeypatch, disc, "pzt", TRANSDUCER_TEN, overlap=0.5)
-    found = fit_transducer(Recording("disc", disc, measured(model, PLANTED)), limit=1)
+    found = fit_transducer(FitRecording("disc", disc, measured(model, PLANTED)), limit=1)
     assert not found.converged
     assert found.reason == "the limit of 1 iterations was reached"
     assert len(found.blocks) == 3
@@ -200,7 +200,7 @@ def test_the_iterations_are_limited(disc: Problem, monkeypatch: pytest.MonkeyPat
 def test_a_block_ends_after_the_spectra_of_fminsearch(disc: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     model = installed(monkeypatch, disc, "pzt", TRANSDUCER_TEN)
     monkeypatch.setattr(paper, "STEPS", 10)
-    found = fit_transducer(Recording("disc", disc, measured(model, PLANTED)), limit=1)
+    found = fit_transducer(FitRecording("disc", disc, measured(model, PLANTED)), limit=1)
     assert STEPS == 200
     # One more spectrum for the cost at its start, and the simplex may finish a step it has begun.
     assert found.blocks[0].reason == "the limit of spectra was reached"
@@ -212,7 +212,7 @@ def test_unknown_losses_start_at_a_thousandth_with_the_signs_of_table_3(
 ) -> None:
     model = installed(monkeypatch, disc, "pzt", TRANSDUCER_TEN)
     lossless = disc.with_values({name: complex(value.real) for name, value in disc.values.items()})
-    recording = Recording("disc", lossless, measured(model, {}))
+    recording = FitRecording("disc", lossless, measured(model, {}))
     for start in ({}, {"c13.loss": 0.0}):
         found = fit_transducer(recording, start=start, progress=stop_after(1))
         assert found.start["pzt.c11.loss"] == pytest.approx(-0.137e9)
@@ -224,7 +224,7 @@ def test_losses_never_leave_eq_13(disc: Problem, monkeypatch: pytest.MonkeyPatch
     # A disc that makes energy (c13'' too large) pulls the simplex across the boundary: it is turned back there. The
     # first simplex, 5 % larger, already lies across it: eq. 13b allows 0.118 GPa.
     model = installed(monkeypatch, disc, "pzt", TRANSDUCER_TEN)
-    found = fit_transducer(Recording("disc", disc, measured(model, {"c13.loss": 4.0})), start={"c13.loss": 0.115e9})
+    found = fit_transducer(FitRecording("disc", disc, measured(model, {"c13.loss": 4.0})), start={"c13.loss": 0.115e9})
     c11, c13, c33 = (found.values[f"pzt.{name}"] for name in BLOCKS["C"])
     assert found.inadmissible > 0
     assert c13 > 0.115e9
@@ -234,7 +234,7 @@ def test_losses_never_leave_eq_13(disc: Problem, monkeypatch: pytest.MonkeyPatch
     assert c11 + c33 <= -root + 1e-9 * abs(c33)
 
 
-def test_a_start_that_makes_energy_is_refused(changed: Recording) -> None:
+def test_a_start_that_makes_energy_is_refused(changed: FitRecording) -> None:
     with pytest.raises(InputError, match=r"pzt\.c13\.loss = 3e\+08.*passivity of pzt"):
         fit_transducer(changed, start={"c13.loss": 0.3e9})
 
@@ -251,7 +251,7 @@ def stop_after(calls: int) -> Callable[[str, float], None]:
     return progress
 
 
-def test_a_stop_before_there_is_anything_is_a_stop(changed: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_before_there_is_anything_is_a_stop(changed: FitRecording, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(problem: Problem, frequencies: np.ndarray, **_how: object) -> object:
         raise KeyboardInterrupt
 
@@ -265,14 +265,14 @@ def test_a_stop_before_there_is_anything_is_a_stop(changed: Recording, monkeypat
     (slice(0, None, 4), r"points within 3 % of .* at least as many as parameters, 10"),
 ])
 def test_a_recording_without_resonance_or_with_too_few_points_is_refused(
-    changed: Recording, cut: slice, message: str
+    changed: FitRecording, cut: slice, message: str
 ) -> None:
     whole = changed.measured
     with pytest.raises(InputError, match=message):
         fit_transducer(replace(changed, measured=Spectrum(whole.frequency[cut], whole.impedance[cut])))
 
 
-def test_unknown_and_endless_starts_are_refused(changed: Recording) -> None:
+def test_unknown_and_endless_starts_are_refused(changed: FitRecording) -> None:
     with pytest.raises(InputError, match="'c34'"):
         fit_transducer(changed, start={"c34": 1.0})
     with pytest.raises(InputError, match="start of c33"):
@@ -289,7 +289,7 @@ def test_the_first_simplex_is_that_of_fminsearch() -> None:
 
 @pytest.mark.slow
 def test_an_iteration_on_a_mesh_is_what_full_solves_say_it_is(
-    changed: Recording, monkeypatch: pytest.MonkeyPatch
+    changed: FitRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(paper, "STEPS", 25)
     found = fit_transducer(changed, limit=1)
@@ -318,13 +318,13 @@ def test_only_the_ten_move_and_every_other_loss_is_zero(disc: Problem) -> None:
     # Losses of c12, c44, eps33 in the problem must not be seen: the recording is of a disc without them.
     lossy = disc.with_values({"pzt.c12": 77.84e9 + 0.05e9j, "pzt.c44": 22e9 - 0.5e9j,
                               "pzt.eps33": disc.values["pzt.eps33"] * (1.0 + 0.02j)})
-    found = fit_transducer(Recording("disc", lossy, recorded(disc, {})), progress=stop_after(1))
+    found = fit_transducer(FitRecording("disc", lossy, recorded(disc, {})), progress=stop_after(1))
     # The reduced model's error of 1e-3 squared, at every point
     assert found.costs[0] < FREQUENCIES.size * 1e-6
     assert set(found.values) == {f"pzt.{name}" for members in BLOCKS.values() for name in members}
 
 
-def test_a_stop_keeps_the_best_point_so_far(changed: Recording) -> None:
+def test_a_stop_keeps_the_best_point_so_far(changed: FitRecording) -> None:
     costs: list[float] = []
     stop = stop_after(30)
 
@@ -360,12 +360,12 @@ def stack(stacked, meshed, reference_materials) -> Problem:  # type: ignore[no-u
 
 
 @pytest.fixture(scope="module")
-def sample(stack: Problem) -> Recording:
-    return Recording("stack", stack, recorded(stack, {}, np.arange(308e3, 386e3, 2000.0)))
+def sample(stack: Problem) -> FitRecording:
+    return FitRecording("stack", stack, recorded(stack, {}, np.arange(308e3, 386e3, 2000.0)))
 
 
 @pytest.mark.slow
-def test_the_moduli_of_a_sample_are_recovered(sample: Recording) -> None:
+def test_the_moduli_of_a_sample_are_recovered(sample: FitRecording) -> None:
     found = fit_polymer(sample, "pla", start={"bulk_modulus": 3.9e9, "shear_modulus": 0.98e9})
     assert found.converged
     assert found.costs[-1] < 1e-2 * found.costs[0]
@@ -378,7 +378,7 @@ def test_the_moduli_of_a_sample_are_recovered(sample: Recording) -> None:
 def test_a_sample_is_fitted_at_once_in_its_own_window(stack: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     model = installed(monkeypatch, stack, "pla", POLYMER_FOUR)
     planted = {"bulk_modulus": 1.03, "shear_modulus.loss": 0.9, "shear_modulus": 0.96}
-    found = fit_polymer(Recording("stack", stack, measured(model, planted)), "pla")
+    found = fit_polymer(FitRecording("stack", stack, measured(model, planted)), "pla")
     assert [(block.name, block.iteration) for block in found.blocks] == [("polymer", 1)]
     inside = GRID[np.abs(GRID / found.resonance - 1.0) <= POLYMER_WINDOW]
     assert found.blocks[0].window == (inside[0], inside[-1])
@@ -391,7 +391,7 @@ def test_a_sample_is_fitted_at_once_in_its_own_window(stack: Problem, monkeypatc
 def test_losses_of_a_sample_stay_negative(stack: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     # A recording of a sample that makes energy through K'' pulls that loss above zero.
     model = installed(monkeypatch, stack, "pla", POLYMER_FOUR)
-    found = fit_polymer(Recording("stack", stack, measured(model, {"bulk_modulus.loss": -0.5})), "pla")
+    found = fit_polymer(FitRecording("stack", stack, measured(model, {"bulk_modulus.loss": -0.5})), "pla")
     assert found.inadmissible > 0
     assert -1e-2 * 0.03e9 < found.values["pla.bulk_modulus.loss"] < 0.0
 
@@ -401,7 +401,7 @@ def test_poissons_ratio_of_a_sample_is_bounded_by_its_complex_value(
 ) -> None:
     # The recording pulls nu from 0.381 to above 0.42 by its bulk modulus; at the bound the fit stays below.
     model = installed(monkeypatch, stack, "pla", POLYMER_FOUR)
-    found = fit_polymer(Recording("stack", stack, measured(model, {"bulk_modulus": 1.6})), "pla", poisson=(0.1, 0.4))
+    found = fit_polymer(FitRecording("stack", stack, measured(model, {"bulk_modulus": 1.6})), "pla", poisson=(0.1, 0.4))
     bulk, shear = (complex(found.values[f"pla.{name}"], found.values[f"pla.{name}{LOSS}"])
                    for name in ("bulk_modulus", "shear_modulus"))
     assert found.inadmissible > 0
@@ -409,7 +409,7 @@ def test_poissons_ratio_of_a_sample_is_bounded_by_its_complex_value(
     assert 0.395 < young_and_poisson(bulk, shear)[1].real <= 0.4
     # Re nu of a lossy solid is not that of its real moduli: K' alone would allow 0.4 here, Re nu does not.
     with pytest.raises(InputError, match=r"Poisson's ratio below 0\.4"):
-        fit_polymer(Recording("stack", stack, measured(model, {})), "pla", poisson=(0.1, 0.4), start={
+        fit_polymer(FitRecording("stack", stack, measured(model, {})), "pla", poisson=(0.1, 0.4), start={
             "bulk_modulus": 14.0 / 3.0 * 0.93e9 * (1.0 - 1e-9), "shear_modulus": 0.93e9, "shear_modulus.loss": -0.001e9,
             "bulk_modulus.loss": -0.5e9})
 
@@ -420,12 +420,12 @@ def test_poissons_ratio_of_a_sample_is_bounded_by_its_complex_value(
     ({"bulk_modulus": 300e9}, "Poisson's ratio below 0.495"),
     ({"bulk_modulus": 0.6e9}, "Poisson's ratio above 0.1"),
 ])
-def test_a_sample_starts_inside_its_constraints(sample: Recording, start: dict[str, float], message: str) -> None:
+def test_a_sample_starts_inside_its_constraints(sample: FitRecording, start: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         fit_polymer(sample, "pla", start=start)
 
 
-def test_a_sample_that_is_not_there_and_bounds_that_are_none_are_refused(sample: Recording) -> None:
+def test_a_sample_that_is_not_there_and_bounds_that_are_none_are_refused(sample: FitRecording) -> None:
     with pytest.raises(InputError, match=r"'pzt'.*pla"):
         fit_polymer(sample, "pzt")
     with pytest.raises(InputError, match=r"between -1 and 0\.5"):

@@ -25,7 +25,7 @@ from workbench.fitting.parameter import (
     material_parameter,
     parameters,
 )
-from workbench.problem import Problem
+from workbench.model.problem import Problem
 
 PZT, PLA, GEL = "pzt/test", "pla/test", "gel/test"
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import workbench.solve
+import workbench.fem.solve
 from geometry.chip import Chip
 from materials.kinds import Material
-from workbench.dimensions import flexible
-from workbench.fitting.predict import Predictor
-from workbench.operators import assemble
-from workbench.problem import Problem
-from workbench.reduction import ReducedModel
-from workbench.solve import solve_full
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.dimensions import flexible
+from workbench.model.problem import Problem
+from workbench.reduced.predictor import Predictor
+from workbench.reduced.reduction import ReducedModel
 
 Real = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ GRID = np.linspace(300e3, 450e3, 46)
 #: Some of the grid, to be solved in full.
 SOME = np.arange(0, GRID.size, 5)
 TOLERANCE = 1e-4
-#: The estimate is a statistical one (tests of workbench.reduction): of a single frequency it may be below the error by
-#: this much.
+#: The estimate is a statistical one (tests of workbench.reduced.reduction): of a single frequency it may be below the
+#: error by this much.
 OPTIMISM = 2.0
 FREE = (*(f"{PZT}.{name}" for name in ("c11", "c13", "c33", "c44", "e33", "eps33")), f"{PLA}.bulk_modulus",
         f"{PLA}.shear_modulus")
@@ -115,16 +115,16 @@ def test_the_impedance_is_that_of_the_bench(stack: Problem) -> None:
 def test_every_full_solve_is_counted_and_none_is_spent_twice(
     stack: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    krylov = workbench.solve.System.krylov
+    krylov = workbench.fem.solve.System.krylov
     factorised: list[float] = []
 
     def counted(
-        self: workbench.solve.System, frequency: float, depth: int, *, tangents: tuple[str, ...] = ()
+        self: workbench.fem.solve.System, frequency: float, depth: int, *, tangents: tuple[str, ...] = ()
     ) -> object:
         factorised.append(frequency)
         return krylov(self, frequency, depth, tangents=tangents)
 
-    monkeypatch.setattr(workbench.solve.System, "krylov", counted)
+    monkeypatch.setattr(workbench.fem.solve.System, "krylov", counted)
     predictor = Predictor(stack, GRID, tolerance=TOLERANCE)
     assert predictor.solves == 0
     predictor({})
@@ -376,7 +376,7 @@ def test_narrowing_before_anything_is_known_does_nothing(stack: Problem) -> None
 
 
 def test_a_basis_that_came_a_long_way_is_let_go(flexed: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("workbench.fitting.predict.WIDE", 40)
+    monkeypatch.setattr("workbench.reduced.predictor.WIDE", 40)
     predictor, ranks = Predictor(flexed, GRID, tangents=FREE, tolerance=TOLERANCE), []
     for seed in range(4):
         values = drawn(flexed, seed, 0.1, 0.2)
@@ -386,7 +386,7 @@ def test_a_basis_that_came_a_long_way_is_let_go(flexed: Problem, monkeypatch: py
         ranks.append(model_of(predictor).basis.shape[1])
         assert off(predictor, values) <= OPTIMISM * TOLERANCE
     endless = Predictor(flexed, GRID, tangents=FREE, tolerance=TOLERANCE)
-    monkeypatch.setattr("workbench.fitting.predict.WIDE", 10_000)
+    monkeypatch.setattr("workbench.reduced.predictor.WIDE", 10_000)
     for seed in range(4):
         endless(drawn(flexed, seed, 0.1, 0.2))
     print(f"ranks {ranks}, and {model_of(endless).basis.shape[1]} without")

@@ -14,19 +14,19 @@ import pytest
 from support import DISC, STACK, quadratic
 
 from geometry.chip import Chip, read_chip
-from materials import Registry, save
+from materials import Registry, save_fit
+from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
-from workbench.fitting.joint import FitResult, fit
-from workbench.fitting.objective import Recording
-from workbench.fitting.paper import PaperFit
+from workbench.fitting.joint import FitResult, fit_parameters
+from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
-from workbench.fitting.prepare import Prepared, check_device, in_band, material_starts, prepare, together
+from workbench.fitting.prepare import Prepared, check_device, in_band, material_starts, prepare, prepare_together
 from workbench.fitting.record import Source, fit_record, paper_result, refusals, registry_entry, source
-from workbench.merit import figures
-from workbench.operators import assemble
-from workbench.problem import build, fill
-from workbench.reduction import reduce
-from workbench.spectrum import Origin, Spectrum, write_csv
+from workbench.model.problem import build, fill
+from workbench.reduced.reduction import reduce
+from workbench.reproduction.fits import PaperFit
+from workbench.results.merit import figures
+from workbench.results.spectrum import Origin, Spectrum, write_csv
 
 MATERIAL = "pzt4/acevedo_2026_initial"
 DATE = datetime(2026, 11, 21, 14, 40, tzinfo=UTC)
@@ -66,7 +66,7 @@ def prepared(chip: Chip, recorded: Spectrum) -> Prepared:
 
 @pytest.fixture(scope="module")
 def result(prepared: Prepared) -> FitResult:
-    return fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, tries=0, bands=2)
+    return fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, tries=0, bands=2)
 
 
 @pytest.fixture(scope="module")
@@ -117,13 +117,13 @@ def test_a_group_shares_what_has_one_name_and_keeps_its_own(chip: Chip, recorded
         return prepare(chip, Registry(), kind="pzt", name=name, measured=recorded, accuracy=quadratic(2.0),
                        free=("c33", "bench.gain"))
 
-    found = together([one("a"), one("b")], own=["transducer.thickness"])
+    found = prepare_together([one("a"), one("b")], own=["transducer.thickness"])
     assert [r.name for r in found.recordings] == [r.name for r in found.coarse] == ["a", "b"]
     assert [(p.name, p.recordings) for p in found.parameters] == [
         (f"{MATERIAL}.c33", ()), ("bench.gain", ("a",)), ("transducer.thickness", ("a",)),
         ("bench.gain", ("b",)), ("transducer.thickness", ("b",))]
     with pytest.raises(InputError, match="a name of its own"):
-        together([one("a"), one("a")])
+        prepare_together([one("a"), one("a")])
 
 
 def test_fewer_points_than_parameters_are_refused(chip: Chip, recorded: Spectrum) -> None:
@@ -271,7 +271,7 @@ def test_an_entry_is_saved_and_read_back(
     held = replace(result.estimates[1], at_bound="upper bound 1.7e+11")
     changed = worse(result, estimates=(result.estimates[0], held, replace(result.estimates[2], determined=False)))
     entry = registry_entry(changed, prepared, sources, date=DATE, forced=False, temperature=296.0)
-    name = save(entry, "pzt4/small", folder=tmp_path)
+    name = save_fit(entry, "pzt4/small", folder=tmp_path)
     assert name == "pzt4/small@1"
     read = Registry((tmp_path,)).load(name)
     c11, c33, loss = result.estimates
@@ -335,7 +335,7 @@ def test_what_the_papers_algorithm_found_has_no_intervals(
     assert json.loads(json.dumps(record, allow_nan=False))["parameters"][0]["low"] is None
     assert record["correlation"]["rows"][0] == [None] * 3
     entry = registry_entry(found, prepared, sources, date=DATE, forced=True)
-    read = Registry((tmp_path,)).load(save(entry, "pzt4/paper", folder=tmp_path))
+    read = Registry((tmp_path,)).load(save_fit(entry, "pzt4/paper", folder=tmp_path))
     assert read.values["c33"].low is None
     assert read.fit is not None
     assert read.fit.forced
@@ -343,5 +343,5 @@ def test_what_the_papers_algorithm_found_has_no_intervals(
 
 
 def test_a_recording_is_the_one_prepared(prepared: Prepared) -> None:
-    assert isinstance(prepared.recordings[0], Recording)
+    assert isinstance(prepared.recordings[0], FitRecording)
     assert prepared.recordings[0].measured is prepared.coarse[0].measured

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.diagnosis.transducer import GAUGE
-from workbench.fitting.objective import Objective, Recording
+from workbench.fem.solve import solve_full
+from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, material_parameter
-from workbench.fitting.predict import Predictor
-from workbench.problem import Problem
-from workbench.solve import solve_full
-from workbench.spectrum import Spectrum
+from workbench.model.problem import Problem
+from workbench.reduced.predictor import Predictor
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ OTHERS = ("density", "c33", "c33.loss", "e33", "e33.loss")
 def objective(problem: Problem, *parameters: Parameter, tolerance: float = 1e-5) -> Objective:
     values = {name: 1.01 * value for name, value in problem.values.items()}
     measured = Spectrum(GRID, Predictor(problem, GRID, tolerance=1e-3)(values).impedance)
-    return Objective([Recording("state", problem, measured)], parameters, tolerance=tolerance)
+    return Objective([FitRecording("state", problem, measured)], parameters, tolerance=tolerance)
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.fitting.sensitivity import TABLE_ONE, TABLE_TWO, Sensitivity, sensitivity
-from workbench.operators import assemble
-from workbench.problem import Problem
-from workbench.solve import solve_full
+from workbench.model.problem import Problem
+from workbench.reproduction.sensitivity import TABLE_ONE, TABLE_TWO, Sensitivity, sensitivity
 
 #: About the strongest resonance of the small disc.
 FREQUENCIES = np.arange(840e3, 1080e3, 8000.0)
@@ -103,8 +103,8 @@ def test_a_spectrum_that_a_poor_model_cannot_give_is_noticed(
 ) -> None:
     # Every solve gives its own state and nothing beside it: each spectrum must be noticed, and no cost may suffer.
     plain = sensitivity(small_disc, FREQUENCIES, names=("c33",), scalings=5)
-    monkeypatch.setattr("workbench.fitting.predict.FIRST_DEPTH", 1)
-    monkeypatch.setattr("workbench.fitting.predict.DEPTH", 1)
+    monkeypatch.setattr("workbench.reduced.predictor.FIRST_DEPTH", 1)
+    monkeypatch.setattr("workbench.reduced.predictor.DEPTH", 1)
     again = sensitivity(small_disc, FREQUENCIES, names=("c33",), scalings=5)
     assert again.solves > plain.solves
     assert again.error <= 1e-3

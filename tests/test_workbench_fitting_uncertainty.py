@@ -11,20 +11,16 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
-from workbench.comparison import compare
-from workbench.dimensions import flexible
 from workbench.fitting.joint import FINE, reweighted_descent
-from workbench.fitting.objective import Objective, Recording, Residual
+from workbench.fitting.objective import FitRecording, Objective, Residual
 from workbench.fitting.parameter import Parameter, parameters
-from workbench.fitting.predict import Predictor
-from workbench.fitting.search import Search
+from workbench.fitting.search import FitSearch
 from workbench.fitting.seen import log_ratio
 from workbench.fitting.uncertainty import (
     CHI_SQUARE,
     DEVIATIONS,
     FitUncertainty,
     Noise,
-    check,
     correlation_length,
     deviations,
     estimate_uncertainty,
@@ -32,10 +28,14 @@ from workbench.fitting.uncertainty import (
     noise,
     noise_shape,
     profile,
+    reduced_model_error,
     residual_findings,
 )
-from workbench.problem import Problem
-from workbench.spectrum import Spectrum
+from workbench.model.dimensions import flexible
+from workbench.model.problem import Problem
+from workbench.reduced.predictor import Predictor
+from workbench.results.comparison import compare
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -49,7 +49,7 @@ GRID = np.linspace(300e3, 700e3, 60)
 class Made(Objective):
     """An objective whose ln Z is written down."""
 
-    def __init__(self, model: Model, recording: Recording, free: Sequence[Parameter]) -> None:
+    def __init__(self, model: Model, recording: FitRecording, free: Sequence[Parameter]) -> None:
         self.model, self.recordings, self.parameters, self.predictors = model, (recording,), tuple(free), ()
         self.refusals = []
 
@@ -71,10 +71,10 @@ def free(
     return Parameter(f"bench.{name}", start, low, high, prior, "1")
 
 
-def made(problem: Problem, model: Model, measured: Complex, parameters: Sequence[Parameter]) -> Search:
+def made(problem: Problem, model: Model, measured: Complex, parameters: Sequence[Parameter]) -> FitSearch:
     """The search of a written model."""
     frequency = np.linspace(300e3, 700e3, measured.size)
-    return Search(Made(model, Recording("made", problem, Spectrum(frequency, np.exp(measured))), parameters))
+    return FitSearch(Made(model, FitRecording("made", problem, Spectrum(frequency, np.exp(measured))), parameters))
 
 
 def white(random: np.random.Generator, size: int = GRID.size) -> Complex:
@@ -150,7 +150,7 @@ def test_correlated_points_count_for_fewer(small_disc: Problem) -> None:
 # Intervals
 
 
-def fitted(search: Search, start: Real) -> FitUncertainty:
+def fitted(search: FitSearch, start: Real) -> FitUncertainty:
     minimum, found = reweighted_descent(search, start)
     return estimate_uncertainty(search, minimum, found, profiles=True)
 
@@ -382,10 +382,10 @@ def disc(chip: Chip, ceramic: Piezoelectric, meshed: Callable[..., Problem]) -> 
     return meshed(chip, {"transducer": ceramic}, elements_per_wavelength=2.0)
 
 
-def recorded(problem: Problem, chip: Chip, values: Mapping[str, complex], level: float, seed: int) -> Recording:
+def recorded(problem: Problem, chip: Chip, values: Mapping[str, complex], level: float, seed: int) -> FitRecording:
     impedance = Predictor(problem, GRID, tolerance=1e-7)(values).impedance
     noisy = impedance * np.exp(level * white(np.random.default_rng(seed)))
-    return Recording("disc", problem, Spectrum(GRID, noisy), chip)
+    return FitRecording("disc", problem, Spectrum(GRID, noisy), chip)
 
 
 def test_intervals_of_a_ceramic_hold_the_truth(disc: Problem, chip: Chip) -> None:
@@ -394,7 +394,7 @@ def test_intervals_of_a_ceramic_hold_the_truth(disc: Problem, chip: Chip) -> Non
     truth = np.array([p.start for p in two])
     clean = recorded(disc, chip, {}, 0.0, 0)
     objective = Objective([clean], two, tolerance=FINE)
-    search = Search(objective)
+    search = FitSearch(objective)
     random = np.random.default_rng(12)
     draws, level = 40, 0.01
     hits = np.zeros(truth.size)
@@ -435,7 +435,7 @@ def test_the_gauges_leave_the_spectrum_unchanged(disc: Problem, chip: Chip, fact
 def test_a_free_density_is_recognised_as_a_symmetry(disc: Problem, chip: Chip) -> None:
     everything = parameters(disc, None, PZT, GAUGE)
     x = np.array([p.start for p in everything])
-    search = Search(Objective([recorded(disc, chip, {}, 0.0, 0)], everything, tolerance=FINE))
+    search = FitSearch(Objective([recorded(disc, chip, {}, 0.0, 0)], everything, tolerance=FINE))
     level = [Noise(1e-5, 1.0, False, 1.0)]
     minimum = search.minimise(x, [1e-5], limit=3)
     estimated = estimate_uncertainty(search, minimum, level, profiles=False)
@@ -452,7 +452,7 @@ def test_a_free_density_is_recognised_as_a_symmetry(disc: Problem, chip: Chip) -
     assert any("density gauge" in line for line in estimated.findings)
     # With a known density the symmetry is gone.
     fewer = [i for i, p in enumerate(everything) if not p.name.endswith("density")]
-    known = Search(Objective([recorded(disc, chip, {}, 0.0, 0)], [everything[i] for i in fewer], tolerance=FINE))
+    known = FitSearch(Objective([recorded(disc, chip, {}, 0.0, 0)], [everything[i] for i in fewer], tolerance=FINE))
     estimated = estimate_uncertainty(known, known.minimise(x[fewer], [1e-5], limit=3), level, profiles=False)
     assert not any(d.symmetry for d in estimated.undetermined)
 
@@ -463,7 +463,7 @@ def test_what_passivity_holds_is_named_and_the_interval_reaches_what_the_data_wa
     limit = np.sqrt(0.5 * c11.imag * c33.imag)
     wanted = 1.3 * limit
     one = recorded(disc, chip, {f"{PZT}.c13": c13.real + 1j * wanted}, 1e-4, 3)
-    search = Search(Objective([one], parameters(disc, None, PZT, ["c13.loss", "c13"]), tolerance=FINE))
+    search = FitSearch(Objective([one], parameters(disc, None, PZT, ["c13.loss", "c13"]), tolerance=FINE))
     minimum, found = reweighted_descent(search, np.array([0.5 * limit, c13.real]))
     loss, real = estimate_uncertainty(search, minimum, found, profiles=True).estimates
     assert loss.at_bound == f"passivity of {PZT}"
@@ -482,7 +482,7 @@ def test_the_error_of_the_mesh_is_of_the_size_it_has(
     fine, middle, coarse = (meshed(chip, {"transducer": ceramic}, elements_per_wavelength=e) for e in (16.0, 8.0, 4.0))
     truth = recorded(fine, chip, {}, 0.0, 0)
     two = parameters(middle, None, PZT, ["c11", "c33"])
-    search = Search(Objective([replace(truth, problem=middle)], two, tolerance=2e-5))
+    search = FitSearch(Objective([replace(truth, problem=middle)], two, tolerance=2e-5))
     minimum, found = reweighted_descent(search, np.array([p.start for p in two]))
     coarser = Objective([replace(truth, problem=coarse)], two, tolerance=2e-5)
     estimated = estimate_uncertainty(search, minimum, found, profiles=False, coarser=coarser)
@@ -505,7 +505,7 @@ def test_the_check_is_against_full_solves(disc: Problem, chip: Chip, monkeypatch
     objective = Objective([recorded(disc, chip, {}, 0.0, 0)], two, tolerance=FINE)
     x = np.array([1.05 * two[0].start, 0.95 * two[1].start])
     before = objective.solves
-    worst, where = check(objective, x)
+    worst, where = reduced_model_error(objective, x)
     assert worst < 5.0 * FINE  # the estimate is a statistical one
     assert where in GRID
     assert objective.solves > before
@@ -516,7 +516,7 @@ def test_the_check_is_against_full_solves(disc: Problem, chip: Chip, monkeypatch
         return np.asarray(full(self, values, at) * factors)
 
     monkeypatch.setattr(Predictor, "full", wrong)
-    worst, where = check(objective, x)
+    worst, where = reduced_model_error(objective, x)
     assert worst == pytest.approx(0.2, abs=1e-3)
     size = np.abs(objective.predict(x, 0)[0])
     assert where >= max(GRID[int(np.argmin(size))], GRID[int(np.argmax(size))])

@@ -16,25 +16,25 @@ from geometry.free_section import FreeSection
 from geometry.names import role_of
 from materials.kinds import Fluid
 from materials.registry import Material
-from workbench.discretisation import Discretisation
-from workbench.fields import section_nodes
-from workbench.nodal import (
+from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.nodal import (
     NodalMesh,
     border_lines,
     borders,
     cell_raster,
     gradient,
     integrate,
+    interpolate,
     locate,
     raised,
     raster,
-    sample,
     transfer,
 )
-from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem, problem, with_boundary_layers
-from workbench.shaped_mesh import meshed, shaped
-from workbench.solve import solve_full
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.discretisation import Discretisation
+from workbench.model.problem import Problem, problem, with_boundary_layers
+from workbench.model.shaped_mesh import meshed, shaped
 
 pytest.importorskip("cadquery")
 
@@ -100,7 +100,7 @@ def test_cells_share_the_nodes_of_their_sides(rounded: Problem) -> None:
     """A linear field set at the unknowns is linear everywhere: the unknowns of cells agree about places."""
     from skfem import Dofs
 
-    from workbench.elements import Lagrange
+    from workbench.fem.elements import Lagrange
 
     assert rounded.mesh.coordinates is not None
     dofs = Dofs(rounded.mesh.mesh, Lagrange(rounded.mesh.order)).element_dofs
@@ -158,7 +158,7 @@ def test_points_are_found_in_their_cells(nodal: NodalMesh, rounded: Problem) -> 
     inside = cell >= 0
     r, z = nodal.points.T
     values = np.stack([r, z, r * z], axis=1)
-    found = sample(nodal, values, points, nodal.regions)
+    found = interpolate(nodal, values, points, nodal.regions)
     assert np.isfinite(found[inside]).all()
     assert np.isnan(found[~inside]).all()
     assert np.abs(found[inside, :2] - points[inside]).max() < 1e-12
@@ -180,7 +180,7 @@ def test_rasters_are_samples(nodal: NodalMesh) -> None:
     values = nodal.points[:, 0] ** 2
     found = raster(nodal, values, r, z, ["cavity", "substrate"])
     pairs = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
-    np.testing.assert_array_equal(found.ravel(), sample(nodal, values, pairs, ["cavity", "substrate"]))
+    np.testing.assert_array_equal(found.ravel(), interpolate(nodal, values, pairs, ["cavity", "substrate"]))
     regions = cell_raster(nodal, nodal.region.astype(float), r, z)
     assert np.isfinite(regions[np.isfinite(found)]).all()
 

@@ -13,10 +13,10 @@ from test_workbench_barriers import HEIGHT, NEUTRAL, RADIUS, WATER, half_wave, p
 
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.field_forces import ParticleForces
-from workbench.gathering import THERMAL, Gathering, gathering
-from workbench.particles import net_weight
-from workbench.traps import find_traps
+from workbench.acoustics.forces import ParticleForces
+from workbench.acoustics.traps import find_traps
+from workbench.model.particles import net_weight
+from workbench.simulation.gathering import THERMAL, Gathering, gathering
 
 
 def shot(forces: ParticleForces | None, fluid: Any = None, cavity: str = "water") -> Any:

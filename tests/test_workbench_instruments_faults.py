@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from workbench.instruments.circuit import IDEAL
-from workbench.instruments.faults import GENERATOR, KINDS, OSCILLOSCOPE, Fault, Kind, fits
+from workbench.instruments.faults import GENERATOR, KINDS, OSCILLOSCOPE, Fault, FaultKind, fits
 from workbench.instruments.instrument import Generator, InstrumentError, Oscilloscope, Silence, Waveform
 from workbench.instruments.opening import open_bench
 from workbench.instruments.simulated import SimulatedBench
@@ -83,12 +83,12 @@ CASES = [(instrument, kind) for instrument, kinds in KINDS.items() for kind in k
 
 
 def test_there_are_many_kinds() -> None:
-    assert len(Kind) == 20
-    assert set(KINDS[GENERATOR]) | set(KINDS[OSCILLOSCOPE]) == set(Kind)
+    assert len(FaultKind) == 20
+    assert set(KINDS[GENERATOR]) | set(KINDS[OSCILLOSCOPE]) == set(FaultKind)
 
 
 @pytest.mark.parametrize(("instrument", "kind"), CASES)
-def test_nothing_wrong_comes_out_silently_and_the_drive_ends_off(instrument: str, kind: Kind) -> None:
+def test_nothing_wrong_comes_out_silently_and_the_drive_ends_off(instrument: str, kind: FaultKind) -> None:
     """Struck while opening and again while measuring (after 60 commands there is a capture under way)."""
     with SimulatedBench(device, circuit=IDEAL, frequency_error=0.0, seed=3) as bench:
         for at in {GENERATOR: (0, 9), OSCILLOSCOPE: (0, 60)}[instrument]:
@@ -98,19 +98,19 @@ def test_nothing_wrong_comes_out_silently_and_the_drive_ends_off(instrument: str
             assert found[frequency] == pytest.approx(device(frequency), rel=TOLERANCE)
         assert bench.drive == 0.0
         # Once it is open, nobody asks the oscilloscope who it is.
-        once = (instrument, kind) == (OSCILLOSCOPE, Kind.WRONG_INSTRUMENT)
+        once = (instrument, kind) == (OSCILLOSCOPE, FaultKind.WRONG_INSTRUMENT)
         assert len(bench.struck(instrument)) == (1 if once else 2)
 
 
 @pytest.mark.parametrize(("instrument", "kind", "error", "message"), [
-    (GENERATOR, Kind.SILENCE, Silence, "nothing came within|nothing and nothing more"),
-    (GENERATOR, Kind.WRONG_INSTRUMENT, InstrumentError, "MHS-5200A"),
-    (OSCILLOSCOPE, Kind.WRONG_INSTRUMENT, InstrumentError, "RIGOL"),
-    (GENERATOR, Kind.DEAFNESS, Silence, "nothing came within"),
-    (OSCILLOSCOPE, Kind.GARBAGE, InstrumentError, r"sent '\*IDN\?'; expected TEKTRONIX,model"),
+    (GENERATOR, FaultKind.SILENCE, Silence, "nothing came within|nothing and nothing more"),
+    (GENERATOR, FaultKind.WRONG_INSTRUMENT, InstrumentError, "MHS-5200A"),
+    (OSCILLOSCOPE, FaultKind.WRONG_INSTRUMENT, InstrumentError, "RIGOL"),
+    (GENERATOR, FaultKind.DEAFNESS, Silence, "nothing came within"),
+    (OSCILLOSCOPE, FaultKind.GARBAGE, InstrumentError, r"sent '\*IDN\?'; expected TEKTRONIX,model"),
 ])
 def test_what_lasts_is_reported_as_what_it_is(
-    instrument: str, kind: Kind, error: type[InstrumentError], message: str
+    instrument: str, kind: FaultKind, error: type[InstrumentError], message: str
 ) -> None:
     with SimulatedBench(device, seed=3) as bench:
         bench.inject(Fault(instrument, kind, count=100))
@@ -122,7 +122,8 @@ def test_a_fault_that_is_over_is_only_asked_again() -> None:
     """None of these costs more than a repeated question: no error is seen from outside."""
     for instrument, kinds in KINDS.items():
         for kind in kinds:
-            if kind in (Kind.SILENCE, Kind.GARBAGE, Kind.NOISE, Kind.PARTIAL, Kind.LATE, Kind.ECHO):
+            if kind in (FaultKind.SILENCE, FaultKind.GARBAGE, FaultKind.NOISE, FaultKind.PARTIAL, FaultKind.LATE,
+                        FaultKind.ECHO):
                 with SimulatedBench(device, circuit=IDEAL, frequency_error=0.0, seed=3) as bench:
                     bench.inject(Fault(instrument, kind, at=5))
                     # Long enough for a busy computer: what is asserted here is that nothing else went wrong.
@@ -133,8 +134,8 @@ def test_a_fault_that_is_over_is_only_asked_again() -> None:
 
 
 def test_which_commands_a_fault_fits() -> None:
-    assert fits(Kind.SILENCE, b"cf")
-    assert not fits(Kind.SILENCE, b"bf100")
-    assert fits(Kind.IGNORED_FREQUENCY, b"bf100")
-    assert fits(Kind.HIDDEN, b"CURVE?")
-    assert not fits(Kind.HIDDEN, b"WFMPRE?")
+    assert fits(FaultKind.SILENCE, b"cf")
+    assert not fits(FaultKind.SILENCE, b"bf100")
+    assert fits(FaultKind.IGNORED_FREQUENCY, b"bf100")
+    assert fits(FaultKind.HIDDEN, b"CURVE?")
+    assert not fits(FaultKind.HIDDEN, b"WFMPRE?")

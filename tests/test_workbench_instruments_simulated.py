@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.instruments.circuit import IDEAL, NOTHING, TYPICAL, Circuit, device_of, open_circuit, resistor
-from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, Kind
+from workbench.instruments.faults import GENERATOR, OSCILLOSCOPE, Fault, FaultKind
 from workbench.instruments.instrument import InstrumentError
 from workbench.instruments.opening import open_bench, who_answers
 from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_generator import SWITCHED_ON, SimulatedGenerator
 from workbench.instruments.simulated_oscilloscope import Errors, SimulatedOscilloscope, Tone
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 SILENT = Errors(noise_counts=0.0, jitter=0.0)
 
@@ -370,7 +370,7 @@ def test_a_port_comes_back_under_its_name() -> None:
     with SimulatedBench(resistor(1.0)) as bench:
         name = bench.generator_port
         source, scope = open_bench(*bench.settings(timeout=0.3))
-        bench.inject(Fault(GENERATOR, Kind.DISCONNECT, seconds=0.1))
+        bench.inject(Fault(GENERATOR, FaultKind.DISCONNECT, seconds=0.1))
         with pytest.raises(InstrumentError, match="the port is gone"):
             source.set_frequency(1e6)
         source.close()
@@ -385,7 +385,7 @@ def test_a_port_comes_back_under_its_name() -> None:
 def test_who_answers() -> None:
     with SimulatedBench(resistor(1.0)) as bench:
         assert who_answers(bench.oscilloscope_port, timeout=0.1) == "TEKTRONIX,TDS 2024B,0,CF:91.1CT FV:v22.11"
-        bench.inject(Fault(GENERATOR, Kind.DEAFNESS, count=100))
+        bench.inject(Fault(GENERATOR, FaultKind.DEAFNESS, count=100))
         assert who_answers(bench.generator_port, timeout=0.02) is None
 
 
@@ -400,8 +400,8 @@ def test_the_ports_stand_in_the_folder_and_go_with_the_bench(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("instrument", "kind"), [
-    (GENERATOR, Kind.CLIPPED), (OSCILLOSCOPE, Kind.IGNORED_FREQUENCY), ("printer", Kind.SILENCE)])
-def test_a_fault_happens_only_where_it_can(instrument: str, kind: Kind) -> None:
+    (GENERATOR, FaultKind.CLIPPED), (OSCILLOSCOPE, FaultKind.IGNORED_FREQUENCY), ("printer", FaultKind.SILENCE)])
+def test_a_fault_happens_only_where_it_can(instrument: str, kind: FaultKind) -> None:
     with pytest.raises(ValueError, match="expected one of"):
         Fault(instrument, kind)
 
@@ -410,7 +410,7 @@ def test_a_fault_strikes_at_its_command_and_as_often_as_told() -> None:
     with SimulatedBench(resistor(1.0)) as bench:
         source, scope = open_bench(*bench.settings(timeout=0.3))
         at = bench.commands(GENERATOR) + 1
-        bench.inject(Fault(GENERATOR, Kind.WRONG_FREQUENCY, at=at, count=2))
+        bench.inject(Fault(GENERATOR, FaultKind.WRONG_FREQUENCY, at=at, count=2))
         with pytest.raises(InstrumentError, match="Hz came"):
             source.set_frequency(1e6)
         # Once more, before the setting, when nothing is known to compare it with.

@@ -14,7 +14,7 @@ import pytest
 from workbench.cli import main
 from workbench.commands import export as export_command
 from workbench.files.writing import MARK, UNFINISHED, write_atomic
-from workbench.interruption import Interruption, heeded, on_disk, shielded
+from workbench.jobs.interruption import Interruption, heeded, on_disk, shielded
 
 ROOT = Path(__file__).resolve().parent.parent
 CHIP = str(ROOT / "geometry/chips/disc_20x2.toml")
@@ -89,7 +89,7 @@ def test_what_an_interrupted_simulation_had_computed_is_written(
         signal.raise_signal(signal.SIGINT)
 
     # After the spectrum, before the fields.
-    monkeypatch.setattr("workbench.simulation._snapshot", interrupted)
+    monkeypatch.setattr("workbench.simulation.run._snapshot", interrupted)
     monkeypatch.setattr("workbench.commands.simulate.ThreadPoolExecutor", _Here)
     out = tmp_path / "out"
     assert main(["simulate", CHIP, "--accuracy", "0.5 %", "--points", "11", "--no-cad", "-o", str(out)]) == 130

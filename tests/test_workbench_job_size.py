@@ -11,13 +11,13 @@ import pytest
 
 import workbench as wb
 from geometry.chip import Chip, read_chip
-from workbench import job_size
 from workbench.cli import main
-from workbench.discretisation import ROWS, discretisation
+from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
-from workbench.job_size import check_points, check_size, free_memory, memory_to_use, of_unknowns
-from workbench.operators import assemble
-from workbench.problem import build, fill
+from workbench.model import job_size
+from workbench.model.discretisation import ROWS, discretisation
+from workbench.model.job_size import check_points, check_size, free_memory, memory_to_use, of_unknowns
+from workbench.model.problem import build, fill
 
 ROOT = Path(__file__).resolve().parent.parent
 DISC, SMALL = ROOT / "geometry/chips/disc_20x2.toml", ROOT / "examples/small_campaign/chip.toml"
@@ -54,7 +54,7 @@ def test_a_lost_point_in_the_band_is_refused_at_once(chip: Chip, monkeypatch: py
     def never(*_arguments: object) -> None:
         raise AssertionError("a mesh was made")
 
-    monkeypatch.setattr("workbench.problem.meshed", never)
+    monkeypatch.setattr("workbench.model.problem.meshed", never)
     monkeypatch.setenv(job_size.CHOICE, "16 GB")
     wb.simulate, wb.range_model  # noqa: B018 - loaded before the clock starts
     began = time.process_time()

@@ -30,7 +30,7 @@ def name_of(path: Path) -> str:
 
 FILES = {name_of(path): path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))}
 #: The only modules that draw, print or end the program.
-SURFACE = {"workbench.cli", "workbench.__main__", "workbench.interruption",
+SURFACE = {"workbench.cli", "workbench.__main__", "workbench.jobs.interruption",
            *(name for name in FILES if name.startswith("workbench.commands"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 
@@ -81,7 +81,7 @@ def test_the_walk_sees_what_there_is_to_see() -> None:
     # Or the rules below hold of nothing.
     assert {"workbench.files.errors", "geometry.mesh", "materials.registry", "workbench.physics.term"} <= set(FILES)
     expected = {"geometry.section", "workbench.physics.fluid", "workbench.files.errors"}
-    assert expected <= imported("workbench.problem", inside_functions=False)
+    assert expected <= imported("workbench.model.problem", inside_functions=False)
     assert "gmsh" in imported("geometry.free_faces", inside_functions=True)
     assert "gmsh" not in imported("geometry.free_faces", inside_functions=False)
 
@@ -121,7 +121,7 @@ def test_a_fit_needs_no_simulation_of_fields_and_particles() -> None:
         new = imported(waiting.pop(), inside_functions=True) & set(FILES) - needed
         needed |= new
         waiting += new
-    assert not needed & {"workbench.simulation", "workbench.field_forces", "workbench.traps",
+    assert not needed & {"workbench.simulation.run", "workbench.acoustics.forces", "workbench.acoustics.traps",
                          "workbench.report.simulations"}
 
 
@@ -136,7 +136,7 @@ def test_one_effect_does_not_see_another(module: str) -> None:
 def test_only_the_commands_draw(module: str) -> None:
     drawing = {name for name in imported(module, inside_functions=True) if name.startswith("workbench.render")}
     # What a notebook shows of a result is drawn for it alone.
-    assert not drawing or module in SURFACE or module == "workbench.notebook"
+    assert not drawing or module in SURFACE or module == "workbench.results.notebook"
 
 
 @pytest.mark.parametrize("module", sorted(set(FILES) - SURFACE))
@@ -148,6 +148,25 @@ def test_a_library_neither_prints_nor_exits(module: str) -> None:
 @pytest.mark.parametrize("module", FILES)
 def test_modules_are_called_by_nouns(module: str) -> None:
     assert not set(module.split(".")) & {"utils", "util", "base", "helpers", "helper", "misc", "common"}
+
+
+def public_definitions() -> dict[str, list[str]]:
+    """The modules that define each public class or function."""
+    found: dict[str, list[str]] = {}
+    for module, tree in TREES.items():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
+                found.setdefault(node.name, []).append(module)
+    return found
+
+
+def test_a_public_name_means_one_thing() -> None:
+    assert not {name: modules for name, modules in public_definitions().items() if len(modules) > 1}
+
+
+def test_the_workbench_holds_rooms_only() -> None:
+    # A module that lies beside the rooms belongs to one of them.
+    assert {path.name for path in (ROOT / "workbench").glob("*.py")} == {"__init__.py", "__main__.py", "cli.py"}
 
 
 def sizes() -> dict[str, int]:

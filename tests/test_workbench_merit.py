@@ -1,4 +1,5 @@
-"""workbench.merit: figures and fits against circuits solved in closed form, an independent solver and an analyser."""
+"""workbench.results.merit: figures and fits against circuits solved in closed form, an independent solver and an
+analyser."""
 
 import json
 import math
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize_scalar
 
-from workbench.merit import (
+from workbench.readers import read_recording
+from workbench.results.merit import (
     NoResonance,
     bvd_impedance,
     effective_coupling,
@@ -18,8 +20,7 @@ from workbench.merit import (
     fit_resonance,
     thickness_coupling,
 )
-from workbench.readers import read_recording
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 

@@ -13,12 +13,12 @@ from geometry.chip import Chip
 from geometry.mesh import mesh_section
 from geometry.section import cut_section
 from materials.kinds import Material
-from workbench.discretisation import Discretisation
-from workbench.mesh_error import _surplus, estimate, samples
-from workbench.operators import assemble
-from workbench.problem import Problem, problem
-from workbench.reduction import ReducedModel, reduce
-from workbench.solve import System, solve_full
+from workbench.fem.operators import assemble
+from workbench.fem.solve import System, solve_full
+from workbench.model.discretisation import Discretisation
+from workbench.model.problem import Problem, problem
+from workbench.reduced.reduction import ReducedModel, reduce
+from workbench.simulation.mesh_error import _surplus, estimate, samples
 
 
 @pytest.fixture(scope="module")

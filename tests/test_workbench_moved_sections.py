@@ -16,12 +16,12 @@ from geometry.free_mesh import moved_free
 from geometry.free_section import FreeSection
 from materials.kinds import Fluid
 from materials.registry import Material
-from workbench.dimensions import flexible_within
-from workbench.discretisation import Discretisation
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.operators import assemble
-from workbench.problem import Problem, with_boundary_layers
-from workbench.solve import solve_full
+from workbench.model.dimensions import flexible_within
+from workbench.model.discretisation import Discretisation
+from workbench.model.problem import Problem, with_boundary_layers
 
 pytest.importorskip("cadquery")
 

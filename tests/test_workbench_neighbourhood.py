@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material
 from workbench.diagnosis.inaccuracy import LOSS, MASS, STIFFNESS, cosines, patterns
-from workbench.fitting.objective import Objective, Recording
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, parameters
-from workbench.fitting.predict import Predictor
-from workbench.neighbourhood import Neighbourhood, neighbourhood
-from workbench.operators import FullOperators, assemble
+from workbench.model.problem import Problem
 from workbench.physics.softening import DRIVE_SQUARED, Softening
 from workbench.physics.surface_load import SurfaceLoad
-from workbench.problem import Problem
-from workbench.solve import solve_full
-from workbench.spectrum import Spectrum
+from workbench.reduced.neighbourhood import Neighbourhood, neighbourhood
+from workbench.reduced.predictor import Predictor
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 
@@ -137,7 +137,7 @@ def objective(stack: Problem, chip: Chip, wanted: tuple[Parameter, ...]) -> Obje
                              {"backing.normal_impedance": 0.0, "backing.tangential_impedance": 0.0})
     shifted = {key: 1.02 * value for key, value in stack.values.items()}
     seen = Spectrum(GRID, Predictor(stack, GRID, tolerance=1e-4)(shifted).impedance)
-    return Objective([Recording("chip", stack, seen, chip)], wanted, tolerance=np.inf)
+    return Objective([FitRecording("chip", stack, seen, chip)], wanted, tolerance=np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def test_states_share_a_model_until_something_depends_on_what_sets_them_apart(
     def models(softening: float) -> int:
         drives = [replace(softer, values={**softer.values, f"{PZT}.softening": softening, DRIVE_SQUARED: squared})
                   for squared in (1.0, 16.0)]
-        both = Objective([Recording(f"drive {k}", each, seen, chip) for k, each in enumerate(drives)], wanted,
+        both = Objective([FitRecording(f"drive {k}", each, seen, chip) for k, each in enumerate(drives)], wanted,
                          tolerance=np.inf)
         assert len(set(both.predictors)) == 1
         return len(set(both.near(x, {}, 1e-3, only=[0]).predictors))

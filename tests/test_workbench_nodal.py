@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from workbench.elements import gauss_lobatto
-from workbench.nodal import (
+from workbench.acoustics.nodal import (
     FloatArray,
     NodalMesh,
     borders,
@@ -14,13 +13,14 @@ from workbench.nodal import (
     edge_nodes,
     gradient,
     integrate,
+    interpolate,
     locate,
     mesh_of,
     raised,
     raster,
-    sample,
     transfer,
 )
+from workbench.fem.elements import gauss_lobatto
 
 ORDERS = (2, 3, 4, 6)
 
@@ -122,18 +122,18 @@ def test_integral_of_revolution(order: int) -> None:
 def test_sample_reproduces_what_the_cells_can_hold(order: int) -> None:
     mesh = two_layers(6, order)
     points = np.random.default_rng(1).random((20_000, 2))
-    found = sample(mesh, (mesh.points**order).prod(axis=1) * (1.0 + 2.0j), points, ["cavity"])
+    found = interpolate(mesh, (mesh.points**order).prod(axis=1) * (1.0 + 2.0j), points, ["cavity"])
     np.testing.assert_allclose(found, (points**order).prod(axis=1) * (1 + 2j), atol=1e-12)
 
 
 @pytest.mark.parametrize("order", [2, 4])
 def test_sample_finds_every_node_and_the_thin_layer_and_nothing_outside(order: int) -> None:
     mesh = two_layers(7, order)
-    np.testing.assert_allclose(sample(mesh, mesh.points, mesh.points, mesh.regions), mesh.points, atol=1e-12)
+    np.testing.assert_allclose(interpolate(mesh, mesh.points, mesh.points, mesh.regions), mesh.points, atol=1e-12)
     cell, _ = locate(mesh, np.array([[0.3, 1.0005], [0.3, 1.0011], [-0.01, 0.5], [1.01, 0.5]]), mesh.regions)
     assert mesh.regions[mesh.region[cell[0]]] == "couplant"
     assert (cell[1:] == -1).all()
-    assert np.isnan(sample(mesh, mesh.points[:, 0], np.array([[0.3, 1.0005]]), ["cavity"])).all()
+    assert np.isnan(interpolate(mesh, mesh.points[:, 0], np.array([[0.3, 1.0005]]), ["cavity"])).all()
     # On the border, the cell with the lower number, or that of the region asked for.
     border = np.array([[0.3, 1.0]])
     assert mesh.region[locate(mesh, border, mesh.regions)[0][0]] == 0
@@ -146,7 +146,7 @@ def test_interpolation_of_a_wave_gains_an_order_over_that_of_the_cells(order: in
 
     def error(count: int) -> float:
         mesh = two_layers(count, order)
-        return float(np.abs(sample(mesh, wave(mesh.points), points, ["cavity"]) - wave(points)).max())
+        return float(np.abs(interpolate(mesh, wave(mesh.points), points, ["cavity"]) - wave(points)).max())
 
     assert np.log2(error(4) / error(8)) == pytest.approx(order + 1.0, abs=0.35)
 
@@ -159,7 +159,8 @@ def test_a_raster_is_what_samples_are() -> None:
     r, z = np.linspace(-0.1, 1.1, 61), np.array([-0.01, 0.0, 0.2, 0.37, 0.999, 1.0, 1.0007, 1.001, 1.2])
     points = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
     for regions in (mesh.regions, ["cavity"], ["couplant"]):
-        np.testing.assert_allclose(raster(mesh, values, r, z, regions).ravel(), sample(mesh, values, points, regions),
+        np.testing.assert_allclose(raster(mesh, values, r, z, regions).ravel(),
+                                   interpolate(mesh, values, points, regions),
                                    rtol=1e-12)
 
 
@@ -177,7 +178,7 @@ def test_a_product_keeps_all_it_holds_on_nodes_of_twice_the_order() -> None:
     cubic = np.stack([mesh.points[:, 0] ** 3, mesh.points[:, 0] ** 2 * mesh.points[:, 1] ** 3], axis=1)
     moved = transfer(mesh, cubic, finer)
     points = np.column_stack([np.random.default_rng(4).random(500), 1.0 + 1e-3 * np.random.default_rng(5).random(500)])
-    np.testing.assert_allclose(sample(finer, moved.prod(axis=1), points, ["couplant"]),
+    np.testing.assert_allclose(interpolate(finer, moved.prod(axis=1), points, ["couplant"]),
                                points[:, 0] ** 5 * points[:, 1] ** 3, atol=1e-13)
 
 

@@ -13,17 +13,17 @@ from scipy import sparse
 from geometry.chip import Chip
 from geometry.chip_section import volumes
 from geometry.mesh import SectionMesh
-from workbench.coefficients import Coefficients
-from workbench.operators import FullOperators, assemble
-from workbench.physics.electrodes import Electrodes
-from workbench.physics.fluid import Fluid, PressureRelease, SolidFluidContact
-from workbench.physics.piezoelectric import Piezoelectric
-from workbench.physics.solid import IsotropicSolid
+from workbench.fem.coefficients import Coefficients
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.model.problem import Problem
+from workbench.physics.electrodes import ElectrodePotential
+from workbench.physics.fluid import AcousticFluid, PressureRelease, SolidFluidContact
+from workbench.physics.piezoelectric import PiezoelectricSolid
+from workbench.physics.solid import ElasticSolid
 from workbench.physics.term import Integral, ModelError, Monomial, Values
-from workbench.problem import Problem
-from workbench.reduced_operators import ReducedOperators
 
-PZT, ELECTRODES = Piezoelectric("transducer", "pzt"), Electrodes("electrode_live", "electrode_ground")
+PZT, ELECTRODES = PiezoelectricSolid("transducer", "pzt"), ElectrodePotential("electrode_live", "electrode_ground")
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_projections_are_those_of_the_matrices(
 def test_reduced_operators_answer_like_the_full_ones(
     filled_operators: FullOperators, columns: NDArray[np.float64], monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
-    monkeypatch.setattr("workbench.forms.AT_ONCE", at_once)
+    monkeypatch.setattr("workbench.fem.forms.AT_ONCE", at_once)
     reduced = ReducedOperators(filled_operators.integrals, filled_operators.coefficients,
                                filled_operators.project(columns), filled_operators.forms)
     assert (reduced.size, reduced.integrals) == (3, filled_operators.integrals)
@@ -194,8 +194,8 @@ def test_volumes_come_out_of_the_mass_matrix(
     ("terms", "message"),
     [
         ((PZT,), "exactly one live electrode"),
-        ((PZT, ELECTRODES, Electrodes("electrode_ground", "electrode_live")), "exactly one live electrode"),
-        ((PZT, ELECTRODES, IsotropicSolid("substrat", "pla")), "no region or boundary 'substrat' .*known: .*substrate"),
+        ((PZT, ELECTRODES, ElectrodePotential("electrode_ground", "electrode_live")), "exactly one live electrode"),
+        ((PZT, ELECTRODES, ElasticSolid("substrat", "pla")), "no region or boundary 'substrat' .*known: .*substrate"),
         ((PZT, ELECTRODES, SolidFluidContact("bond|water", "bond", "water")), "no region or boundary 'bond.water'"),
     ],
 )
@@ -205,7 +205,8 @@ def test_a_model_that_cannot_be_solved_is_refused(filled: Problem, terms: tuple[
 
 
 def test_a_condition_on_an_unknown_boundary_is_refused(filled: Problem) -> None:
-    for terms in ((PZT, ELECTRODES, PressureRelease("couplant|air")), (PZT, Electrodes("live", "electrode_ground"))):
+    for terms in ((PZT, ELECTRODES, PressureRelease("couplant|air")),
+                  (PZT, ElectrodePotential("live", "electrode_ground"))):
         with pytest.raises(ModelError, match=r"air|live"):
             assemble(filled.mesh, terms)
 
@@ -215,12 +216,12 @@ def test_a_contact_with_a_fluid_that_has_no_term_is_refused(filled: Problem) -> 
     contact = SolidFluidContact("couplant|transducer", "transducer", "couplant")
     with pytest.raises(ModelError, match="couplant"):
         assemble(filled.mesh, (PZT, ELECTRODES, contact))
-    assert assemble(filled.mesh, (PZT, ELECTRODES, contact, Fluid("couplant", "gel"))).size > 0
+    assert assemble(filled.mesh, (PZT, ELECTRODES, contact, AcousticFluid("couplant", "gel"))).size > 0
 
 
 def test_electrodes_without_a_transducer_are_refused(filled: Problem) -> None:
     with pytest.raises(ModelError, match=r"electrode|phi"):
-        assemble(filled.mesh, (Fluid("cavity", "water"), ELECTRODES))
+        assemble(filled.mesh, (AcousticFluid("cavity", "water"), ELECTRODES))
 
 
 def test_an_operator_of_an_unknown_that_no_term_brings_in_is_refused(filled: Problem) -> None:
@@ -230,13 +231,13 @@ def test_an_operator_of_an_unknown_that_no_term_brings_in_is_refused(filled: Pro
         unknowns: tuple[tuple[str, str], ...] = ()
 
         def integrals(self) -> tuple[Integral, ...]:
-            return (replace(IsotropicSolid("cavity", "pla").integrals()[2]),)
+            return (replace(ElasticSolid("cavity", "pla").integrals()[2]),)
 
         def conditions(self) -> tuple[object, ...]:
             return ()
 
     with pytest.raises(ModelError, match="'cavity' has no unknown 'u_r'"):
-        assemble(filled.mesh, (PZT, ELECTRODES, Fluid("cavity", "water"), Loaded()))  # type: ignore[arg-type]
+        assemble(filled.mesh, (PZT, ELECTRODES, AcousticFluid("cavity", "water"), Loaded()))  # type: ignore[arg-type]
 
 
 def test_a_missing_parameter_is_named(filled: Problem, filled_operators: FullOperators) -> None:

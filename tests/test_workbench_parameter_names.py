@@ -4,33 +4,33 @@ from __future__ import annotations
 
 import pytest
 
-from workbench.parameter_names import Kind, ParameterName, part, placed
+from workbench.model.numbers import ParameterKind, ParameterName, placed, real_part
 
 
 @pytest.mark.parametrize(("text", "expected"), [
-    ("pzt4/a.c33", ParameterName("pzt4/a", "c33", False, Kind.MATERIAL)),
-    ("pzt4/a.c33.loss", ParameterName("pzt4/a", "c33", True, Kind.MATERIAL)),
+    ("pzt4/a.c33", ParameterName("pzt4/a", "c33", False, ParameterKind.MATERIAL)),
+    ("pzt4/a.c33.loss", ParameterName("pzt4/a", "c33", True, ParameterKind.MATERIAL)),
     # Misspelt: the material is told all the same.
-    ("pzt4/a.c33.los", ParameterName("pzt4/a", "c33.los", False, Kind.MATERIAL)),
-    ("transducer.thickness", ParameterName("transducer", "thickness", False, Kind.DIMENSION)),
-    ("cavity.radius", ParameterName("cavity", "radius", False, Kind.DIMENSION)),
-    ("bench.gain", ParameterName("bench", "gain", False, Kind.BENCH)),
+    ("pzt4/a.c33.los", ParameterName("pzt4/a", "c33.los", False, ParameterKind.MATERIAL)),
+    ("transducer.thickness", ParameterName("transducer", "thickness", False, ParameterKind.DIMENSION)),
+    ("cavity.radius", ParameterName("cavity", "radius", False, ParameterKind.DIMENSION)),
+    ("bench.gain", ParameterName("bench", "gain", False, ParameterKind.BENCH)),
     # No element of the bench has a loss: told apart, it would pass for one that there is.
-    ("bench.gain.loss", ParameterName("bench", "gain.loss", False, Kind.BENCH)),
-    ("couplant.rim_1.width", ParameterName("couplant.rim_1", "width", False, Kind.TERM)),
-    ("transducer.thickness.loss", ParameterName("transducer", "thickness", True, Kind.TERM)),
-    ("pla.bulk_modulus.loss", ParameterName("pla", "bulk_modulus", True, Kind.TERM)),
-    ("c33.loss", ParameterName("", "c33", True, Kind.TERM)),
-    ("c33", ParameterName("", "c33", False, Kind.TERM)),
-    ("loss", ParameterName("", "loss", False, Kind.TERM)),
-    ("bench.gain[filled]", ParameterName("bench", "gain", False, Kind.BENCH, "filled")),
-    ("pzt4/a.c33.loss[disc]", ParameterName("pzt4/a", "c33", True, Kind.MATERIAL, "disc")),
-    ("transducer.thickness[a.b/c]", ParameterName("transducer", "thickness", False, Kind.DIMENSION, "a.b/c")),
-    ("gel.density[a@b]", ParameterName("gel", "density", False, Kind.TERM, "a@b")),
-    ("gel.density[a[b]]", ParameterName("gel", "density", False, Kind.TERM, "a[b]")),
+    ("bench.gain.loss", ParameterName("bench", "gain.loss", False, ParameterKind.BENCH)),
+    ("couplant.rim_1.width", ParameterName("couplant.rim_1", "width", False, ParameterKind.TERM)),
+    ("transducer.thickness.loss", ParameterName("transducer", "thickness", True, ParameterKind.TERM)),
+    ("pla.bulk_modulus.loss", ParameterName("pla", "bulk_modulus", True, ParameterKind.TERM)),
+    ("c33.loss", ParameterName("", "c33", True, ParameterKind.TERM)),
+    ("c33", ParameterName("", "c33", False, ParameterKind.TERM)),
+    ("loss", ParameterName("", "loss", False, ParameterKind.TERM)),
+    ("bench.gain[filled]", ParameterName("bench", "gain", False, ParameterKind.BENCH, "filled")),
+    ("pzt4/a.c33.loss[disc]", ParameterName("pzt4/a", "c33", True, ParameterKind.MATERIAL, "disc")),
+    ("transducer.thickness[a.b/c]", ParameterName("transducer", "thickness", False, ParameterKind.DIMENSION, "a.b/c")),
+    ("gel.density[a@b]", ParameterName("gel", "density", False, ParameterKind.TERM, "a@b")),
+    ("gel.density[a[b]]", ParameterName("gel", "density", False, ParameterKind.TERM, "a[b]")),
     # The number of a version is the material's: no state is told.
-    ("pzt/disc@1.c33", ParameterName("pzt/disc@1", "c33", False, Kind.MATERIAL)),
-    ("pzt/disc@12.c33.loss[a.b/c@1]", ParameterName("pzt/disc@12", "c33", True, Kind.MATERIAL, "a.b/c@1")),
+    ("pzt/disc@1.c33", ParameterName("pzt/disc@1", "c33", False, ParameterKind.MATERIAL)),
+    ("pzt/disc@12.c33.loss[a.b/c@1]", ParameterName("pzt/disc@12", "c33", True, ParameterKind.MATERIAL, "a.b/c@1")),
 ])
 def test_a_name_is_taken_apart_and_put_together_again(text: str, expected: ParameterName) -> None:
     found = ParameterName.parse(text)
@@ -50,7 +50,7 @@ def test_what_a_state_adds_belongs_to_the_number_that_all_have() -> None:
     assert str(own) == "pzt4/a.c33.loss[filled]"
     assert (own.shared, own.key, own.local) == ("pzt4/a.c33.loss", "pzt4/a.c33", "c33.loss")
     assert shared.shared == str(shared)
-    assert part({"pzt4/a.c33": 2.0 - 1.0j}, str(own)) == -1.0
+    assert real_part({"pzt4/a.c33": 2.0 - 1.0j}, str(own)) == -1.0
 
 
 @pytest.mark.parametrize(("text", "radius", "thickness"), [
@@ -64,7 +64,7 @@ def test_lengths_along_and_across_are_told_apart(text: str, radius: bool, thickn
 
 def test_numbers_are_parts_of_complex_values() -> None:
     values = {"gel.shear_modulus": 2.0 - 1.0j, "gel.thickness": 3.0 + 0.0j}
-    assert (part(values, "gel.shear_modulus"), part(values, "gel.shear_modulus.loss")) == (2.0, -1.0)
+    assert (real_part(values, "gel.shear_modulus"), real_part(values, "gel.shear_modulus.loss")) == (2.0, -1.0)
     assert placed(values, {"gel.shear_modulus.loss": -4.0, "gel.thickness": 5.0}) == {
         "gel.shear_modulus": 2.0 - 4.0j, "gel.thickness": 5.0 + 0.0j}
     assert values["gel.shear_modulus"] == 2.0 - 1.0j

@@ -13,9 +13,15 @@ from scipy.special import j0, j1
 from support import FluidState
 
 from materials import Fluid
-from workbench.field_forces import ParticleForces, axial_focus_time, force_at, particle_forces
-from workbench.nodal import NodalMesh, gradient, mesh_of, sample
-from workbench.particles import (
+from workbench.acoustics.forces import ParticleForces, axial_focus_time, force_at, particle_forces
+from workbench.acoustics.nodal import NodalMesh, gradient, interpolate, mesh_of
+from workbench.acoustics.radiation import (
+    acoustic_energy_density,
+    gorkov_potential,
+    radiation_force,
+)
+from workbench.acoustics.traps import find_traps, focus_time
+from workbench.model.particles import (
     FluidProperties,
     Particle,
     Scattering,
@@ -28,12 +34,6 @@ from workbench.particles import (
     viscosity,
     viscous_scattering,
 )
-from workbench.radiation import (
-    acoustic_energy_density,
-    gorkov_potential,
-    radiation_force,
-)
-from workbench.traps import find_traps, focus_time
 
 #: Water and polystyrene at 25 C, and the two frequencies for which reference figures are printed.
 WATER = FluidState(density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
@@ -404,7 +404,7 @@ def test_no_force_is_printed_without_its_field() -> None:
 def test_force_at_a_point_is_interpolated_and_nan_outside() -> None:
     forces = forces_in(cylinder_mode())
     at = force_at(forces, np.array([[1e-3, HEIGHT / 4], [5e-3, HEIGHT / 4]]))
-    inside = sample(forces.mesh, forces.force, np.array([[1e-3, HEIGHT / 4]]), ["cavity"])
+    inside = interpolate(forces.mesh, forces.force, np.array([[1e-3, HEIGHT / 4]]), ["cavity"])
     np.testing.assert_array_equal(at[:1], inside)
     assert np.isnan(at[1]).all()
     # Towards the node from below, and outwards weaker than along.

@@ -16,11 +16,11 @@ from support import Held, plate_below_a_layer
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
-from workbench.operators import assemble
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics import electrodes, piezoelectric, solid
 from workbench.physics.anisotropy import ADMISSIBLE, TransverseIsotropy
-from workbench.problem import Problem, problem
-from workbench.solve import solve_full
 
 TERM = TransverseIsotropy("substrate", "pla")
 
@@ -97,8 +97,8 @@ def test_a_wave_across_the_axis_has_the_speed_of_the_axial_shear(
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     held = tuple(Held("u_r", b) for b in ("cavity|sidewall", "layer|sidewall", "sidewall|superstrate",
                                           "sidewall|outside"))
-    terms = (piezoelectric.Piezoelectric("transducer", "pzt"), solid.IsotropicSolid("sidewall", "pla"),
-             electrodes.Electrodes("electrode_live", "electrode_ground"), *held, Held("u_z", "cavity|sidewall"),
+    terms = (piezoelectric.PiezoelectricSolid("transducer", "pzt"), solid.ElasticSolid("sidewall", "pla"),
+             electrodes.ElectrodePotential("electrode_live", "electrode_ground"), *held, Held("u_z", "cavity|sidewall"),
              TransverseIsotropy("sidewall", "pla"))
     operators = assemble(uniform_mesh(chip, 0.05e-3), terms)
     values = {f"pzt.{name}": value for name, value in pzt.parameters().items()} | {

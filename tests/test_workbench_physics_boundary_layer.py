@@ -19,13 +19,13 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid as FluidMaterial
 from materials.kinds import Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import System, solve_full
+from workbench.model.problem import Problem
 from workbench.physics import boundary_layer, electrodes, fluid, piezoelectric, solid
 from workbench.physics.boundary_layer import ThermalBoundaryLayer, ViscousBoundaryLayer
 from workbench.physics.term import Term
-from workbench.problem import Problem
-from workbench.reduction import reduce
-from workbench.solve import System, solve_full
+from workbench.reduced.reduction import reduce
 
 Complex = NDArray[np.complex128]
 
@@ -43,14 +43,14 @@ def layer_thickness(omega: complex, values: Mapping[str, complex] = WATER) -> co
 def base(reference_materials: Callable[[str], dict[str, Material]]) -> tuple[tuple[Term, ...], dict[str, complex]]:
     """A transducer, which every model needs, and its values."""
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
-    terms = (piezoelectric.Piezoelectric("transducer", "pzt"),
-             electrodes.Electrodes("electrode_live", "electrode_ground"))
+    terms = (piezoelectric.PiezoelectricSolid("transducer", "pzt"),
+             electrodes.ElectrodePotential("electrode_live", "electrode_ground"))
     return terms, {f"pzt.{name}": value for name, value in pzt.parameters().items()} | WATER
 
 
 def wall(boundary: str, region: str, fluid_region: str = "cavity", *, held: bool = True) -> tuple[Term, ...]:
     """A steel wall with the viscous layer on it; a held one does not move."""
-    terms: tuple[Term, ...] = (solid.IsotropicSolid(region, "steel"),
+    terms: tuple[Term, ...] = (solid.ElasticSolid(region, "steel"),
                                fluid.SolidFluidContact(boundary, region, fluid_region),
                                ViscousBoundaryLayer(boundary, region, fluid_region, "water"))
     return terms + ((Held("u_r", boundary), Held("u_z", boundary)) if held else ())
@@ -94,7 +94,7 @@ def cavity_chip(stacked: Callable[..., Chip]) -> Chip:
 def rigid(cavity_chip: Chip, uniform_mesh: Callable[[Chip, float], SectionMesh],
           base: tuple[tuple[Term, ...], dict[str, complex]]) -> FullOperators:
     """Water in the cavity, viscous layers on all its walls, which are at rest."""
-    terms = (*base[0], fluid.Fluid("cavity", "water"), *wall("cavity|sidewall", "sidewall"),
+    terms = (*base[0], fluid.AcousticFluid("cavity", "water"), *wall("cavity|sidewall", "sidewall"),
              *wall("cavity|layer", "layer"), *wall("cavity|superstrate", "superstrate"))
     return assemble(uniform_mesh(cavity_chip, 0.1e-3), terms)
 
@@ -158,7 +158,7 @@ def test_the_mode_between_plates_is_the_exact_root_of_its_dispersion_relation(
 ) -> None:
     # p = J0(k_r r) cos(k_z z) with d_n p = beta k_r^2 p on both discs: k_z tan(k_z H / 2) = -beta k_r^2, all orders
     # of a layer that is a tenth of the height.
-    terms = (*base[0], fluid.Fluid("cavity", "water"), *wall("cavity|layer", "layer"),
+    terms = (*base[0], fluid.AcousticFluid("cavity", "water"), *wall("cavity|layer", "layer"),
              *wall("cavity|superstrate", "superstrate"))
     k_r = float(jn_zeros(1, 1)[0]) / RADIUS
     omega = 1497.0 * k_r
@@ -193,7 +193,7 @@ def test_a_channel_of_380_by_160_um_has_the_quality_421(
     # the radii 1 and 1.38 mm is the region `sidewall`, filled with water; what lies inside it does not touch it.
     chip = stacked([("transducer", 160e-6, OUTER, None), ("layer", 160e-6, OUTER, None),
                     ("sidewall", 160e-6, OUTER, RADIUS), ("superstrate", 160e-6, OUTER, None)], band=(1e5, 3e6))
-    terms = (*base[0], fluid.Fluid("sidewall", "water"), *wall("layer|sidewall", "layer", "sidewall"),
+    terms = (*base[0], fluid.AcousticFluid("sidewall", "water"), *wall("layer|sidewall", "layer", "sidewall"),
              *wall("sidewall|superstrate", "superstrate", "sidewall"))
     operators = assemble(uniform_mesh(chip, 40e-6), terms)
 
@@ -245,7 +245,7 @@ def test_a_tube_has_kirchhoffs_viscous_and_thermal_loss(
     material = Registry().load(sample)
     assert isinstance(material, FluidMaterial)
     values = base[1] | STEEL | {f"water.{name}": value for name, value in material.parameters().items()}
-    terms = (*base[0], fluid.Fluid("cavity", "water"), *wall("cavity|sidewall", "sidewall"),
+    terms = (*base[0], fluid.AcousticFluid("cavity", "water"), *wall("cavity|sidewall", "sidewall"),
              ThermalBoundaryLayer("cavity|sidewall", "sidewall", "cavity", "water"))
     operators = assemble(uniform_mesh(tube_chip, 0.1e-3), terms)
     pressure = rows(operators, "cavity", "p")
@@ -286,7 +286,7 @@ def test_a_tube_has_kirchhoffs_viscous_and_thermal_loss(
 def shaken(tube_chip: Chip, uniform_mesh: Callable[[Chip, float], SectionMesh],
            base: tuple[tuple[Term, ...], dict[str, complex]]) -> FullOperators:
     """Water in a tube whose wall can move along the axis, between ends at rest."""
-    terms = (*base[0], fluid.Fluid("cavity", "water"), *wall("cavity|sidewall", "sidewall", held=False),
+    terms = (*base[0], fluid.AcousticFluid("cavity", "water"), *wall("cavity|sidewall", "sidewall", held=False),
              Held("u_r", "cavity|sidewall"))
     return assemble(uniform_mesh(tube_chip, 0.05e-3), terms)
 
@@ -373,7 +373,7 @@ def test_a_crystal_in_a_liquid_shears_with_the_drag_and_mass_of_stokes_layer(
 ) -> None:
     # u_z(r) in a ring held at its rim, sheared against the liquid inside it (Kanazawa and Gordon 1985, for a crystal):
     # u = A J0(k r) + B Y0(k r); the liquid u e^{i k_s x} pulls by eta v' = eta w k_s u, k_s = (1 + i) / delta.
-    terms = (*base[0], fluid.Fluid("cavity", "water"), *wall("cavity|sidewall", "sidewall", held=False),
+    terms = (*base[0], fluid.AcousticFluid("cavity", "water"), *wall("cavity|sidewall", "sidewall", held=False),
              *(Held("u_r", b) for b in ("cavity|sidewall", "layer|sidewall", "sidewall|superstrate")),
              Held("u_r", "sidewall|outside"), Held("u_z", "sidewall|outside"))
     operators = assemble(uniform_mesh(cavity_chip, 0.05e-3), terms)

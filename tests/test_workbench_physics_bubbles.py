@@ -14,12 +14,12 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid as FluidMaterial
 from materials.kinds import Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem
 from workbench.physics import bubbles, electrodes, fluid, piezoelectric
 from workbench.physics.bubbles import AIR_IN_WATER, BubbleCompressibility, ResonantBubbles, WoodBubbles
-from workbench.problem import Problem
-from workbench.reduction import reduce
-from workbench.solve import solve_full
+from workbench.reduced.reduction import reduce
 
 LIQUID: dict[str, complex] = {"water.density": 998.0, "water.sound_speed": 1482.0, "water.shear_viscosity": 0.89e-3}
 GAS: dict[str, complex] = {f"gas.{name}": complex(value) for name, value in AIR_IN_WATER.items()}
@@ -58,8 +58,8 @@ def test_a_cavity_of_bubbly_liquid_has_the_modes_of_the_slower_sound(
                     ("superstrate", 1e-3, 6e-3, None)], band=(1e5, 1e6))
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     values = {f"pzt.{name}": value for name, value in pzt.parameters().items()} | VALUES
-    terms = (piezoelectric.Piezoelectric("transducer", "pzt"), electrodes.Electrodes("electrode_live",
-             "electrode_ground"), fluid.Fluid("cavity", "water"), WoodBubbles("cavity", "water", "gas"))
+    terms = (piezoelectric.PiezoelectricSolid("transducer", "pzt"), electrodes.ElectrodePotential("electrode_live",
+             "electrode_ground"), fluid.AcousticFluid("cavity", "water"), WoodBubbles("cavity", "water", "gas"))
     operators = assemble(uniform_mesh(chip, 0.5e-3), terms)
     speed = 1.0 / np.sqrt(998.0 * (1e-4 / (1.4 * 101325.0) + (1.0 - 1e-4) / (998.0 * 1482.0**2)))
     exact = speed * jn_zeros(1, 3) / (2.0 * np.pi * 4e-3)

@@ -19,15 +19,15 @@ from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
 from materials.kinds import Fluid, IsotropicSolid, Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics.absorption import BulkAbsorption
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.couplant_shear import ADMISSIBLE, CouplantShear
 from workbench.physics.loss_laws import KelvinVoigt
 from workbench.physics.term import Dispersion, Integral, ModelError
-from workbench.problem import Problem, problem
-from workbench.reduction import reduce
-from workbench.solve import solve_full
+from workbench.reduced.reduction import reduce
 
 Complex = NDArray[np.complex128]
 

@@ -13,13 +13,13 @@ from skfem import Basis
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
-from workbench.elements import Lagrange
-from workbench.operators import assemble
+from workbench.fem.elements import Lagrange
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics.depoled import DepoledRim
 from workbench.physics.rim import Rim
 from workbench.physics.term import Integral, ModelError
-from workbench.problem import Problem, problem
-from workbench.solve import solve_full
 
 WIDTH, EXCESS = "rim.width", "rim.permittivity_excess"
 

@@ -15,10 +15,10 @@ from skfem import Basis, ElementQuad2
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics.electrode_mass import ADMISSIBLE, POISSON, SILVER_DENSITY, SILVER_STIFFNESS, ElectrodeMass
-from workbench.problem import Problem, problem
-from workbench.solve import solve_full
 
 RADIUS, THICKNESS = 0.1e-3, 2.02e-3
 TERM = ElectrodeMass("electrode_live", "electrode_ground", "transducer")

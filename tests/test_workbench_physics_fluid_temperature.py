@@ -10,10 +10,10 @@ import pytest
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.diagnosis.catalogue import fluid_slopes
-from workbench.operators import assemble
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem
 from workbench.physics.fluid_temperature import ADMISSIBLE, FluidTemperature
-from workbench.problem import Problem
-from workbench.solve import solve_full
 
 FREQUENCIES = np.array([310e3, 350e3, 390e3])
 STATED = 298.15

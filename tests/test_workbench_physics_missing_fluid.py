@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Fluid, Material
 from materials.registry import Registry
-from workbench.operators import assemble
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics.missing_fluid import HALFWAY, MissingFluid
 from workbench.physics.rim import Rim
-from workbench.problem import Problem, problem
-from workbench.solve import solve_full
 
 WIDTH = "rim.width"
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.kinds import IsotropicSolid, Material
-from workbench.operators import assemble
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics import open_bond
 from workbench.physics.open_bond import HALFWAY, LEFT, SKIN, OpenBond
 from workbench.physics.rim import Rim
-from workbench.problem import Problem, problem
-from workbench.solve import solve_full
 
 RADIUS, HOLE, BAND = 3.5e-3, 1.5e-3, (300e3, 700e3)
 FREQUENCY = np.linspace(310e3, 690e3, 9)

@@ -13,13 +13,13 @@ from geometry.chip import Chip, Dimension
 from geometry.mesh import SectionMesh
 from geometry.parts import ElectrodeDisc, Electrodes
 from materials.kinds import Material, Piezoelectric
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.operators import assemble
+from workbench.model.problem import Problem, problem
 from workbench.physics.partial_electrode import HALFWAY, SKIN, PartialElectrode
 from workbench.physics.rim import Rim
 from workbench.physics.term import ModelError
-from workbench.problem import Problem, problem
-from workbench.solve import solve_full
 
 RADIUS, THICKNESS, BAND = 3e-3, 2e-3, (300e3, 700e3)
 FREQUENCY = np.linspace(310e3, 690e3, 9)

@@ -16,12 +16,12 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid as FluidMaterial
 from materials.kinds import Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem
 from workbench.physics import electrodes, fluid, piezoelectric
 from workbench.physics.port_necks import ADMISSIBLE, PortNecks
 from workbench.physics.wall_admittance import WallAdmittance
-from workbench.problem import Problem
-from workbench.solve import solve_full
 
 DENSITY, SPEED, RADIUS = 998.0, 1482.0, 1e-3
 TERM = PortNecks("cavity|sidewall", "sidewall", "cavity", "water", "necks")
@@ -42,8 +42,9 @@ def disc_of_water(
                     ("sidewall", 0.72e-3, 1.4e-3, RADIUS), ("superstrate", 0.4e-3, 1.4e-3, None)], band=(1e5, 3e6))
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     operators = assemble(uniform_mesh(chip, 0.1e-3), (
-        piezoelectric.Piezoelectric("transducer", "pzt"), electrodes.Electrodes("electrode_live", "electrode_ground"),
-        fluid.Fluid("cavity", "water"), TERM))
+        piezoelectric.PiezoelectricSolid("transducer", "pzt"),
+        electrodes.ElectrodePotential("electrode_live", "electrode_ground"),
+        fluid.AcousticFluid("cavity", "water"), TERM))
     known = {f"pzt.{name}": value for name, value in pzt.parameters().items()} | {
         "water.density": DENSITY, "water.sound_speed": SPEED}
     pressure = rows(operators, "cavity", "p")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from workbench.operators import assemble
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem
 from workbench.physics.softening import DRIVE_SQUARED, Softening
-from workbench.problem import Problem
-from workbench.solve import solve_full
 
 FREQUENCIES = np.array([350e3, 480e3, 610e3])
 

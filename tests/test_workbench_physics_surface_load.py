@@ -18,11 +18,11 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import System, solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics import electrodes, piezoelectric, solid
 from workbench.physics.surface_load import ADMISSIBLE, SurfaceLoad
-from workbench.problem import Problem, problem
-from workbench.solve import System, solve_full
 
 RADIUS, THICKNESS = 0.1e-3, 2e-3
 BELOW = SurfaceLoad("electrode_ground", "transducer", "below")
@@ -146,8 +146,8 @@ def test_a_ring_shears_against_a_load_on_its_rim(
                     ("sidewall", HEIGHT, OUTER, INNER), ("superstrate", HEIGHT, OUTER, None)], band=(1e5, 3e6))
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     held = tuple(Held("u_r", b) for b in ("cavity|sidewall", "layer|sidewall", "sidewall|superstrate"))
-    terms = (piezoelectric.Piezoelectric("transducer", "pzt"), solid.IsotropicSolid("sidewall", "pla"),
-             electrodes.Electrodes("electrode_live", "electrode_ground"), *held, Held("u_z", "cavity|sidewall"),
+    terms = (piezoelectric.PiezoelectricSolid("transducer", "pzt"), solid.ElasticSolid("sidewall", "pla"),
+             electrodes.ElectrodePotential("electrode_live", "electrode_ground"), *held, Held("u_z", "cavity|sidewall"),
              Held("u_r", "sidewall|outside"), SurfaceLoad("sidewall|outside", "sidewall", "holder"))
     operators = assemble(uniform_mesh(chip, 0.05e-3), terms)
     values = {f"pzt.{name}": value for name, value in pzt.parameters().items()} | POLYMER | {

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from geometry.chip import Chip
-from workbench.coefficients import Coefficients
-from workbench.dimensions import flexible
-from workbench.operators import FullOperators, assemble
-from workbench.physics.solid import IsotropicSolid
+from workbench.fem.coefficients import Coefficients
+from workbench.fem.operators import FullOperators, assemble
+from workbench.model.dimensions import flexible
+from workbench.model.problem import Problem
+from workbench.physics.solid import ElasticSolid
 from workbench.physics.term import (
     FACING,
     OPERATORS,
@@ -31,7 +32,6 @@ from workbench.physics.term import (
     parts_by_stretch,
     times,
 )
-from workbench.problem import Problem
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -251,7 +251,7 @@ def test_a_term_takes_its_measure_along_when_it_is_stretched(filled: Problem, sm
 
 
 def test_models_of_measures_can_be_compared(filled: Problem) -> None:
-    solid = IsotropicSolid("substrate", "pla")
+    solid = ElasticSolid("substrate", "pla")
     assert [i for i in solid.integrals() if i.radial is not None] == []
     one, other = (replace(solid.integrals()[0], radial=Radial(1, shift)) for shift in (1e-3, 2e-3))
     assert one != other

@@ -14,12 +14,12 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 from workbench.physics.term import ModelError
 from workbench.physics.thin_layer import ADMISSIBLE, SKIN, ImperfectBond
-from workbench.problem import Problem, problem
-from workbench.reduction import reduce
-from workbench.solve import solve_full
+from workbench.reduced.reduction import reduce
 
 TERM = ImperfectBond("bond", "epoxy", "springs", upper=True)
 NORMAL, TANGENTIAL, LOSS = "springs.normal_compliance", "springs.tangential_compliance", "springs.loss_factor"

@@ -16,11 +16,11 @@ from geometry.mesh import SectionMesh
 from materials.kinds import Fluid as FluidMaterial
 from materials.kinds import Material
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem
 from workbench.physics import electrodes, fluid, piezoelectric
 from workbench.physics.wall_admittance import ADMISSIBLE, WallAdmittance
-from workbench.problem import Problem
-from workbench.solve import solve_full
 
 DENSITY, SPEED = 998.0, 1482.0
 RADIUS, HEIGHT = 1e-3, 0.72e-3
@@ -43,8 +43,9 @@ def test_a_tube_and_a_disc_with_such_a_wall_have_the_closed_form(
                     ("sidewall", HEIGHT, 1.4e-3, RADIUS), ("superstrate", 0.4e-3, 1.4e-3, None)], band=(1e5, 3e6))
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     solid = boundary.split("|")[1]
-    terms = (piezoelectric.Piezoelectric("transducer", "pzt"), electrodes.Electrodes("electrode_live",
-             "electrode_ground"), fluid.Fluid("cavity", "water"), WallAdmittance(boundary, solid, "cavity", "port"))
+    terms = (piezoelectric.PiezoelectricSolid("transducer", "pzt"), electrodes.ElectrodePotential("electrode_live",
+             "electrode_ground"), fluid.AcousticFluid("cavity", "water"),
+             WallAdmittance(boundary, solid, "cavity", "port"))
     operators = assemble(uniform_mesh(chip, 0.1e-3), terms)
     known = {f"pzt.{name}": value for name, value in pzt.parameters().items()} | values | {
         "water.density": DENSITY, "water.sound_speed": SPEED}

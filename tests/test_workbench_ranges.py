@@ -10,12 +10,20 @@ import pytest
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
-from workbench.discretisation import Discretisation
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.operators import assemble
-from workbench.parameter_names import placed
-from workbench.ranges import NotCovered, OutOfRange, RangeModel, compacted, growing_model, load, range_model
-from workbench.solve import solve_full
+from workbench.model.discretisation import Discretisation
+from workbench.model.numbers import placed
+from workbench.reduced.ranges import (
+    NotCovered,
+    OutOfRange,
+    RangeModel,
+    compacted,
+    growing_model,
+    load_range_model,
+    range_model,
+)
 
 CHIP = """
 [chip]
@@ -125,16 +133,16 @@ def test_a_number_outside_its_range_is_refused(made: RangeModel) -> None:
 def test_a_model_is_kept_and_read_for_its_own_chip_only(made: RangeModel, chip: Chip, tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
     made.save(path)
-    again = load(path, chip, registry=Registry(), accuracy=COARSE)
+    again = load_range_model(path, chip, registry=Registry(), accuracy=COARSE)
     numbers = drawn(made, np.random.default_rng(3))
     assert np.array_equal(again(numbers).impedance, made(numbers).impedance)
     assert (again.ranges, again.error, again.reduced.solves) == (made.ranges, made.error, made.reduced.solves)
     assert again.grown(seed=5).reduced.solves > made.reduced.solves
     with pytest.raises(InputError, match="the chip, state, materials and mesh that the"):
-        load(path, chip.with_dimensions({"sample.radius": 3.6e-3}), registry=Registry(), accuracy=COARSE)
+        load_range_model(path, chip.with_dimensions({"sample.radius": 3.6e-3}), registry=Registry(), accuracy=COARSE)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(InputError, match="a range model that was saved before"):
-        load(path, chip, registry=Registry(), accuracy=COARSE)
+        load_range_model(path, chip, registry=Registry(), accuracy=COARSE)
 
 
 def test_a_model_that_does_not_get_there_says_how_far_it_came(chip: Chip) -> None:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from workbench.files.errors import InputError
-from workbench.merit import bvd_impedance
-from workbench.readers import FORMATS, ColumnMap, Quantity, detect, read_column_map, read_recording
+from workbench.readers import FORMATS, ColumnMap, RecordedQuantity, detect, read_column_map, read_recording
 from workbench.readers.findings import examine
-from workbench.spectrum import Origin, Spectrum, write_csv
+from workbench.results.merit import bvd_impedance
+from workbench.results.spectrum import Origin, Spectrum, write_csv
 
 DATA = Path(__file__).parent / "data" / "spectra"
 REFERENCE = Path(__file__).parent / "data" / "reference"
@@ -21,9 +21,10 @@ FREQUENCY = np.array([990e3, 992e3, 994e3, 996e3, 998e3])
 IMPEDANCE = bvd_impedance(FREQUENCY, motional_resistance=5.9, motional_inductance=152e-6,
                           motional_capacitance=168.6e-12, static_capacitance=792e-12)
 
-SHUNT = Quantity("gain", "polar", "dB", "deg", reference_resistance=100.0)
+SHUNT = RecordedQuantity("gain", "polar", "dB", "deg", reference_resistance=100.0)
 SHUNT_COLUMNS = ColumnMap("Frequency in kHz", "Gain in dB", "Phase in °", SHUNT, frequency_unit="kHz")
-SEMICOLONS = ColumnMap("Frequenz", "R", "X", Quantity("impedance", "rectangular", "ohm"), delimiter=";", decimal=",")
+SEMICOLONS = ColumnMap("Frequenz", "R", "X", RecordedQuantity("impedance", "rectangular", "ohm"), delimiter=";",
+                       decimal=",")
 
 
 @pytest.mark.parametrize(("name", "format", "tolerance"), [
@@ -82,13 +83,13 @@ def test_columns_of_a_shunt_divider_and_a_spreadsheet() -> None:
 
 
 @pytest.mark.parametrize(("quantity", "row"), [
-    (Quantity("impedance", "polar", "kohm", "rad"), (0.2, np.pi / 2)),
-    (Quantity("impedance", "polar", "dB", "deg"), (20.0 * np.log10(200.0), 90.0)),
-    (Quantity("impedance", "rectangular", "ohm"), (0.0, 200.0)),
-    (Quantity("admittance", "polar", "mS", "deg"), (5.0, -90.0)),
-    (Quantity("admittance", "rectangular", "uS"), (0.0, -5000.0)),
-    (Quantity("gain", "rectangular", "1", reference_resistance=100.0), (0.2, -0.4)),  # 1 / (1 + 2j)
-    (Quantity("gain", "rectangular", "1", reference_resistance=100.0, inverse=True), (1.0, 2.0)),
+    (RecordedQuantity("impedance", "polar", "kohm", "rad"), (0.2, np.pi / 2)),
+    (RecordedQuantity("impedance", "polar", "dB", "deg"), (20.0 * np.log10(200.0), 90.0)),
+    (RecordedQuantity("impedance", "rectangular", "ohm"), (0.0, 200.0)),
+    (RecordedQuantity("admittance", "polar", "mS", "deg"), (5.0, -90.0)),
+    (RecordedQuantity("admittance", "rectangular", "uS"), (0.0, -5000.0)),
+    (RecordedQuantity("gain", "rectangular", "1", reference_resistance=100.0), (0.2, -0.4)),  # 1 / (1 + 2j)
+    (RecordedQuantity("gain", "rectangular", "1", reference_resistance=100.0, inverse=True), (1.0, 2.0)),
 ])
 def test_quantities(quantity: Any, row: Any) -> None:
     """Each says Z = 200j ohm."""
@@ -99,20 +100,21 @@ def test_quantities(quantity: Any, row: Any) -> None:
 def test_columns_by_number(tmp_path: Path) -> None:
     path = tmp_path / "plain.txt"
     path.write_text("some words\n# more\n1.5\t10\t-20\n\n2.5\t11\t-19\t\n")
-    columns = ColumnMap(1, 2, 3, Quantity("impedance", "rectangular", "ohm"), frequency_unit="MHz", delimiter="\t")
+    columns = ColumnMap(1, 2, 3, RecordedQuantity("impedance", "rectangular", "ohm"), frequency_unit="MHz",
+                        delimiter="\t")
     spectrum = read_recording(path, columns=columns).spectrum
     np.testing.assert_allclose(spectrum.frequency, [1.5e6, 2.5e6], rtol=1e-15)
     np.testing.assert_array_equal(spectrum.impedance, [10 - 20j, 11 - 19j])
 
 
 @pytest.mark.parametrize(("make", "message"), [
-    (lambda: Quantity("power", "polar", "ohm"), "quantity 'power'"),
-    (lambda: Quantity("impedance", "spiral", "ohm"), "form 'spiral'"),
-    (lambda: Quantity("impedance", "rectangular", "dB"), "unit 'dB'"),
-    (lambda: Quantity("impedance", "polar", "ohm", "grad"), "phase unit 'grad'"),
-    (lambda: Quantity("gain", "polar", "dB"), "a reference resistance"),
-    (lambda: Quantity("gain", "polar", "dB", reference_resistance=-1.0), "finite and positive"),
-    (lambda: Quantity("impedance", "polar", "ohm", inverse=True), "inverse ratio"),
+    (lambda: RecordedQuantity("power", "polar", "ohm"), "quantity 'power'"),
+    (lambda: RecordedQuantity("impedance", "spiral", "ohm"), "form 'spiral'"),
+    (lambda: RecordedQuantity("impedance", "rectangular", "dB"), "unit 'dB'"),
+    (lambda: RecordedQuantity("impedance", "polar", "ohm", "grad"), "phase unit 'grad'"),
+    (lambda: RecordedQuantity("gain", "polar", "dB"), "a reference resistance"),
+    (lambda: RecordedQuantity("gain", "polar", "dB", reference_resistance=-1.0), "finite and positive"),
+    (lambda: RecordedQuantity("impedance", "polar", "ohm", inverse=True), "inverse ratio"),
     (lambda: ColumnMap(0, 1, 2, SHUNT), "counted from 1"),
     (lambda: ColumnMap(1, 2, 2, SHUNT), "three columns"),
     (lambda: ColumnMap(1, 2, 3, SHUNT, delimiter=",", decimal=","), "decimal"),
@@ -207,7 +209,7 @@ def test_zero_admittance_and_open_circuit(tmp_path: Path) -> None:
     path = tmp_path / "y.csv"
     path.write_text("f,G,B\n1,1,1\n2,0,0\n")
     with pytest.raises(InputError, match="line 3"):
-        read_recording(path, columns=ColumnMap("f", "G", "B", Quantity("admittance", "rectangular", "S")))
+        read_recording(path, columns=ColumnMap("f", "G", "B", RecordedQuantity("admittance", "rectangular", "S")))
     path = tmp_path / "open.s1p"
     path.write_text("# MHz S RI R 50\n1 0.5 0\n2 1 0\n")
     with pytest.raises(InputError, match=r"line 3: .*neither zero nor infinite"):
@@ -260,7 +262,7 @@ def test_missing_file_and_misspelt_arguments() -> None:
 def test_headings_that_occur_twice_must_be_counted(tmp_path: Path) -> None:
     path = tmp_path / "twice.csv"
     path.write_text("f,V,V\n1e6,1,2\n2e6,3,4\n")
-    ohm = Quantity("impedance", "rectangular", "ohm")
+    ohm = RecordedQuantity("impedance", "rectangular", "ohm")
     with pytest.raises(InputError, match="line 1: received 'V'; expected a heading that occurs once"):
         read_recording(path, columns=ColumnMap("f", "V", 3, ohm))
     assert read_recording(path, columns=ColumnMap("f", 2, 3, ohm)).spectrum.impedance[1] == 3 + 4j
@@ -278,7 +280,7 @@ def test_spreadsheet_copies_of_an_analyser_file(tmp_path: Path) -> None:
     path = tmp_path / "decimal.csv"
     path.write_text("a\tb\tc\n1,5\t2\t3\n2,5\t2\t3\n")
     with pytest.raises(InputError, match=r"line 2, column 1: .*decimal comma"):
-        read_recording(path, columns=ColumnMap("a", "b", "c", Quantity("impedance", "rectangular", "ohm"),
+        read_recording(path, columns=ColumnMap("a", "b", "c", RecordedQuantity("impedance", "rectangular", "ohm"),
                                                delimiter="\t"))
 
 
@@ -421,7 +423,7 @@ def test_known_resistor_on_a_shunt(shared: Path) -> None:
     upside_down = ColumnMap("Frequency (Hz)", ratio + "Magnitude (dBm)", ratio + "Phase (deg)", SHUNT)
     reading = read_recording(folder / "MokuGo_47R_100R_shunt.csv", columns=upside_down)
     assert [finding.code for finding in reading.findings] == ["inverse_ratio"]
-    inverse = Quantity("gain", "polar", "dB", "deg", reference_resistance=100.0, inverse=True)
+    inverse = RecordedQuantity("gain", "polar", "dB", "deg", reference_resistance=100.0, inverse=True)
     reading = read_recording(folder / "MokuGo_47R_100R_shunt.csv", columns=ColumnMap(
         upside_down.frequency, upside_down.first, upside_down.second, inverse))
     assert reading.findings == ()
@@ -462,7 +464,7 @@ def test_a_column_map_from_a_file_is_that_of_the_code(tmp_path: Path) -> None:
     path = tmp_path / "map.toml"
     good = 'frequency = "Freq"\nfirst = 2\nsecond = "angle"\nfrequency_unit = "kHz"\n'
     path.write_text(good + 'quantity = { kind = "gain", form = "polar", unit = "dB", reference_resistance = 100.0 }\n')
-    quantity = Quantity("gain", "polar", "dB", reference_resistance=100.0)
+    quantity = RecordedQuantity("gain", "polar", "dB", reference_resistance=100.0)
     assert read_column_map(path) == ColumnMap("Freq", 2, "angle", quantity, frequency_unit="kHz")
     for text, words in {
         good: ("quantity", "a table with kind, form and unit"),

@@ -12,9 +12,9 @@ import pytest
 
 from workbench.cli import main
 from workbench.files.errors import InputError
-from workbench.merit import bvd_impedance
-from workbench.readers import ColumnMap, Quantity, read_column_map, read_recording
+from workbench.readers import ColumnMap, RecordedQuantity, read_column_map, read_recording
 from workbench.readers.headings import Heading, understand
+from workbench.results.merit import bvd_impedance
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -337,13 +337,14 @@ def test_faults_of_a_table_are_named_with_their_place(content: str, message: str
 
 def test_a_map_may_say_that_a_column_is_of_the_other_sign() -> None:
     for form, columns in (("polar", (abs(Z), -degrees(Z))), ("rectangular", (Z.real, -Z.imag))):
-        np.testing.assert_allclose(Quantity("impedance", form, "ohm", negated=True).impedance(*columns), Z, rtol=1e-12)
+        np.testing.assert_allclose(RecordedQuantity("impedance", form, "ohm", negated=True).impedance(*columns), Z,
+                                   rtol=1e-12)
 
 
 def test_blanks_are_one_delimiter_and_a_quotation_mark_in_a_cell_stays(tmp_path: Path) -> None:
     path = tmp_path / "table.txt"
     path.write_text(' f  Z\'  Z"\n 1e5   1   -2\n2e5 1    -3\n')
-    columns = ColumnMap("f", "Z'", 'Z"', Quantity("impedance", "rectangular", "ohm"), delimiter=" ")
+    columns = ColumnMap("f", "Z'", 'Z"', RecordedQuantity("impedance", "rectangular", "ohm"), delimiter=" ")
     np.testing.assert_array_equal(read_recording(path, columns=columns).spectrum.impedance, [1 - 2j, 1 - 3j])
 
 
@@ -370,7 +371,7 @@ def test_the_command_line_refuses_with_the_map_whole(
     assert main(["compare", str(path), chip, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     (tmp_path / "MAP.toml").write_text(proposed(said))
-    assert read_column_map(tmp_path / "MAP.toml").quantity == Quantity("impedance", "polar", "ohm", "deg")
+    assert read_column_map(tmp_path / "MAP.toml").quantity == RecordedQuantity("impedance", "polar", "ohm", "deg")
     assert main(["compare", str(path), chip, "--columns", str(tmp_path / "MAP.toml"), "--format", "table", "-o",
                  str(tmp_path / "out")]) == 2
     assert "--columns or --format, not both" in capsys.readouterr().err

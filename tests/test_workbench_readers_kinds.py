@@ -27,12 +27,12 @@ from test_workbench_readers_layouts import (
 )
 
 from workbench.files.errors import InputError
-from workbench.merit import bvd_impedance
-from workbench.readers import ColumnMap, Quantity, read_column_map, read_recording
+from workbench.readers import ColumnMap, RecordedQuantity, read_column_map, read_recording
 from workbench.readers.columns import contradiction
 from workbench.readers.findings import examine
 from workbench.readers.quantities import CIRCUITS, ELEMENT_UNITS
-from workbench.spectrum import Spectrum, write_csv
+from workbench.results.merit import bvd_impedance
+from workbench.results.spectrum import Spectrum, write_csv
 
 HEAD = "Frequency (Hz),R (Ohm),X (Ohm)\n"
 
@@ -97,7 +97,7 @@ def test_a_falling_sweep_is_turned_round_in_every_format(kind: str, tmp_path: Pa
             for key, values in (("frequency", f), ("realz", z.real), ("imagz", z.imag))), "a.csv"),
         "map": ("a,b,c\n" + rows(f, z.real, z.imag), "a.csv"),
     }[kind]
-    columns = ColumnMap(1, 2, 3, Quantity("impedance", "rectangular", "ohm")) if kind == "map" else None
+    columns = ColumnMap(1, 2, 3, RecordedQuantity("impedance", "rectangular", "ohm")) if kind == "map" else None
     reading = read_recording(written(tmp_path, content, name), columns=columns)
     np.testing.assert_allclose(reading.spectrum.impedance, Z, rtol=1e-8)
     assert [finding.code for finding in reading.findings] == ["falling"]
@@ -167,7 +167,7 @@ def test_every_pair_of_a_circuit_is_the_impedance(circuit: str, tmp_path: Path) 
         np.testing.assert_allclose(reading.spectrum.impedance, Z, rtol=1e-7)
         assert [f.code for f in reading.findings] == (["unsigned_losses"] if content == unsigned != plain else [])
     prefix = list(ELEMENT_UNITS[one])[-1]
-    quantity = Quantity("circuit", circuit, prefix, second_unit=next(iter(ELEMENT_UNITS[two])))
+    quantity = RecordedQuantity("circuit", circuit, prefix, second_unit=next(iter(ELEMENT_UNITS[two])))
     path = written(tmp_path, "a;b;c\n" + rows(FREQUENCY, first / ELEMENT_UNITS[one][prefix], second, delimiter=";"))
     found = read_recording(path, columns=ColumnMap("a", "b", "c", quantity, delimiter=";")).spectrum
     np.testing.assert_allclose(found.impedance, Z, rtol=1e-7)
@@ -197,19 +197,19 @@ def test_units_and_open_ends_of_circuits(
 
 
 @pytest.mark.parametrize(("make", "message"), [
-    (lambda: Quantity("circuit", "Cp-Rs", "F"), "circuit 'Cp-Rs' is not one of Cp-Rp"),
-    (lambda: Quantity("circuit", "Cp-D", "ohm"), "unit 'ohm' of Cp"),
-    (lambda: Quantity("circuit", "Cp-D", "F", second_unit="S"), "unit 'S' of D"),
-    (lambda: Quantity("circuit", "Cp-D", "F", negated=True), "negated"),
-    (lambda: Quantity("circuit", "Cp-D", "F").impedance(ONE, ONE), "only at a frequency"),
-    (lambda: Quantity("transmission", "polar", "dB"), "series or shunt"),
-    (lambda: Quantity("impedance", "polar", "ohm", configuration="shunt"), "configuration 'shunt'"),
-    (lambda: Quantity("impedance", "polar", "ohm", second_unit="ohm"), "second unit"),
-    (lambda: Quantity("reflection", "polar", "dB", reference_resistance=0.0), "finite and positive"),
-    (lambda: ColumnMap(1, 2, 3, Quantity("impedance", "complex", "ohm")), "in one column"),
-    (lambda: ColumnMap(1, 2, None, Quantity("impedance", "polar", "ohm")), "second must be given"),
-    (lambda: ColumnMap(1, 2, 1, Quantity("impedance", "polar", "ohm"), second_file="b"), "three columns"),
-    (lambda: ColumnMap(1, 2, 3, Quantity("impedance", "polar", "ohm"), second_frequency=1), "second_file"),
+    (lambda: RecordedQuantity("circuit", "Cp-Rs", "F"), "circuit 'Cp-Rs' is not one of Cp-Rp"),
+    (lambda: RecordedQuantity("circuit", "Cp-D", "ohm"), "unit 'ohm' of Cp"),
+    (lambda: RecordedQuantity("circuit", "Cp-D", "F", second_unit="S"), "unit 'S' of D"),
+    (lambda: RecordedQuantity("circuit", "Cp-D", "F", negated=True), "negated"),
+    (lambda: RecordedQuantity("circuit", "Cp-D", "F").impedance(ONE, ONE), "only at a frequency"),
+    (lambda: RecordedQuantity("transmission", "polar", "dB"), "series or shunt"),
+    (lambda: RecordedQuantity("impedance", "polar", "ohm", configuration="shunt"), "configuration 'shunt'"),
+    (lambda: RecordedQuantity("impedance", "polar", "ohm", second_unit="ohm"), "second unit"),
+    (lambda: RecordedQuantity("reflection", "polar", "dB", reference_resistance=0.0), "finite and positive"),
+    (lambda: ColumnMap(1, 2, 3, RecordedQuantity("impedance", "complex", "ohm")), "in one column"),
+    (lambda: ColumnMap(1, 2, None, RecordedQuantity("impedance", "polar", "ohm")), "second must be given"),
+    (lambda: ColumnMap(1, 2, 1, RecordedQuantity("impedance", "polar", "ohm"), second_file="b"), "three columns"),
+    (lambda: ColumnMap(1, 2, 3, RecordedQuantity("impedance", "polar", "ohm"), second_frequency=1), "second_file"),
 ])
 def test_maps_that_contradict_themselves_are_refused(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
@@ -264,13 +264,13 @@ def test_a_device_between_two_ports_is_asked_about(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("head", "quantity"), [
-    ("Frequency (Hz),S11 (Real),S11 (Imag)", Quantity("impedance", "rectangular", "ohm")),
-    ("Frequency (Hz),TR1: Impedance (Real),TR1: Impedance (Imag)", Quantity("impedance", "polar", "ohm")),
-    ("Frequency (Hz),G (S),B (S)", Quantity("impedance", "rectangular", "ohm")),
-    ("Frequency (Hz),Cp (F),D", Quantity("impedance", "polar", "ohm")),
-    ("Frequency (Hz),Cp (F),D", Quantity("circuit", "Cs-D", "F")),
+    ("Frequency (Hz),S11 (Real),S11 (Imag)", RecordedQuantity("impedance", "rectangular", "ohm")),
+    ("Frequency (Hz),TR1: Impedance (Real),TR1: Impedance (Imag)", RecordedQuantity("impedance", "polar", "ohm")),
+    ("Frequency (Hz),G (S),B (S)", RecordedQuantity("impedance", "rectangular", "ohm")),
+    ("Frequency (Hz),Cp (F),D", RecordedQuantity("impedance", "polar", "ohm")),
+    ("Frequency (Hz),Cp (F),D", RecordedQuantity("circuit", "Cs-D", "F")),
 ])
-def test_a_map_may_overrule_a_heading_only_by_number(head: str, quantity: Quantity, tmp_path: Path) -> None:
+def test_a_map_may_overrule_a_heading_only_by_number(head: str, quantity: RecordedQuantity, tmp_path: Path) -> None:
     path = written(tmp_path, head + "\n" + rows(FREQUENCY, abs(Z), abs(Z)))
     frequency, first, second = head.split(",")
     named = ColumnMap(frequency, first, second, quantity)
@@ -415,7 +415,7 @@ def test_a_missing_line_of_options_is_said_and_may_be_added(tmp_path: Path) -> N
 
 # ---- lines that are no rows
 
-MAP = ColumnMap("Frequency (Hz)", "R (Ohm)", "X (Ohm)", Quantity("impedance", "rectangular", "ohm"))
+MAP = ColumnMap("Frequency (Hz)", "R (Ohm)", "X (Ohm)", RecordedQuantity("impedance", "rectangular", "ohm"))
 
 
 @pytest.mark.parametrize(("above", "below", "found"), [
@@ -488,7 +488,8 @@ def test_touchstone_and_an_analysers_file_in_utf_16(tmp_path: Path) -> None:
 def test_the_second_half_in_a_file_of_its_own(tmp_path: Path) -> None:
     path = written(tmp_path, "Frequency (Hz),Re(Z) (Ohm)\n" + rows(FREQUENCY, Z.real))
     written(tmp_path, "f (Hz);Im(Z) (Ohm)\n".replace(";", ",") + rows(FREQUENCY, Z.imag), "imag.csv")
-    columns = ColumnMap("Frequency (Hz)", "Re(Z) (Ohm)", "Im(Z) (Ohm)", Quantity("impedance", "rectangular", "ohm"),
+    columns = ColumnMap("Frequency (Hz)", "Re(Z) (Ohm)", "Im(Z) (Ohm)",
+                        RecordedQuantity("impedance", "rectangular", "ohm"),
                         second_file="imag.csv", second_frequency="f (Hz)")
     reading = read_recording(path, columns=columns)
     np.testing.assert_allclose(reading.spectrum.impedance, Z, rtol=1e-10)

@@ -13,19 +13,19 @@ from scipy.sparse import csc_matrix
 
 from geometry.chip import Chip
 from materials.kinds import Material
-from workbench.energy_norm import PROJECTIONS, energy_matrix, random_probes
-from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem
-from workbench.reduction import (
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import NotConverged, System, solve_full
+from workbench.model.problem import Problem
+from workbench.reduced.energy_norm import PROJECTIONS, energy_matrix, random_probes
+from workbench.reduced.reduction import (
     DEPTH,
     NotEnriched,
     ReducedModel,
     covering,
     narrowed,
     reduce,
-    smallest,
+    smallest_part,
 )
-from workbench.solve import NotConverged, System, solve_full
 
 TOLERANCE = 1e-5
 #: The estimate is a statistical one: the norm of the residual from random projections. Below half of it they are with a
@@ -365,7 +365,7 @@ def test_a_grown_model_keeps_only_what_the_given_values_need(
     ranks, errors = [], []
     exact = solve_full(operators, BETWEEN, values).impedance
     for tolerance in (1e-2, 1e-4, 1e-6):
-        found = reduced.grown(states, None, [(GRID, values)], smallest(tolerance))
+        found = reduced.grown(states, None, [(GRID, values)], smallest_part(tolerance))
         assert begins_with(found, reduced)
         assert_consistent(found)
         ranks.append(found.basis.shape[1])

@@ -17,11 +17,11 @@ import pytest
 from scipy.special import j0
 from support import FluidState
 
-from workbench.field_forces import particle_forces
-from workbench.nodal import NodalMesh, mesh_of, sample
-from workbench.particles import Particle
+from workbench.acoustics.forces import particle_forces
+from workbench.acoustics.nodal import NodalMesh, interpolate, mesh_of
+from workbench.acoustics.traps import TrapReport, find_traps
+from workbench.model.particles import Particle
 from workbench.render import canvas, plots, profiles, sections, solids, vtu
-from workbench.traps import TrapReport, find_traps
 
 needs_graphics = pytest.mark.skipif(
     sys.platform == "linux" and not os.environ.get("DISPLAY") and ctypes.util.find_library("EGL") is None,
@@ -211,7 +211,7 @@ def test_solids_from_stl_files(tmp_path: Path) -> None:
 def test_a_photograph_holds_all_of_any_shape(size: tuple[float, float, float]) -> None:
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (2.0, 3.0)]) * size
     sides = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])
-    black = canvas.Shape(corners, sides, "black")
+    black = canvas.DrawnShape(corners, sides, "black")
     picture = canvas.photograph([black], azimuth=-75.0, elevation=24.0, width=300, height=200)
     rows, columns = np.nonzero((picture < 128).all(axis=2))
     # The margin is 3 % of what it is as large as: nothing at an edge, and one direction filled.
@@ -239,7 +239,7 @@ def test_a_flat_section_is_drawn_stretched_and_says_so() -> None:
 def test_a_line_is_drawn_through_its_interpolant_and_dots_are_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from workbench.spectrum import Spectrum
+    from workbench.results.spectrum import Spectrum
 
     made = spectrum(1.0e6)
     few = Spectrum(np.asarray(made.frequency)[::10], np.asarray(made.impedance)[::10])
@@ -367,10 +367,10 @@ def test_vtu_keeps_every_number(fields: Any, tmp_path: Path) -> None:
     for index, name in enumerate(mesh.regions):
         # A point that two regions share belongs to each: every one keeps its own values, and NaN where it has none.
         own = cells[mesh.region == index].ravel()
-        expected = sample(mesh, fields.pressure, points[own], [name])
+        expected = interpolate(mesh, fields.pressure, points[own], [name])
         np.testing.assert_allclose(pressure[own], expected, rtol=1e-10, atol=1e-6)
         displacement = (grid["displacement_real"] + 1j * grid["displacement_imag"])[own]
-        np.testing.assert_allclose(displacement[:, :2], sample(mesh, fields.displacement, points[own], [name]),
+        np.testing.assert_allclose(displacement[:, :2], interpolate(mesh, fields.displacement, points[own], [name]),
                                    rtol=1e-10, atol=1e-20)
 
 
@@ -383,7 +383,7 @@ def test_vtk_reads_between_the_nodes_what_the_fields_are_there(fields: Any, tmp_
     water = grid.extract_cells(np.flatnonzero(mesh.region == mesh.regions.index("cavity")))
     probed = pyvista.PolyData(np.column_stack([points, np.zeros(300)])).sample(water)
     assert probed["vtkValidPointMask"].all()
-    expected = sample(mesh, fields.pressure, points, ["cavity"])
+    expected = interpolate(mesh, fields.pressure, points, ["cavity"])
     # VTK inverts the map of a cell to 1e-6 of its size; of linear cells between the nodes 6 % would be expected.
     np.testing.assert_allclose(probed["pressure_real"] + 1j * probed["pressure_imag"], expected,
                                atol=1e-4 * np.abs(expected).max())

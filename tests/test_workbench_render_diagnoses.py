@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from workbench.nodal import mesh_of
+from workbench.acoustics.nodal import mesh_of
 from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
 from workbench.render.sections import draw_marked
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from workbench.render import fits
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 FREQUENCY = np.linspace(0.9e6, 1.1e6, 60)
 

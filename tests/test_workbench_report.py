@@ -13,21 +13,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from workbench.comparison import compare
-from workbench.merit import figures, fit_resonance
 from workbench.report.definitions import DEFINITIONS, definition
 from workbench.report.figures import (
     FIGURE_COLUMNS,
     MODEL_COLUMNS,
     figures_record,
     figures_row,
-    fit_record,
     measured_figures,
     resonance_fits,
+    resonance_record,
 )
-from workbench.report.page import Answer, Block, Note, Picture, Table, Verbatim, number, write_json, write_report
+from workbench.report.page import (
+    Answer,
+    Block,
+    Note,
+    Picture,
+    TextTable,
+    Verbatim,
+    number_text,
+    write_json,
+    write_report,
+)
 from workbench.report.simulations import comparison_record
-from workbench.spectrum import Spectrum
+from workbench.results.comparison import compare
+from workbench.results.merit import figures, fit_resonance
+from workbench.results.spectrum import Spectrum
 
 #: A Butterworth-Van Dyke resonator: series resonance at 1 MHz, 10 ohm, Q = 100, beside 1 nF.
 F0, RESISTANCE, Q, STATIC = 1e6, 10.0, 100.0, 1e-9
@@ -59,7 +69,7 @@ def test_a_report_holds_its_pictures_and_escapes_what_it_is_given(tmp_path: Path
     picture = tmp_path / "a.png"
     picture.write_bytes(b"\x89PNG not really")
     path = write_report(tmp_path / "new" / "report.html", "A <b> & C", [
-        ("First", ["one line\nand another", Table(("", "x (%)"), (("a<b", "1"),)), Note("mind \"this\"")]),
+        ("First", ["one line\nand another", TextTable(("", "x (%)"), (("a<b", "1"),)), Note("mind \"this\"")]),
         ("Second", [Picture(picture, "a 'caption' <i>")]),
     ])
     text = path.read_text(encoding="utf-8")
@@ -77,8 +87,8 @@ def test_a_report_holds_its_pictures_and_escapes_what_it_is_given(tmp_path: Path
 
 
 def test_headings_say_what_they_mean_and_a_legend_lists_it(tmp_path: Path) -> None:
-    table = Table(FIGURE_COLUMNS, (figures_row("disc", figures(resonator())),))
-    text = write_report(tmp_path / "a.html", "a", [("b", [table, Table(("x", "y"), (("1", "2"),))])]).read_text()
+    table = TextTable(FIGURE_COLUMNS, (figures_row("disc", figures(resonator())),))
+    text = write_report(tmp_path / "a.html", "a", [("b", [table, TextTable(("x", "y"), (("1", "2"),))])]).read_text()
     assert text.count("<abbr title=") == 4
     assert text.count('<dl class="legend">') == 1
     for name in ("f0", "Z_min", "Q", "kt"):
@@ -100,9 +110,9 @@ def test_every_column_of_figures_and_traps_is_defined() -> None:
 
 def test_a_table_has_a_heading_for_every_column() -> None:
     with pytest.raises(ValueError, match="a column without one"):
-        Table(("", "x", ""), ())
+        TextTable(("", "x", ""), ())
     with pytest.raises(ValueError, match="does not have the 2 cells"):
-        Table(("", "x"), (("1",),))
+        TextTable(("", "x"), (("1",),))
 
 
 def test_text_of_several_lines_is_one_paragraph(tmp_path: Path) -> None:
@@ -147,7 +157,7 @@ def test_fits_are_recorded_with_their_errors() -> None:
     spectrum = resonator()
     fits = resonance_fits(spectrum)
     assert set(fits) == {"pole", "bvd"}
-    record = fit_record(fit_resonance(spectrum, "bvd"))
+    record = resonance_record(fit_resonance(spectrum, "bvd"))
     # The circuit itself, without noise: the fit returns what was put in.
     assert record["frequency_hz"][0] == pytest.approx(F0, rel=1e-6)
     assert record["q"][0] == pytest.approx(Q, rel=1e-5)
@@ -168,4 +178,4 @@ def test_a_comparison_is_recorded_with_all_it_found() -> None:
 
 @pytest.mark.parametrize(("value", "text"), [(1234.5678, "1235"), (0.00012345, "0.0001234"), (math.inf, "inf")])
 def test_numbers_are_short(value: float, text: str) -> None:
-    assert number(value) == text
+    assert number_text(value) == text

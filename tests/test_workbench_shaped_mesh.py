@@ -18,17 +18,17 @@ from geometry.names import region_names, role_of
 from geometry.parts import stacked
 from geometry.section import cut_section
 from materials.registry import Material
-from workbench.discretisation import Discretisation
-from workbench.elements import Lagrange
-from workbench.fields import section_nodes
-from workbench.nodal import cell_raster, gradient, integrate, locate, raised, sample, transfer
-from workbench.operators import FullOperators, assemble
+from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.nodal import cell_raster, gradient, integrate, interpolate, locate, raised, transfer
+from workbench.fem.elements import Lagrange
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.discretisation import Discretisation
+from workbench.model.problem import Problem, problem
+from workbench.model.shaped_mesh import shaped
 from workbench.physics.open_bond import OpenBond
 from workbench.physics.rim import Rim
 from workbench.physics.term import ModelError
-from workbench.problem import Problem, problem
-from workbench.shaped_mesh import shaped
-from workbench.solve import solve_full
 
 FREQUENCIES = np.linspace(310e3, 390e3, 5)
 FINENESS = Discretisation(4, 4.0, corner_refinement=0.05, growth=4.0)
@@ -169,7 +169,7 @@ def test_a_point_is_found_where_the_chip_has_got_to(operators: FullOperators, sm
                              np.column_stack([wall.outer_radius + BARREL + beside, height])])
     cell, _ = locate(mesh, points, mesh.regions)
     assert [mesh.regions[mesh.region[k]] if k >= 0 else "" for k in cell] == ["cavity", "sidewall", "sidewall", ""]
-    at = sample(mesh, mesh.points, points[:3], mesh.regions)
+    at = interpolate(mesh, mesh.points, points[:3], mesh.regions)
     assert np.abs(at - points[:3]).max() < 1e-11
     colours = cell_raster(mesh, mesh.region, points[:2, 0], height[:1])
     assert [mesh.regions[int(each)] for each in colours[:, 0]] == ["cavity", "sidewall"]

@@ -19,16 +19,16 @@ from materials.registry import Registry
 from workbench.app.controls import controls
 from workbench.design.model import full_evaluation
 from workbench.design.stated import stated_uncertainty
-from workbench.discretisation import Discretisation
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
-from workbench.fitting.objective import Objective, Recording
+from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import dimension_parameter, shown_factor, shown_unit
-from workbench.operators import assemble
-from workbench.parameter_names import Kind, ParameterName
-from workbench.problem import build, fill
-from workbench.ranges import fingerprint, range_model, with_ranges
-from workbench.solve import solve_full
-from workbench.spectrum import Spectrum
+from workbench.model.discretisation import Discretisation
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.problem import build, fill
+from workbench.reduced.ranges import fingerprint, range_model, with_ranges
+from workbench.results.spectrum import Spectrum
 
 COARSE = Discretisation(4, 1.0, corner_refinement=0.5, film_finer=0.65)
 BAND = (3.6e5, 4.4e5)
@@ -54,7 +54,7 @@ def there(chip: Chip, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
 
 def test_a_name_is_that_of_a_dimension() -> None:
     draft, bow = ParameterName.parse("sidewall.draft"), ParameterName.parse("superstrate.bow[filled]")
-    assert draft.kind is bow.kind is Kind.DIMENSION
+    assert draft.kind is bow.kind is ParameterKind.DIMENSION
     assert draft.is_shape
     assert (draft.dimension_unit, bow.dimension_unit) == ("rad", "m")
     assert not draft.is_radius
@@ -78,7 +78,7 @@ def test_a_fit_predicts_it_as_a_mesh_of_that_shape(chip: Chip) -> None:
     plain = build(fill(chip, None, Registry()), band=BAND, accuracy=COARSE)
     measured = Spectrum(frequency, np.full(5, 100.0 + 0j))
     parameters = [dimension_parameter(chip, name) for name in ("sidewall.draft", "couplant.thickness")]
-    objective = Objective([Recording("filled", plain, measured, chip)], parameters, tolerance=1e-7)
+    objective = Objective([FitRecording("filled", plain, measured, chip)], parameters, tolerance=1e-7)
     x = np.array([DRAFT, 47e-6])
     found, gradient, _ = objective.predict(x, 0)
     moved = chip.with_dimensions({"sidewall.draft": DRAFT, "couplant.thickness": 47e-6})

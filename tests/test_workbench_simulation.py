@@ -12,10 +12,10 @@ from support import quadratic
 
 from geometry.chip import Chip, parse_chip
 from workbench.design.model import full_evaluation
-from workbench.drive import PowerDrive
+from workbench.fem.solve import NotConverged, System
 from workbench.files.errors import InputError
-from workbench.simulation import MeshTooCoarse, Simulation, frequency_grid, simulate, snapshot
-from workbench.solve import NotConverged, System
+from workbench.model.drive import PowerDrive
+from workbench.simulation.run import MeshTooCoarse, Simulation, frequency_grid, simulate, snapshot
 
 POINTS, ELEMENTS = 41, 3.0
 DISC = {"role": "transducer", "material": "pzt4/acevedo_2026_initial", "thickness": "2 mm", "radius": "3 mm"}
@@ -172,7 +172,7 @@ def test_a_mesh_that_is_not_as_accurate_as_asked_is_warned_of(disc: Chip, monkey
     assert run.mesh_error is not None
     assert 0.0 < run.mesh_error.rms < 5e-3
     worse = replace(run.mesh_error, log_impedance=run.mesh_error.log_impedance * 6e-3 / run.mesh_error.rms)
-    monkeypatch.setattr("workbench.simulation.mesh_error", lambda *_arguments: worse)
+    monkeypatch.setattr("workbench.simulation.run.mesh_error", lambda *_arguments: worse)
     with pytest.warns(MeshTooCoarse, match=r"estimated 0\.6 % rms in Z, above the 0\.5 % that it was made for; "
                       r"--accuracy \"0\.1 %\" \(in Python accuracy=0\.001\)"):
         simulate(disc, points=13, accuracy=5e-3)
@@ -264,7 +264,7 @@ def test_a_singular_frequency_is_left_out_and_named(disc: Chip, monkeypatch: pyt
 
 
 def test_a_model_that_is_singular_everywhere_is_an_error(disc: Chip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("workbench.solve.RESIDUAL_LIMIT", 0.0)
+    monkeypatch.setattr("workbench.fem.solve.RESIDUAL_LIMIT", 0.0)
     for full in (False, True):
         with pytest.raises(NotConverged):
             simulate(disc, points=21, accuracy=quadratic(ELEMENTS), full=full)

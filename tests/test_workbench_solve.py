@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from workbench.dense import PENCIL_RESIDUAL, solve_dense, solve_each
-from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem
-from workbench.reduction import reduce
-from workbench.solve import (
+from workbench.fem.dense import PENCIL_RESIDUAL, solve_dense, solve_each
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import (
     RESIDUAL_LIMIT,
     Factor,
     NotConverged,
@@ -22,6 +20,8 @@ from workbench.solve import (
     solve_reduced,
     sweep,
 )
+from workbench.model.problem import Problem
+from workbench.reduced.reduction import reduce
 
 FREQUENCY = np.linspace(300e3, 400e3, 5)
 
@@ -215,7 +215,7 @@ def test_dense_systems_of_any_frequency_dependence_are_solved(
     assert np.abs(found.charge / truth - 1.0).max() < (1e-11 if size == 12 else 1e-6)
     if found.span is not None:
         assert np.abs(found.span.basis @ found.span.coordinates - states).max() < 1e-12 * np.abs(states).max()
-    monkeypatch.setattr("workbench.dense.ENTRIES", 4 * (size - 1) ** 2)  # in eight parts
+    monkeypatch.setattr("workbench.fem.dense.ENTRIES", 4 * (size - 1) ** 2)  # in eight parts
     right = random.standard_normal((3, size - 1, omega.size)) + 1j * random.standard_normal((3, size - 1, omega.size))
     several = solve_each(factors, matrices[:, :-1, :-1], right)
     expected = np.linalg.solve(whole[:, :-1, :-1], right.transpose(2, 1, 0)).transpose(2, 1, 0)

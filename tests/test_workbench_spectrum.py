@@ -1,4 +1,5 @@
-"""workbench.spectrum: what a spectrum refuses, its interpolant against a circuit, and an exact round trip by file."""
+"""workbench.results.spectrum: what a spectrum refuses, its interpolant against a circuit, and an exact round trip by
+file."""
 
 import pickle
 import stat
@@ -11,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workbench.files.errors import InputError
-from workbench.merit import bvd_impedance
 from workbench.readers import read_recording
-from workbench.spectrum import Origin, Spectrum, corrected, write_csv
+from workbench.results.merit import bvd_impedance
+from workbench.results.spectrum import Origin, Spectrum, corrected, write_csv
 
 FREQUENCY = np.array([1.0e6, 1.1e6, 1.2e6])
 IMPEDANCE = np.array([3.0 - 4.0j, 5.0 + 1.0j, 2.0 - 2.0j])

@@ -8,9 +8,9 @@ from support import check_table
 
 from workbench.commands.fit import _columns_table, _devices_table
 from workbench.commands.terminal import print_table, table_lines
-from workbench.fitting.batch import Column
+from workbench.fitting.batch import BatchColumn
 from workbench.report.figures import FIGURE_COLUMNS
-from workbench.report.page import Table
+from workbench.report.page import TextTable
 
 STATES = ("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")
 LABEL = "with stiffness_loss of pzt_mine/disc_1@2 and shear_modulus loss of glass/trial, held out"
@@ -18,11 +18,11 @@ PARAMETERS = ("parameter", "start", "fitted", "95 % interval", "unit", "change (
 DEVIATION = np.array([1.0, 2.0])
 
 #: Title, table and how it is drawn.
-TABLES: dict[str, tuple[str, Table, str]] = {
-    "diagnosis": ("before and after", Table(STATES, tuple(
+TABLES: dict[str, tuple[str, TextTable, str]] = {
+    "diagnosis": ("before and after", TextTable(STATES, tuple(
         (state, label, "1030.531", "5.391", "117.2", "1.234", "2.345", "10500")
         for state in ("empty", "filled") for label in ("measured", "as stated", "known parameters", LABEL))), "folded"),
-    "fit": ("pzt_mine/acevedo_2026_initial@12, joint", Table(PARAMETERS, (
+    "fit": ("pzt_mine/acevedo_2026_initial@12, joint", TextTable(PARAMETERS, (
         ("transducer.thickness (disc_1, disc_2)", "2.02", "2.02131", "2.01988 to 2.02274", "mm", "+0.06",
          "held by passivity; not determined; by profile"),
         ("eps33.loss", "0.02", "0.0213145", "0.0201 to 0.0222", "1", "+6.57", "not determined"))), "one"),
@@ -32,26 +32,26 @@ TABLES: dict[str, tuple[str, Table, str]] = {
         "disc_2": {"mape_percent": 55.02, "rms_log_residual": 0.519, "accepted": False, "saved_as": None,
                    "wall_seconds": 23.4}}), "folded"),
     "what devices have in common": ("what they have in common", _columns_table(tuple(
-        Column(name, unit, ("a", "b"), DEVIATION, DEVIATION, DEVIATION, 1.5, 0.7071, 66.7, ("disc_7", "disc_12"))
+        BatchColumn(name, unit, ("a", "b"), DEVIATION, DEVIATION, DEVIATION, 1.5, 0.7071, 66.7, ("disc_7", "disc_12"))
         for name, unit in (("transducer.thickness", "m"), ("bench.series_resistance", "ohm"), ("c33.loss", "1")))),
         "one"),
-    "convergence": ("refinement of chip, filled", Table(
+    "convergence": ("refinement of chip, filled", TextTable(
         ("elements per wavelength", "unknowns", "f0 (MHz)", "change (%)", "Z_min (ohm)", "change (%)", "Q"),
         (("10.0", "88288", "1.03051", "", "5.3912", "", "117.2"),
          ("14.1", "170288", "1.03050", "-0.0010", "5.3901", "-0.020", "117.3"))), "one"),
-    "measurement": ("disc_7.h5", Table(FIGURE_COLUMNS, (
+    "measurement": ("disc_7.h5", TextTable(FIGURE_COLUMNS, (
         ("10 Vpp", "1.0305", "5.391", "117.2", "0.456"),)), "one"),
-    "history": ("pzt_mine/disc_1", Table(("version", "fitted on", "MAPE (%)", "algorithm", "remark"), (
+    "history": ("pzt_mine/disc_1", TextTable(("version", "fitted on", "MAPE (%)", "algorithm", "remark"), (
         ("pzt_mine/disc_1@1", "2026-01-02T12:23:34+00:00", "1.02", "joint",
          "withdrawn on 2026-01-03T12:23:34+00:00: the density was that of another disc"),
         ("pzt_mine/disc_1@2", "2026-01-04T12:23:34+00:00", "1.01", "joint", ""))), "folded"),
-    "keys of two columns": ("", Table(("state", "effect", *(f"a-rather-long-heading-{n}" for n in range(6))), tuple(
+    "keys of two columns": ("", TextTable(("state", "effect", *(f"a-rather-long-heading-{n}" for n in range(6))), tuple(
         (state, effect, *"123456") for state in ("empty", "filled") for effect in ("bond", "gel"))), "folded"),
-    "one long word": ("", Table(("recording", "value"), (
+    "one long word": ("", TextTable(("recording", "value"), (
         ("SHA-256", "0123456789abcdef" * 4),
         ("file", "/a/folder/" + "with_a_long_name/" * 5 + "a_file_of_a_name" * 4 + "_.csv"))), "list"),
-    "one column": ("", Table(("file",), (("with_a_long_name" * 4 + "_of_78_chars__",), ("a.csv",))), "list"),
-    "no rows": ("empty", Table(("state", "value"), ()), "one"),
+    "one column": ("", TextTable(("file",), (("with_a_long_name" * 4 + "_of_78_chars__",), ("a.csv",))), "list"),
+    "no rows": ("empty", TextTable(("state", "value"), ()), "one"),
 }
 
 
@@ -65,7 +65,7 @@ def test_a_table_fits_80_columns_and_loses_no_word(name: str) -> None:
 
 
 def test_a_table_that_fits_is_not_wrapped() -> None:
-    table = Table(("name", "value (mm)"), (("transducer.thickness", "2.02"), ("", "1.5")))
+    table = TextTable(("name", "value (mm)"), (("transducer.thickness", "2.02"), ("", "1.5")))
     assert table_lines("a title", table, width=80) == [
         "a title",
         "┏━━━━━━━━━━━━━━━━━━━━━━┳━━━━━━━━━━━━┓",

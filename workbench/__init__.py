@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from materials.registry import Registry as Registry
     from workbench.bench.setup import read_bench as read_bench
     from workbench.bench.sweep import measure as measure
-    from workbench.comparison import Comparison as Comparison
-    from workbench.comparison import compare as compare
     from workbench.design.evaluation import Evaluation as Evaluation
     from workbench.design.evaluation import Operation as Operation
     from workbench.design.goal import Goal as Goal
@@ -53,72 +51,74 @@ if TYPE_CHECKING:
     from workbench.diagnosis.campaign import read_campaign as read_campaign
     from workbench.diagnosis.outcome import Diagnosis as Diagnosis
     from workbench.diagnosis.posterior import Posterior as Posterior
-    from workbench.drive import parse_drive as parse_drive
     from workbench.files.errors import InputError as InputError
     from workbench.fitting.recordings import MaterialFit as MaterialFit
     from workbench.fitting.recordings import fit as fit
     from workbench.instruments.simulated import SimulatedBench as SimulatedBench
-    from workbench.merit import Figures as Figures
-    from workbench.merit import figures as figures
-    from workbench.ranges import RangeModel as RangeModel
-    from workbench.ranges import range_model as range_model
+    from workbench.model.drive import parse_drive as parse_drive
     from workbench.readers import Reading as Reading
     from workbench.readers import read_recording as read_recording
+    from workbench.reduced.ranges import RangeModel as RangeModel
+    from workbench.reduced.ranges import range_model as range_model
     from workbench.render.gallery import draw_state as draw_state
     from workbench.render.plots import draw_spectra as draw_spectra
     from workbench.render.tolerances import draw_tolerance as draw_tolerance
-    from workbench.simulation import Simulation as Simulation
-    from workbench.simulation import Snapshot as Snapshot
-    from workbench.simulation import simulate as simulate
-    from workbench.simulation import snapshot as snapshot
-    from workbench.spectrum import Spectrum as Spectrum
+    from workbench.results.comparison import Comparison as Comparison
+    from workbench.results.comparison import compare as compare
+    from workbench.results.merit import Figures as Figures
+    from workbench.results.merit import figures as figures
+    from workbench.results.spectrum import Spectrum as Spectrum
+    from workbench.simulation.run import Simulation as Simulation
+    from workbench.simulation.run import Snapshot as Snapshot
+    from workbench.simulation.run import simulate as simulate
+    from workbench.simulation.run import snapshot as snapshot
 
 #: The public names and the modules that define them.
 PUBLIC = {
     "Campaign": "workbench.diagnosis.campaign",
     "Chip": "geometry.chip",
-    "Comparison": "workbench.comparison",
+    "Comparison": "workbench.results.comparison",
     "Design": "workbench.design.optimisation",
     "DesignModel": "workbench.design.model",
     "Diagnosis": "workbench.diagnosis.outcome",
     "Evaluation": "workbench.design.evaluation",
-    "Figures": "workbench.merit",
+    "Figures": "workbench.results.merit",
     "Goal": "workbench.design.goal",
     "InputError": "workbench.files.errors",
     "MaterialFit": "workbench.fitting.recordings",
     "Operation": "workbench.design.evaluation",
     "Posterior": "workbench.diagnosis.posterior",
-    "RangeModel": "workbench.ranges",
+    "RangeModel": "workbench.reduced.ranges",
     "Reading": "workbench.readers",
     "Registry": "materials.registry",
     "SimulatedBench": "workbench.instruments.simulated",
-    "Simulation": "workbench.simulation",
-    "Snapshot": "workbench.simulation",
-    "Spectrum": "workbench.spectrum",
+    "Simulation": "workbench.simulation.run",
+    "Snapshot": "workbench.simulation.run",
+    "Spectrum": "workbench.results.spectrum",
     "Tolerance": "workbench.design.tolerance",
     "Study": "workbench.design.plan",
     "StudyResult": "workbench.design.study_result",
-    "compare": "workbench.comparison",
+    "compare": "workbench.results.comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.appraisal",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
     "draw_tolerance": "workbench.render.tolerances",
-    "figures": "workbench.merit",
+    "figures": "workbench.results.merit",
     "fit": "workbench.fitting.recordings",
     "full_evaluation": "workbench.design.model",
     "measure": "workbench.bench.sweep",
     "optimise": "workbench.design.optimisation",
-    "parse_drive": "workbench.drive",
-    "range_model": "workbench.ranges",
+    "parse_drive": "workbench.model.drive",
+    "range_model": "workbench.reduced.ranges",
     "read_bench": "workbench.bench.setup",
     "read_campaign": "workbench.diagnosis.campaign",
     "read_chip": "geometry.chip",
     "read_goal": "workbench.design.goal",
     "read_recording": "workbench.readers",
     "read_study": "workbench.design.plan",
-    "simulate": "workbench.simulation",
-    "snapshot": "workbench.simulation",
+    "simulate": "workbench.simulation.run",
+    "snapshot": "workbench.simulation.run",
     "stated_uncertainty": "workbench.design.stated",
     "study": "workbench.design.study",
     "tolerance": "workbench.design.tolerance",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from workbench.interruption import Interruption
+    from workbench.jobs.interruption import Interruption
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: as argparse does, status 2 for a faulty command and 0 after ``--help``.
     """
-    from workbench import interruption
+    from workbench.jobs import interruption
 
     own = arguments is None
     with interruption.heeded(stays=own) as interrupted:
@@ -42,14 +42,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
     # Nothing is imported sooner than it is needed: whoever asks for help, or mistypes an option or the name of a file,
     # need not wait for the numerical libraries.
-    from workbench.options import parser
+    from workbench.commands.options import command_parser
 
-    options = parser().parse_args(arguments)
+    options = command_parser().parse_args(arguments)
     interrupted.output = str(getattr(options, "output", None) or "")
     from rich.console import Console
 
     console = Console(stderr=True, soft_wrap=True, highlight=False)
-    from workbench.early_checks import check_early
+    from workbench.commands.early_checks import check_early
     from workbench.files.errors import InputError
 
     try:
@@ -69,7 +69,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
     from pathlib import Path
 
     from workbench.files.errors import InputError
-    from workbench.files.writing import remedy, settled
+    from workbench.files.writing import remedy, settle_folder
     from workbench.physics.term import ModelError
 
     started = time.perf_counter()
@@ -79,7 +79,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
         _show_warnings(console)
         try:
             interrupted.stage = "working"
-            status: int = command.run(options, console)
+            status: int = getattr(command, f"run_{options.command}")(options, console)
             interrupted.stage = "closing"
             complete = not interrupted.asked
         except BaseException as error:
@@ -101,7 +101,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
             raise
         finally:
             if isinstance(output, Path) and output.is_dir():
-                settled(output, complete=complete)
+                settle_folder(output, complete=complete)
     if interrupted.asked and output is not None:
         # The command made its report of what it knew by then.
         return _interrupted(output, console, interrupted)
@@ -112,7 +112,7 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
 
 def _interrupted(output: Path | None, console: Console, interrupted: Interruption) -> int:
     """Say what is on disk, once nothing is written any more; the exit status."""
-    from workbench import interruption
+    from workbench.jobs import interruption
 
     interruption.wait()
     console.print(interruption.on_disk(output, interrupted.since), style="yellow", markup=False)

@@ -40,9 +40,9 @@ from workbench.instruments.circuit import TYPICAL, device_of, open_circuit, resi
 from workbench.instruments.faults import GENERATOR, KINDS, OSCILLOSCOPE, Fault  # noqa: E402
 from workbench.instruments.instrument import InstrumentError  # noqa: E402
 from workbench.instruments.simulated import SimulatedBench  # noqa: E402
-from workbench.merit import figures  # noqa: E402
-from workbench.readers import ColumnMap, Quantity, read_recording  # noqa: E402
-from workbench.spectrum import Spectrum  # noqa: E402
+from workbench.readers import ColumnMap, RecordedQuantity, read_recording  # noqa: E402
+from workbench.results.merit import figures  # noqa: E402
+from workbench.results.spectrum import Spectrum  # noqa: E402
 
 #: The clock error of the simulated generator: the device is asked at the frequency that is really there.
 CLOCK = 1.0 + 5e-6
@@ -331,9 +331,9 @@ def shunt(recordings: Path) -> dict[str, tuple[complex, complex]]:
     """
     folder = recordings / "format-samples"
     files = {
-        "Rohde & Schwarz": ("RohdeSchwarz_47R_100R_shunt.csv", ColumnMap(2, 3, 4, Quantity(
+        "Rohde & Schwarz": ("RohdeSchwarz_47R_100R_shunt.csv", ColumnMap(2, 3, 4, RecordedQuantity(
             "gain", "polar", "dB", "deg", reference_resistance=100.0))),
-        "Moku:Go": ("MokuGo_47R_100R_shunt.csv", ColumnMap(1, 6, 7, Quantity(
+        "Moku:Go": ("MokuGo_47R_100R_shunt.csv", ColumnMap(1, 6, 7, RecordedQuantity(
             "gain", "polar", "dB", "deg", reference_resistance=100.0, inverse=True))),
     }
     found = {}

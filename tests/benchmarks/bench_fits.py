@@ -40,16 +40,16 @@ from materials.passivity import smallest_dissipation  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.bench.spectra import level_spectra, read_compensation  # noqa: E402
 from workbench.bench.sweep import measure  # noqa: E402
+from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fitting.parameter import DATA_SHEET  # noqa: E402
 from workbench.fitting.recordings import fit  # noqa: E402
 from workbench.instruments.circuit import Circuit, device_of, open_circuit, resistor  # noqa: E402
 from workbench.instruments.simulated import SimulatedBench  # noqa: E402
-from workbench.operators import assemble  # noqa: E402
-from workbench.parameter_names import placed  # noqa: E402
-from workbench.problem import build, fill  # noqa: E402
+from workbench.model.numbers import placed  # noqa: E402
+from workbench.model.problem import build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.reduction import reduce  # noqa: E402
-from workbench.spectrum import Spectrum, write_csv  # noqa: E402
+from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.results.spectrum import Spectrum, write_csv  # noqa: E402
 
 #: What the chip files state, with the numbers that fits start from.
 DISC, POLYMER = "pzt4/acevedo_2026_initial", "pla/acevedo_2026"

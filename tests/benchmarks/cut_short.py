@@ -39,18 +39,18 @@ from workbench.commands.asked import asked_accuracy  # noqa: E402
 from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.descent import Candidate  # noqa: E402
-from workbench.diagnosis.device import Model, model  # noqa: E402
+from workbench.diagnosis.device import Model, device_model  # noqa: E402
 from workbench.diagnosis.findings import Begun  # noqa: E402
-from workbench.diagnosis.inference import Search  # noqa: E402
+from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
 from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
 from workbench.diagnosis.record import record  # noqa: E402
 from workbench.diagnosis.state import StateFit  # noqa: E402
-from workbench.operators import assemble  # noqa: E402
-from workbench.problem import build, fill, with_boundary_layers  # noqa: E402
+from workbench.fem.operators import assemble  # noqa: E402
+from workbench.fem.solve import one_thread  # noqa: E402
+from workbench.model.problem import build, fill, with_boundary_layers  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.reduction import reduce  # noqa: E402
-from workbench.solve import one_thread  # noqa: E402
-from workbench.spectrum import Spectrum, write_csv  # noqa: E402
+from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.results.spectrum import Spectrum, write_csv  # noqa: E402
 
 EXAMPLE = ROOT / "examples" / "small_campaign"
 
@@ -108,7 +108,7 @@ class Kept:
     seconds: float
 
 
-class Replayed(Search):
+class Replayed(DiagnosisSearch):
     """A search whose tasks are done once, by all that have the same ``kept``, and whose time is that of its tasks."""
 
     kept: dict[tuple[str, str], Kept]
@@ -155,7 +155,7 @@ class Replay:
         started = time.perf_counter()
         with one_thread():
             if self._model is None:
-                self._model = model(read_campaign(self._given[0]), accuracy=self._given[1])
+                self._model = device_model(read_campaign(self._given[0]), accuracy=self._given[1])
                 self._models = Neighbourhoods(self._model)
             search = Replayed(self._model)
             search.kept, search.budget = self._kept, math.inf if minutes is None else 60.0 * minutes

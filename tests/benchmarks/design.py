@@ -21,7 +21,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
-from workbench.design.design_report import shown  # noqa: E402
+from workbench.design.design_report import figure_in_unit  # noqa: E402
 from workbench.design.executors import processes  # noqa: E402
 from workbench.design.goal import read_goal  # noqa: E402
 from workbench.design.optimisation import Design, optimise  # noqa: E402
@@ -71,7 +71,7 @@ def _tell(task: str, outcome: Design, processor: float, found: Measurements) -> 
     missed = [words for words, good in (
         ("gain", (after > before) == objective.maximise), ("starts", chosen.at_best >= STARTS * len(chosen.attempts)),
         ("difference", worst <= DIFFERENCE), ("time", seconds <= SECONDS)) if not good]
-    print(ROW.format(task, shown(objective.figure, before, 4), shown(objective.figure, after, 4),
+    print(ROW.format(task, figure_in_unit(objective.figure, before, 4), figure_in_unit(objective.figure, after, 4),
                      f"{100.0 * (after / before - 1.0):+.0f} %", f"{chosen.at_best}/{len(chosen.attempts)}",
                      f"{100.0 * worst:.2g} %", f"{seconds:.0f} s", f"{processor:.0f} s",
                      ", ".join(missed) or "nothing"), flush=True)

@@ -30,9 +30,9 @@ from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.likelihood import Likelihood  # noqa: E402
 from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
 from workbench.diagnosis.ranking import ranked  # noqa: E402
-from workbench.operators import assemble  # noqa: E402
-from workbench.problem import build  # noqa: E402
-from workbench.solve import sweep  # noqa: E402
+from workbench.fem.operators import assemble  # noqa: E402
+from workbench.fem.solve import sweep  # noqa: E402
+from workbench.model.problem import build  # noqa: E402
 
 
 def main() -> None:

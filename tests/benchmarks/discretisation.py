@@ -1,4 +1,4 @@
-"""What the rows of `workbench.discretisation.ROWS` are worth: error of Z, unknowns and time, chip by chip.
+"""What the rows of `workbench.model.discretisation.ROWS` are worth: error of Z, unknowns and time, chip by chip.
 
     python tests/benchmarks/discretisation.py                       # the rows, all chips and states (8 minutes)
     python tests/benchmarks/discretisation.py --accuracy 5e-4       # one row
@@ -6,9 +6,9 @@
     python tests/benchmarks/discretisation.py --held-out            # cases that no row was chosen on
 
 The error is the rms of ln Z over the chip's band against the workbench's own converged solution: order 6, elements
-half as large, graded more steeply. Beside it the error that `workbench.mesh_error` estimates. The held-out cases are
-the chips with all dimensions changed by up to 10 %, in bands below and above their own, and a disc with an electrode
-that covers a part of it.
+half as large, graded more steeply. Beside it the error that `workbench.simulation.mesh_error` estimates. The held-out
+cases are the chips with all dimensions changed by up to 10 %, in bands below and above their own, and a disc with an
+electrode that covers a part of it.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import Chip, Dimension, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.discretisation import ROWS, Discretisation  # noqa: E402
+from workbench.fem.operators import assemble  # noqa: E402
 from workbench.files.errors import InputError  # noqa: E402
-from workbench.mesh_error import estimate  # noqa: E402
-from workbench.operators import assemble  # noqa: E402
-from workbench.problem import build, fill  # noqa: E402
-from workbench.reduction import reduce  # noqa: E402
+from workbench.model.discretisation import ROWS, Discretisation  # noqa: E402
+from workbench.model.problem import build, fill  # noqa: E402
+from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.simulation.mesh_error import estimate  # noqa: E402
 
 Complex = NDArray[np.complex128]
 

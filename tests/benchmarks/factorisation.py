@@ -4,7 +4,7 @@
 
 The filled chip near its resonance on the default mesh, and on others of its kind of about so many unknowns, without the
 electrode and scaled to a diagonal of ones, as a solve factorises it. *COLAMD* is what scipy does unless told
-otherwise; *SuperLU* and *rslab* are those of `workbench.factorisation`. *First*: with what is found of the pattern
+otherwise; *SuperLU* and *rslab* are those of `workbench.fem.factorisation`. *First*: with what is found of the pattern
 alone; *second*: with other values of that pattern, at a frequency nearby. Seconds are those of the wall clock on one
 thread, the others times what they are for *SuperLU*; each is the shortest of the repetitions. The residual is that of
 one solve without refinement, relative to the right-hand side. Run it on a quiet machine. `rslab` has to be installed:
@@ -37,11 +37,11 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.discretisation import ACCURACY, discretisation  # noqa: E402
-from workbench.factorisation import KNOWN  # noqa: E402
-from workbench.operators import FullOperators, assemble  # noqa: E402
-from workbench.problem import Problem, build, fill  # noqa: E402
-from workbench.solve import System, one_thread  # noqa: E402
+from workbench.fem.factorisation import KNOWN  # noqa: E402
+from workbench.fem.operators import FullOperators, assemble  # noqa: E402
+from workbench.fem.solve import System, one_thread  # noqa: E402
+from workbench.model.discretisation import ACCURACY, discretisation  # noqa: E402
+from workbench.model.problem import Problem, build, fill  # noqa: E402
 
 Complex = NDArray[np.complex128]
 

@@ -31,17 +31,17 @@ from paper_algorithms import Case, cases, disc_of  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.discretisation import ACCURACY  # noqa: E402
+from workbench.fem.operators import assemble  # noqa: E402
+from workbench.fem.solve import sweep  # noqa: E402
 from workbench.fitting.gel import gel_study  # noqa: E402
-from workbench.fitting.joint import COARSE, FINE, FitResult, fit, reweighted_descent  # noqa: E402
+from workbench.fitting.joint import COARSE, FINE, FitResult, fit_parameters, reweighted_descent  # noqa: E402
 from workbench.fitting.objective import Objective  # noqa: E402
 from workbench.fitting.prepare import prepare  # noqa: E402
-from workbench.fitting.search import Search  # noqa: E402
+from workbench.fitting.search import FitSearch  # noqa: E402
 from workbench.fitting.uncertainty import estimate_uncertainty  # noqa: E402
-from workbench.operators import assemble  # noqa: E402
+from workbench.model.discretisation import ACCURACY  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.solve import sweep  # noqa: E402
-from workbench.spectrum import Spectrum  # noqa: E402
+from workbench.results.spectrum import Spectrum  # noqa: E402
 
 #: Data sheets the real disc is fitted from. The first is the registry entry that the priors are centred on.
 DATA_SHEETS = ("pzt4/acevedo_2026_initial", "pzt5a/erturk_2011", "pic255/plutho", "pzt5h/erturk_2011")
@@ -99,7 +99,7 @@ def estimates(result: FitResult, case: Case) -> None:
 def recovery(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["disc"]
     prepared = case.prepare()
-    result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
+    result = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
     keep(result, case.label, arguments)
     estimates(result, case)
 
@@ -107,7 +107,7 @@ def recovery(arguments: argparse.Namespace) -> None:
 def polymer(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["polymer"]
     prepared = case.prepare()
-    result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
+    result = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
     keep(result, case.label, arguments)
     estimates(result, case)
     study = gel_study(prepared, Registry(), numbers={e.parameter.name: e.value for e in result.estimates},
@@ -133,7 +133,7 @@ def coverage(arguments: argparse.Namespace) -> None:
     case = cases(arguments)["disc"]
     prepared = case.prepare()
     exact = prepared.recordings[0].measured
-    first = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=0, profiles=False)
+    first = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=0, profiles=False)
     optimum = np.array([e.value for e in first.estimates])
     objective = Objective(prepared.recordings, prepared.parameters, tolerance=FINE)
     coarser = Objective(prepared.coarse, prepared.parameters, tolerance=COARSE)
@@ -147,7 +147,7 @@ def coverage(arguments: argparse.Namespace) -> None:
             noise = level * (random.standard_normal(exact.frequency.size)
                              + 1j * random.standard_normal(exact.frequency.size))
             measured = Spectrum(exact.frequency, exact.impedance * np.exp(noise))
-            search = Search(measured_as(objective, measured))
+            search = FitSearch(measured_as(objective, measured))
             minimum, found_noise = reweighted_descent(search, optimum)
             estimated = estimate_uncertainty(search, minimum, found_noise, profiles=True, coarser=coarser)
             for found in estimated.estimates:
@@ -173,7 +173,7 @@ def starts(arguments: argparse.Namespace) -> None:
     for number in range(arguments.count):
         factors = 1.0 + 0.15 * random.uniform(-1.0, 1.0, len(prepared.parameters))
         moved = [replace(p, start=p.start * f) for p, f in zip(prepared.parameters, factors, strict=True)]
-        result = fit(prepared.recordings, moved, coarse=prepared.coarse, bands=0, profiles=False)
+        result = fit_parameters(prepared.recordings, moved, coarse=prepared.coarse, bands=0, profiles=False)
         off = max(abs(e.value / case.truth[short(e.parameter.name)] - 1.0)
                   for e in result.estimates if not e.parameter.is_loss)
         reached += off < 0.01
@@ -195,7 +195,7 @@ def recording(arguments: argparse.Namespace) -> None:
         chip = disc_of(read_chip(ROOT / "geometry/chips/disc_20x2.toml"), sheet)
         prepared = prepare(chip, Registry(), kind="pzt", name="disc", measured=measured, free=SIXTEEN,
                            accuracy=arguments.accuracy)
-        result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
+        result = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse)
         match = result.recordings[0]
         keep(result, sheet, arguments)
         rows.append([sheet, f"{match.before.mape_percent:.0f} %", f"{match.after.mape_percent:.3f} %",
@@ -223,7 +223,7 @@ def speed(arguments: argparse.Namespace) -> None:
         rows.append([f"{case.label}: {operators.size} unknowns, full-order spectrum of {frequency.size} frequencies"
                      + (f" (from {chosen.size})" if chosen.size < frequency.size else ""), f"{full:.1f}", "1", ""])
         for bands, text in ((0, "intervals included"), (3, "and three bands left out and predicted")):
-            result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=bands)
+            result = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, bands=bands)
             keep(result, f"{case.label}, {text}", arguments)
             rows.append([f"{case.label}: {parameters} parameters, {text}", f"{result.seconds:.1f}",
                          f"{result.seconds / full:.3f}", "" if bands else f"{PUBLISHED_HOURS[paper]:g} h"])

@@ -3,9 +3,9 @@
     python tests/benchmarks/job_size.py              # ten jobs, each in a process of its own (4 minutes)
     python tests/benchmarks/job_size.py --only disc  # those whose name holds this
 
-The constants of `workbench.job_size` are chosen on these rows. Memory is the peak of the process less what it has when
-all libraries are loaded; time that of the processor. The last line is the estimate of the band with a lost point, which
-is never run.
+The constants of `workbench.model.job_size` are chosen on these rows. Memory is the peak of the process less what it has
+when all libraries are loaded; time that of the processor. The last line is the estimate of the band with a lost point,
+which is never run.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.discretisation import Discretisation, discretisation  # noqa: E402
-from workbench.job_size import JobSize, job_size, shown_memory, shown_time  # noqa: E402
-from workbench.problem import fill  # noqa: E402
+from workbench.model.discretisation import Discretisation, discretisation  # noqa: E402
+from workbench.model.job_size import JobSize, job_size, shown_memory, shown_time  # noqa: E402
+from workbench.model.problem import fill  # noqa: E402
 
 CHIPS = ROOT / "geometry/chips"
 
@@ -78,7 +78,7 @@ def run(job: Job) -> None:
     """Run a job and print what it took, in a process of its own."""
     import resource
 
-    from workbench.simulation import simulate
+    from workbench.simulation.run import simulate
 
     warnings.simplefilter("ignore")
     if importlib.util.find_spec("rslab") is not None:

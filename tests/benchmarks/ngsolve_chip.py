@@ -1,4 +1,4 @@
-"""The reference chip's spectrum by NGSolve and by `workbench.simulation`: accuracy and wall time in one run.
+"""The reference chip's spectrum by NGSolve and by `workbench.simulation.run`: accuracy and wall time in one run.
 
     .venv/bin/python tests/benchmarks/ngsolve_chip.py [--states empty filled] [--no-workbench] [--ordering COLAMD]
     .venv/bin/python tests/benchmarks/ngsolve_chip.py --draft 10 [--accuracy 2e-4]
@@ -51,10 +51,10 @@ from geometry.section import Section  # noqa: E402
 from geometry.shapes import Side, sides  # noqa: E402
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.discretisation import ACCURACY  # noqa: E402
-from workbench.problem import fill  # noqa: E402
-from workbench.simulation import simulate  # noqa: E402
-from workbench.spectrum import Spectrum  # noqa: E402
+from workbench.model.discretisation import ACCURACY  # noqa: E402
+from workbench.model.problem import fill  # noqa: E402
+from workbench.results.spectrum import Spectrum  # noqa: E402
+from workbench.simulation.run import simulate  # noqa: E402
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -31,19 +31,19 @@ sys.path.insert(0, str(ROOT))
 from geometry.chip import Chip, read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
 from workbench.commands.terminal import Show, progress_bars  # noqa: E402
-from workbench.discretisation import ACCURACY  # noqa: E402
-from workbench.fitting.joint import fit  # noqa: E402
-from workbench.fitting.paper import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
+from workbench.fem.operators import assemble  # noqa: E402
+from workbench.fem.solve import sweep  # noqa: E402
+from workbench.fitting.joint import fit_parameters  # noqa: E402
 from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN  # noqa: E402
 from workbench.fitting.prepare import Prepared, material_starts, prepare  # noqa: E402
-from workbench.fitting.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
-from workbench.operators import assemble  # noqa: E402
-from workbench.parameter_names import LOSS, part  # noqa: E402
-from workbench.problem import Problem, build, fill  # noqa: E402
+from workbench.model.discretisation import ACCURACY  # noqa: E402
+from workbench.model.numbers import LOSS, real_part  # noqa: E402
+from workbench.model.problem import Problem, build, fill  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.report.page import write_json  # noqa: E402
-from workbench.solve import sweep  # noqa: E402
-from workbench.spectrum import Spectrum  # noqa: E402
+from workbench.reproduction.fits import POLYMER_WINDOW, WINDOW, fit_polymer, fit_transducer  # noqa: E402
+from workbench.reproduction.sensitivity import TABLE_TWO, sensitivity  # noqa: E402
+from workbench.results.spectrum import Spectrum  # noqa: E402
 
 INITIAL, FITTED, PLA, PMMA = (
     "pzt4/acevedo_2026_initial", "pzt4/acevedo_2026_fitted", "pla/acevedo_2026", "pmma/acevedo_2026")
@@ -81,7 +81,7 @@ def disc_of(chip: Chip, material: str, density: float | None = None) -> Chip:
 def parts(material: str, names: tuple[str, ...]) -> dict[str, float]:
     """Real numbers of the registry by parameter name."""
     values = Registry().load(material).parameters()
-    return {name: part(values, name) for name in names}
+    return {name: real_part(values, name) for name in names}
 
 
 def free_disc(density: float, arguments: argparse.Namespace) -> Problem:
@@ -196,7 +196,7 @@ def published(case: Case, arguments: argparse.Namespace, say: Say) -> Row:
 def joint(case: Case, _arguments: argparse.Namespace, say: Say) -> Row:
     """The workbench's fit, asked as ``workbench fit`` asks it."""
     prepared = case.prepare()
-    found = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, progress=say)
+    found = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, progress=say)
     match, material = found.recordings[0], prepared.material.name
     window = WINDOW if prepared.kind == "pzt" else POLYMER_WINDOW
     mape, points = mape_about_resonance(match.measured, match.fitted, window)

@@ -28,10 +28,10 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 from geometry.chip import Chip, read_chip  # noqa: E402
 from geometry.stretch import movable  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.parameter_names import placed  # noqa: E402
-from workbench.problem import Problem, build, fill  # noqa: E402
-from workbench.ranges import NotCovered, range_model  # noqa: E402
-from workbench.solve import System, one_thread  # noqa: E402
+from workbench.fem.solve import System, one_thread  # noqa: E402
+from workbench.model.numbers import placed  # noqa: E402
+from workbench.model.problem import Problem, build, fill  # noqa: E402
+from workbench.reduced.ranges import NotCovered, range_model  # noqa: E402
 
 THICK = ("couplant.thickness", "substrate.thickness", "sidewall.thickness", "superstrate.thickness")
 WIDE = ("cavity.radius", "substrate.radius")

@@ -27,16 +27,16 @@ from geometry.names import CAVITY
 from geometry.section import Section, cut_section
 from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Registry
-from workbench.discretisation import ROWS, Discretisation
-from workbench.drive import VoltageDrive
-from workbench.field_forces import force_at, particle_forces
-from workbench.fields import Fields, fields
-from workbench.nodal import integrate, sample
-from workbench.operators import assemble
-from workbench.particles import particle_from
-from workbench.problem import fill, problem
-from workbench.solve import solve_full
-from workbench.traps import Trap, find_traps
+from workbench.acoustics.fields import Fields, fields
+from workbench.acoustics.forces import force_at, particle_forces
+from workbench.acoustics.nodal import integrate, interpolate
+from workbench.acoustics.traps import Trap, find_traps
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.discretisation import ROWS, Discretisation
+from workbench.model.drive import VoltageDrive
+from workbench.model.particles import particle_from
+from workbench.model.problem import fill, problem
 
 Real = NDArray[np.float64]
 
@@ -98,7 +98,8 @@ def solve(how: Discretisation) -> Found:
     forces = particle_forces(shown, particle_from(bead, RADIUS), fluid=fluid, region=CAVITY)
     values = sampled(shown, points_of(section))
     values[CAVITY, "force"] = force_at(forces, points_of(section)[CAVITY])
-    values[CAVITY, "potential"] = sample(forces.mesh, forces.potential[:, None], points_of(section)[CAVITY], [CAVITY])
+    values[CAVITY, "potential"] = interpolate(forces.mesh, forces.potential[:, None], points_of(section)[CAVITY],
+                                              [CAVITY])
     energy = {name: float(integrate(shown.mesh, shown.energy_density, [name])) for name in section.regions}
     return Found(operators.size, values, energy, find_traps(forces).traps)
 
@@ -107,9 +108,9 @@ def sampled(shown: Fields, points: dict[str, Real]) -> dict[tuple[str, str], NDA
     """Stress in solids and velocity everywhere, at the points of every region."""
     values = {}
     for name, places in points.items():
-        values[name, "velocity"] = sample(shown.mesh, shown.velocity, places, [name])
+        values[name, "velocity"] = interpolate(shown.mesh, shown.velocity, places, [name])
         if name in shown.solid_regions:
-            values[name, "stress"] = sample(shown.mesh, shown.stress, places, [name])
+            values[name, "stress"] = interpolate(shown.mesh, shown.stress, places, [name])
     return values
 
 

@@ -34,12 +34,12 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from geometry.chip import read_chip  # noqa: E402
 from materials.registry import Registry  # noqa: E402
-from workbench.discretisation import ACCURACY  # noqa: E402
-from workbench.factorisation import chosen as chosen_factorisation  # noqa: E402
-from workbench.operators import assemble  # noqa: E402
-from workbench.problem import build, fill  # noqa: E402
-from workbench.reduction import reduce  # noqa: E402
-from workbench.solve import System, solve_full, sweep  # noqa: E402
+from workbench.fem.factorisation import chosen as chosen_factorisation  # noqa: E402
+from workbench.fem.operators import assemble  # noqa: E402
+from workbench.fem.solve import System, solve_full, sweep  # noqa: E402
+from workbench.model.discretisation import ACCURACY  # noqa: E402
+from workbench.model.problem import build, fill  # noqa: E402
+from workbench.reduced.reduction import reduce  # noqa: E402
 
 
 def memory() -> float:

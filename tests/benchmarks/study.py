@@ -32,7 +32,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
 from workbench.design.executors import dask_cluster  # noqa: E402
-from workbench.design.parts import named, parts_of  # noqa: E402
+from workbench.design.parts import numbers_by_name, parts_of  # noqa: E402
 from workbench.design.plan import Study, read_study  # noqa: E402
 from workbench.design.study import study  # noqa: E402
 from workbench.files.quantities import parse_quantity  # noqa: E402
@@ -94,7 +94,7 @@ def overhead(plan: Study, folder: Path, jobs: int, kept: Measurements) -> None:
     few = part.points[:200]
     begun = time.process_time()
     for point in few:
-        model(named(plan, point))
+        model(numbers_by_name(plan, point))
     alone = (time.process_time() - begun) / len(few)
     first = (folder / "study.parquet").read_bytes()
     shutil.rmtree(folder / "points")

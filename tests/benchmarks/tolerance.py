@@ -35,10 +35,10 @@ from workbench.design.evaluation import Evaluation, Operation  # noqa: E402
 from workbench.design.model import _evaluated, full_evaluation  # noqa: E402
 from workbench.design.stated import numbers_of  # noqa: E402
 from workbench.design.tolerance import Tolerance, tolerance  # noqa: E402
-from workbench.design.yields import share  # noqa: E402
-from workbench.dimensions import flexible  # noqa: E402
-from workbench.parameter_names import ParameterName, placed  # noqa: E402
-from workbench.problem import build, fill  # noqa: E402
+from workbench.design.yields import passed_share  # noqa: E402
+from workbench.model.dimensions import flexible  # noqa: E402
+from workbench.model.numbers import ParameterName, placed  # noqa: E402
+from workbench.model.problem import build, fill  # noqa: E402
 
 PRINTED = """
 [chip]
@@ -182,7 +182,7 @@ def tell_yields(found: Tolerance, full: Mapping[str, NDArray[np.float64]], kept:
            for values in ({name: found.outcomes.column(name) for name in full}, full)]
     rows = [*zip(found.yields.each, *met, strict=True), (found.yields.together, *(each.all(axis=0) for each in met))]
     for each, by_model, by_full in rows:
-        exact = share(by_full)
+        exact = passed_share(by_full)
         inside = each.sampled.low <= exact.value <= each.sampled.high
         print(f"{each.name}: model {each.sampled}, full solves {exact}, {int((by_model != by_full).sum())} samples "
               f"differ, {'within' if inside else 'OUTSIDE'} the interval; linear {100.0 * each.linear:.1f} %")

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from geometry.mesh import SectionMesh
 from geometry.names import AXIS, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANSDUCER, outside
 from geometry.section import Electrode, Rectangle, Section
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.operators import FullOperators, assemble
-from workbench.physics.electrodes import Electrodes
-from workbench.physics.piezoelectric import Piezoelectric
-from workbench.solve import solve_full
+from workbench.physics.electrodes import ElectrodePotential
+from workbench.physics.piezoelectric import PiezoelectricSolid
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -92,8 +92,8 @@ def result(folder: Path) -> Result:
 @pytest.fixture(scope="module")
 def operators(result: Result) -> FullOperators:
     """The workbench's own terms on that mesh, with fields of the first order."""
-    return assemble(section_mesh(result), (Piezoelectric(TRANSDUCER, "disc"),
-                                           Electrodes(ELECTRODE_LIVE, ELECTRODE_GROUND)))
+    return assemble(section_mesh(result), (PiezoelectricSolid(TRANSDUCER, "disc"),
+                                           ElectrodePotential(ELECTRODE_LIVE, ELECTRODE_GROUND)))
 
 
 def section_mesh(result: Result) -> SectionMesh:

@@ -15,13 +15,13 @@ from geometry.chip import Chip
 from geometry.mesh import mesh_section
 from geometry.section import cut_section
 from materials.kinds import Material
-from workbench.discretisation import ACCURACY, discretisation
-from workbench.merit import figures
-from workbench.operators import assemble
-from workbench.problem import problem
-from workbench.reduction import reduce
-from workbench.solve import solve_full
-from workbench.spectrum import Spectrum
+from workbench.fem.operators import assemble
+from workbench.fem.solve import solve_full
+from workbench.model.discretisation import ACCURACY, discretisation
+from workbench.model.problem import problem
+from workbench.reduced.reduction import reduce
+from workbench.results.merit import figures
+from workbench.results.spectrum import Spectrum
 
 NAMES = ("free_disc_nominal_rho7500", "free_disc_fitted_rho7500", "free_disc_fitted_rho7862", "disc_gel_PLA",
          "chip_empty", "chip_filled")
@@ -46,7 +46,7 @@ def test_the_spectrum_is_that_of_an_independent_solver(
     reference_spectrum: Callable[[str], Spectrum],
 ) -> None:
     chip, reference = reference_chip(name), reference_spectrum(name)
-    # The mesh that `workbench.problem.build` makes unless another accuracy is asked for.
+    # The mesh that `workbench.model.problem.build` makes unless another accuracy is asked for.
     materials, section = reference_materials(name), cut_section(chip)
     size = discretisation(ACCURACY).mesh_size(section, materials, chip.band[1])
     model = problem(mesh_section(section, size), materials, chip.band)

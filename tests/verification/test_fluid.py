@@ -16,7 +16,7 @@ from scipy.special import j0, j1, jn_zeros, jvp, y1, yvp
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
 from workbench.physics import electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Condition, Term
 
@@ -51,8 +51,8 @@ def base(
 ) -> tuple[tuple[Term, ...], dict[str, complex]]:
     """A transducer, which every model needs, and its values."""
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
-    terms = (piezoelectric.Piezoelectric("transducer", "pzt"),
-             electrodes.Electrodes("electrode_live", "electrode_ground"))
+    terms = (piezoelectric.PiezoelectricSolid("transducer", "pzt"),
+             electrodes.ElectrodePotential("electrode_live", "electrode_ground"))
     return terms, {f"pzt.{name}": value for name, value in pzt.parameters().items()} | WATER
 
 
@@ -71,7 +71,7 @@ def test_the_modes_of_a_cylinder_of_fluid_converge_to_the_closed_form_with_the_f
     rows: Callable[..., NDArray[np.int64]],
 ) -> None:
     terms, values = base
-    terms += (fluid.Fluid("cavity", "water"),)
+    terms += (fluid.AcousticFluid("cavity", "water"),)
     if rim == "free":
         terms += (fluid.PressureRelease("cavity|sidewall"),)
     # Rigid: zeros of J0' = -J1, with 0 for the waves along the axis. Free: zeros of J0.
@@ -133,7 +133,7 @@ def ring(
     """Modes (Hz), their shapes in columns, and the rows these are on, for an element edge."""
     terms, values = base
     terms += (
-        fluid.Fluid("cavity", "water"), solid.IsotropicSolid("sidewall", "pla"),
+        fluid.AcousticFluid("cavity", "water"), solid.ElasticSolid("sidewall", "pla"),
         fluid.SolidFluidContact("cavity|sidewall", "sidewall", "cavity"),
         PlaneStrain("layer|sidewall"), PlaneStrain("sidewall|superstrate"),
     )

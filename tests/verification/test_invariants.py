@@ -15,9 +15,9 @@ from geometry.mesh import SectionMesh, mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import cut_section
 from materials.kinds import Fluid, Material
-from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem, problem
-from workbench.solve import System, factorise, solve_full
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import System, factorise, solve_full
+from workbench.model.problem import Problem, problem
 
 FREQUENCY = np.linspace(300e3, 400e3, 11)
 

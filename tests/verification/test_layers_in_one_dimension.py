@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import Solution, solve_full
+from workbench.model.problem import base_model, problem
 from workbench.physics.fluid import PressureRelease
-from workbench.problem import model, problem
-from workbench.solve import Solution, solve_full
 
 RADIUS, EDGE = 0.1e-3, 50e-6
 #: Clear of the half waves of the lossless gel of the impedance tube (493 kHz and multiples), where Z is too steep.
@@ -110,8 +110,8 @@ def solved(
         materials = {layer.region: material or pzt for layer, (_, _, material) in zip(chip.layers, layers, strict=True)}
         mesh = uniform_mesh(chip, edge)
         # A rim that does not open keeps the gel one-dimensional.
-        terms = tuple(term for term in model(mesh, materials) if not isinstance(term, PressureRelease))
-        assert len(terms) < len(model(mesh, materials)) or name == "bonded sample"
+        terms = tuple(term for term in base_model(mesh, materials) if not isinstance(term, PressureRelease))
+        assert len(terms) < len(base_model(mesh, materials)) or name == "bonded sample"
         solution = solve_full(assemble(mesh, terms), FREQUENCY, problem(mesh, materials, chip.band).values)
         place = next(i for i, (_, _, material) in enumerate(layers) if material is None)
         oracle = three_port(pzt, layers[place][1], load(layers[:place][::-1]), load(layers[place + 1:]))

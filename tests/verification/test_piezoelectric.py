@@ -14,9 +14,9 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from materials.kinds import Material, Piezoelectric
 from materials.registry import Registry
-from workbench.operators import FullOperators, assemble
-from workbench.problem import Problem, problem
-from workbench.solve import solve_full
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import solve_full
+from workbench.model.problem import Problem, problem
 
 RADIUS, THICKNESS = 1e-3, 2e-3
 

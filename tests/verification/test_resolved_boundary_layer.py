@@ -19,12 +19,12 @@ from concealed import media, solver
 from geometry.chip import Chip
 from geometry.names import interface
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
-from workbench.merit import figures
-from workbench.operators import assemble
+from workbench.fem.operators import assemble
+from workbench.model.problem import Problem
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
-from workbench.problem import Problem
-from workbench.reduction import reduce
-from workbench.spectrum import Spectrum
+from workbench.reduced.reduction import reduce
+from workbench.results.merit import figures
+from workbench.results.spectrum import Spectrum
 
 RADIUS, CAVITY_RADIUS, CERAMIC, PLATE = 3e-3, 2.2e-3, 2e-3, 0.5e-3
 GLASS = IsotropicSolid(name="glass", density=2500.0, bulk_modulus=41e9, shear_modulus=29e9)

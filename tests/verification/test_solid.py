@@ -13,7 +13,7 @@ from support import Held
 
 from geometry.chip import Chip
 from geometry.mesh import SectionMesh
-from workbench.operators import FullOperators, assemble
+from workbench.fem.operators import FullOperators, assemble
 from workbench.physics import electrodes, piezoelectric, solid
 from workbench.physics.term import Term
 
@@ -38,8 +38,8 @@ def solid_modes(
         chip = stacked([("transducer", thickness, radius, None), ("couplant", thickness, radius, None),
                         ("sample", thickness, radius, None), ("superstrate", thickness, radius, None)], band=(1e5, 1e6))
         terms: tuple[Term, ...] = (
-            piezoelectric.Piezoelectric("transducer", "pzt"), solid.IsotropicSolid("sample", "polymer"),
-            electrodes.Electrodes("electrode_live", "electrode_ground"), *clamps,
+            piezoelectric.PiezoelectricSolid("transducer", "pzt"), solid.ElasticSolid("sample", "polymer"),
+            electrodes.ElectrodePotential("electrode_live", "electrode_ground"), *clamps,
         )
         operators: FullOperators = assemble(uniform_mesh(chip, edge), terms)
         polymer = {"polymer.bulk_modulus": bulk, "polymer.shear_modulus": SHEAR, "polymer.density": DENSITY}

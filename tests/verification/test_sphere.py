@@ -27,9 +27,9 @@ from geometry.free_section import Face, FreeSection
 from geometry.mesh import SectionMesh
 from geometry.mesh_size import MeshSize
 from geometry.quads import curved, oriented
-from workbench.elements import Lagrange, gauss_lobatto
+from workbench.fem.elements import Lagrange, gauss_lobatto
+from workbench.fem.places import Place, place_of
 from workbench.physics.term import Integral, Monomial, Product
-from workbench.places import Place, place_of
 
 RADIUS = 2.5e-3
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from workbench.files.errors import InputError
 from workbench.physics.term import ModelError
-from workbench.ranges import OutOfRange
+from workbench.reduced.ranges import OutOfRange
 
 #: Says what is being done.
 Say = Callable[[str], None]
@@ -97,7 +97,7 @@ def run_command(arguments: Sequence[str], stopped: Stopped, log: Path) -> int | 
                 return None
 
 
-def lines_of(log: Path) -> Iterator[str]:
+def last_lines(log: Path) -> Iterator[str]:
     """The lines of a log that say something, last first."""
     for line in reversed(log.read_text(encoding="utf-8", errors="replace").splitlines()):
         if line.strip():

@@ -12,12 +12,12 @@ from geometry.dimension import Dimension
 from geometry.names import CAVITY
 from geometry.stretch import movable, tied
 from materials.kinds import Fluid, IsotropicSolid
-from workbench.dimensions import flexible_within
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
 from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
-from workbench.parameter_names import LOSS, Kind, ParameterName, part
-from workbench.problem import Problem
+from workbench.model.dimensions import flexible_within
+from workbench.model.numbers import LOSS, ParameterKind, ParameterName, real_part
+from workbench.model.problem import Problem
 
 #: How far a number can be moved to either side unless told otherwise, relative. Twice as far, a range model of six
 #: lengths has about twice as many unknowns.
@@ -69,7 +69,7 @@ class Control:
 
     @property
     def is_length(self) -> bool:
-        return ParameterName.parse(self.name).kind is Kind.DIMENSION
+        return ParameterName.parse(self.name).kind is ParameterKind.DIMENSION
 
     @property
     def is_radius(self) -> bool:
@@ -158,7 +158,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         choose(name.removesuffix(LOSS), felt, source="command line", field="--vary")
         if name in found:
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
-        found[name] = _control(chip, problem, name, part(felt, name), ends.strip())
+        found[name] = _control(chip, problem, name, real_part(felt, name), ends.strip())
     # Refuses a radius that would pass another one, and a shape that folds a cell.
     flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_length})
     return tuple(found.values())
@@ -176,7 +176,7 @@ def _usual(chip: Chip, problem: Problem) -> list[str]:
 
 def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -> Control:
     parsed = ParameterName.parse(name)
-    if parsed.kind is Kind.DIMENSION:
+    if parsed.kind is ParameterKind.DIMENSION:
         unit, tolerance = parsed.dimension_unit, chip.dimensions()[name].tolerance
     else:
         unit = UNITS.get(parsed.coefficient, "1")
@@ -192,14 +192,14 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         if parsed.is_shape and tolerance is None:
             reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[parsed.coefficient])
         low, high = value - reach, value + reach
-        if parsed.kind is Kind.DIMENSION:
+        if parsed.kind is ParameterKind.DIMENSION:
             known = length_uncertainty(name, Dimension(value, tolerance))
             low, high = movable(chip, name, min(low, known.low), max(high, known.high))
             if low > known.low or high < known.high:
                 narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
                             f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
                             "stretched farther")
-    if parsed.kind is Kind.DIMENSION and movable(chip, name, low, high) != (low, high):
+    if parsed.kind is ParameterKind.DIMENSION and movable(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
         low, high = movable(chip, name, low, high)
         raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "

@@ -10,15 +10,15 @@ from typing import Any
 from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.app.elsewhere import Send, elsewhere
-from workbench.discretisation import Discretisation
-from workbench.operators import assemble
-from workbench.problem import build, fill
-from workbench.ranges import LIMIT, NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
+from workbench.fem.operators import assemble
+from workbench.model.discretisation import Discretisation
+from workbench.model.problem import build, fill
+from workbench.reduced.ranges import LIMIT, NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a model is made of: see `workbench.ranges.range_model`."""
+    """What a model is made of: see `workbench.reduced.ranges.range_model`."""
 
     chip: Chip
     state: str
@@ -39,7 +39,7 @@ def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
     """Growing models, made by whoever asks for the next one.
 
     Raises:
-        InputError, NotCovered: as of `workbench.ranges.growing_model`.
+        InputError, NotCovered: as of `workbench.reduced.ranges.growing_model`.
     """
     yield from growing_model(
         wanted.chip, wanted.state, wanted.ranges, registry=wanted.registry, band=wanted.band, points=wanted.points,
@@ -52,7 +52,7 @@ def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
     What comes over is all that answering needs: the model with what no number moves summed up, a tenth of the whole.
 
     Raises:
-        InputError, NotCovered: as of `workbench.ranges.growing_model`.
+        InputError, NotCovered: as of `workbench.reduced.ranges.growing_model`.
         RuntimeError: the process ended without a word.
     """
     plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)

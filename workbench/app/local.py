@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workbench.fitting.predict import Prediction
-from workbench.parameter_names import placed
-from workbench.ranges import RangeModel, Ranges, Response
-from workbench.reduction import ReducedModel, narrowed
-from workbench.solve import Solution
+from workbench.fem.solve import Solution
+from workbench.model.numbers import placed
+from workbench.reduced.predictor import Prediction
+from workbench.reduced.ranges import RangeModel, Ranges, Response
+from workbench.reduced.reduction import ReducedModel, narrowed
 
 #: Points of its range at which states are taken for one number, and for each of many, besides the centre; and of how
 #: many frequencies of the model one is used.
@@ -74,7 +74,7 @@ def along(model: RangeModel, name: str) -> Ranges:
     return {name: model.ranges[name]}
 
 
-def around(model: RangeModel, centre: Mapping[str, float]) -> Ranges:
+def local_ranges(model: RangeModel, centre: Mapping[str, float]) -> Ranges:
     """The reach of a local model for any one number near `centre` (SI)."""
     return {name: (max(low, centre[name] - NEAR * (high - low)), min(high, centre[name] + NEAR * (high - low)))
             for name, (low, high) in model.ranges.items()}

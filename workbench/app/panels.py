@@ -19,7 +19,7 @@ _PREFIXES = (("µ", 1e6), ("m", 1e3), ("", 1.0), ("k", 1e-3), ("M", 1e-6))
 TALLEST, LETTERS, STRIP = (196.0, 118.0), 11.0, 17.0
 
 
-class Drawn(Protocol):
+class DrawnField(Protocol):
     """A picture of a field, see `workbench.render.live.LivePicture`."""
 
     @property
@@ -46,7 +46,7 @@ class Drawn(Protocol):
     def tall(self) -> float: ...
 
 
-def curve(view: SpectrumView, scale: plot.Scale) -> dict[str, Any]:
+def curve(view: SpectrumView, scale: plot.PlotScale) -> dict[str, Any]:
     """The spectrum as lines, with its grid, its tolerance band, and its numbers for who points at it."""
     spectrum = view.spectrum
     tolerance = "" if view.spread is None else plot.tolerance_band(scale, spectrum, view.spread)
@@ -112,7 +112,7 @@ def embedded(png: bytes) -> str:
     return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
-def picture(drawn: Drawn) -> dict[str, Any]:
+def picture(drawn: DrawnField) -> dict[str, Any]:
     """A picture as the page shows it, in a box as wide as the picture has dots."""
     left, right, bottom, top = drawn.window
     width = plot.WIDTH if drawn.tall == 1.0 else 0.5 * plot.WIDTH
@@ -142,7 +142,7 @@ def picture(drawn: Drawn) -> dict[str, Any]:
             "marks": [{"x": x(r), "y": y(z), "text": text} for r, z, text in drawn.marks]}
 
 
-def next_picture(drawing: Iterator[Drawn]) -> dict[str, Any] | None:
+def next_picture(drawing: Iterator[DrawnField]) -> dict[str, Any] | None:
     """The next picture as the page shows it; None behind the last one."""
     drawn = next(drawing, None)
     return None if drawn is None else picture(drawn)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 
@@ -33,14 +33,14 @@ _LABELS = 5
 
 
 @dataclass(frozen=True)
-class Scale:
+class PlotScale:
     """Where frequencies (Hz), impedances (ohm) and phases (degrees) are in the picture."""
 
     band: tuple[float, float]
     magnitude: tuple[float, float]
 
     @classmethod
-    def of(cls, band: tuple[float, float], magnitudes: Sequence[Real]) -> Scale:
+    def of(cls, band: tuple[float, float], magnitudes: Sequence[Real]) -> PlotScale:
         """The scale on which all `magnitudes` (ohm) have room."""
         every = np.concatenate(list(magnitudes))
         low, high = math.log10(float(every.min())), math.log10(float(every.max()))
@@ -70,26 +70,26 @@ def path(x: Real, y: Real) -> str:
     return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
 
 
-def curves(scale: Scale, spectrum: Spectrum) -> dict[str, str]:
+def curves(scale: PlotScale, spectrum: Spectrum) -> dict[str, str]:
     """The lines of one spectrum: ``magnitude`` and ``phase``."""
     x = scale.x(spectrum.frequency)
     return {"magnitude": path(x, scale.y(spectrum.magnitude)), "phase": path(x, scale.phase(spectrum.phase_deg))}
 
 
-def tolerance_band(scale: Scale, spectrum: Spectrum, spread: Real) -> str:
+def tolerance_band(scale: PlotScale, spectrum: Spectrum, spread: Real) -> str:
     """The area within one `spread` (n,), the relative standard deviation, of |Z|."""
     x, factor = scale.x(spectrum.frequency), np.exp(spread)
     high, low = scale.y(spectrum.magnitude * factor), scale.y(spectrum.magnitude / factor)
     return path(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]])) + "Z"
 
 
-def dots(scale: Scale, frequency: Real, impedance: NDArray[np.complex128]) -> list[dict[str, float]]:
+def dots(scale: PlotScale, frequency: Real, impedance: NDArray[np.complex128]) -> list[dict[str, float]]:
     """Where single impedances (n,) are, in both panels."""
     rows = zip(scale.x(frequency), scale.y(np.abs(impedance)), scale.phase(np.angle(impedance, deg=True)), strict=True)
     return [{"x": round(float(x), 1), "y": round(float(y), 1), "p": round(float(p), 1)} for x, y, p in rows]
 
 
-def ticks(scale: Scale) -> dict[str, list[dict[str, Any]]]:
+def ticks(scale: PlotScale) -> dict[str, list[dict[str, Any]]]:
     """Labels and places of the lines of the grid: ``x``, ``y`` and ``phase``."""
     low, high = scale.band
     step = 10.0 ** math.floor(math.log10((high - low) / _LABELS))

@@ -10,11 +10,11 @@ import numpy as np
 from workbench.app.elsewhere import Send
 from workbench.app.session import Present
 from workbench.fitting import joint
-from workbench.fitting.objective import Recording
+from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.prepare import prepare
-from workbench.parameter_names import placed
-from workbench.spectrum import Spectrum
+from workbench.model.numbers import placed
+from workbench.results.spectrum import Spectrum
 
 #: Further descents at most, where the recording stays unexplained: a fit that somebody waits for is to end within a
 #: minute. A film reaches its third optimum to either side. ``workbench fit`` tries 32.
@@ -53,15 +53,15 @@ def refit(
                        free=tuple(values), band=present.band, accuracy=present.accuracy)
     free = tuple(known_to(each, uncertainties.get(each.name)) for each in prepared.parameters)
 
-    def holding(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
+    def holding(recordings: tuple[FitRecording, ...]) -> tuple[FitRecording, ...]:
         return tuple(replace(each, problem=each.problem.with_values(placed(each.problem.values, present.constants)))
                      for each in recordings)
 
     # What all points of the recording share is free beside what was asked for, and no answer.
     start = np.array([min(max(values.get(each.name, each.start), each.low), each.high) for each in free])
-    found = joint.fit(holding(prepared.recordings), free, coarse=holding(prepared.coarse),
-                      starts={"live view": start}, tries=TRIES, bands=0,
-                      progress=lambda text, share: send(f"{text}, {100.0 * share:.0f} %"))
+    found = joint.fit_parameters(holding(prepared.recordings), free, coarse=holding(prepared.coarse),
+                                 starts={"live view": start}, tries=TRIES, bands=0,
+                                 progress=lambda text, share: send(f"{text}, {100.0 * share:.0f} %"))
     (match,) = found.recordings
     asked = [each for each in found.estimates if each.parameter.name in values]
     send(Refit({each.parameter.name: each.value for each in asked},

@@ -17,14 +17,14 @@ from geometry.names import CAVITY
 from geometry.section import cut_section
 from geometry.stretch import tied
 from materials.kinds import Fluid, Material
-from workbench.drive import Drive
-from workbench.field_forces import particle_forces
-from workbench.fields import Fields, fields
-from workbench.parameter_names import ParameterName, placed
-from workbench.particles import Particle
-from workbench.ranges import RangeModel
-from workbench.shaped_mesh import shaped
-from workbench.traps import TrapReport, find_traps
+from workbench.acoustics.fields import Fields, fields
+from workbench.acoustics.forces import particle_forces
+from workbench.acoustics.traps import TrapReport, find_traps
+from workbench.model.drive import Drive
+from workbench.model.numbers import ParameterName, placed
+from workbench.model.particles import Particle
+from workbench.model.shaped_mesh import shaped
+from workbench.reduced.ranges import RangeModel
 
 
 @dataclass(frozen=True, eq=False)

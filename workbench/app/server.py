@@ -24,13 +24,13 @@ from workbench.app import guard, plot
 from workbench.app.background import FAILURES, Background
 from workbench.app.entry import slider_number, typed_number, typed_tolerance
 from workbench.app.page import lay_out
-from workbench.app.panels import Drawn, curve, described, embedded, figure_cards, next_picture
+from workbench.app.panels import DrawnField, curve, described, embedded, figure_cards, next_picture
 from workbench.app.section_fields import SectionFields
 from workbench.app.session import NotReady, Session
 from workbench.app.spectrum_view import SpectrumView
 from workbench.app.works import KINDS, REPORT, Works
 from workbench.files.errors import InputError
-from workbench.ranges import OutOfRange
+from workbench.reduced.ranges import OutOfRange
 
 #: Seconds after which a number that was moved is taken to rest: it is then one step that can be undone.
 RESTS = 0.5
@@ -47,7 +47,7 @@ _STEPS = 200
 class Drawing:
     """The functions that draw fields: the ``section``, one picture after the other, and the chip in ``space`` (PNG)."""
 
-    section: Callable[[SectionFields], Iterable[Drawn]]
+    section: Callable[[SectionFields], Iterable[DrawnField]]
     space: Callable[[SectionFields], bytes]
 
 
@@ -367,13 +367,13 @@ class LiveView:
     def _complain(self, error: Exception) -> None:
         self._say(str(error), error=True)
 
-    def _scale(self, view: SpectrumView | None = None) -> plot.Scale:
+    def _scale(self, view: SpectrumView | None = None) -> plot.PlotScale:
         """The scale of what is shown, or of `view`."""
         view = self._view if view is None else view
         shown = [] if view is None else [view.spectrum.magnitude]
         if self.session.recording is not None:
             shown.append(self.session.recording.magnitude)
-        return plot.Scale.of(self.session.band, shown or [np.array([1.0, 1e3])])
+        return plot.PlotScale.of(self.session.band, shown or [np.array([1.0, 1e3])])
 
     def _shown(self) -> float:
         """The frequency (Hz) of the fields: the one that was clicked, or else f0, or else the middle of the band."""
@@ -487,7 +487,7 @@ class LiveView:
         """Make one thing ready; until there is nothing left, or a move."""
         self._idle = await self._loop.run_in_executor(pool, self.session.prepare, self._is_moved)
 
-    def _show_recording(self, scale: plot.Scale) -> None:
+    def _show_recording(self, scale: plot.PlotScale) -> None:
         recording = self.session.recording
         if recording is None:
             return

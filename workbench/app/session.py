@@ -28,19 +28,19 @@ from materials.registry import Registry
 from workbench.app.controls import REACH, Control, controls, is_inside, wraps
 from workbench.app.growth import Growing, Wanted, growing_here
 from workbench.app.history import History
-from workbench.app.local import SMALL, LocalModel, along, around, in_halves, local_model
+from workbench.app.local import SMALL, LocalModel, along, in_halves, local_model, local_ranges
 from workbench.app.section_fields import SectionFields, moved_chip, section_fields
 from workbench.app.spectrum_view import SpectrumView, spectrum_view
-from workbench.discretisation import ACCURACY, Discretisation
-from workbench.drive import Drive, VoltageDrive
+from workbench.fem.operators import assemble
+from workbench.fem.solve import sweep
 from workbench.files.errors import InputError, choose
-from workbench.operators import assemble
-from workbench.parameter_names import placed
-from workbench.particles import Particle, particle_from
-from workbench.problem import build, fill
-from workbench.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
-from workbench.solve import sweep
-from workbench.spectrum import Spectrum
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.numbers import placed
+from workbench.model.particles import Particle, particle_from
+from workbench.model.problem import build, fill
+from workbench.reduced.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
+from workbench.results.spectrum import Spectrum
 
 #: Frequencies of the band at which the spectrum is answered; twice as many take twice as long.
 POINTS = 121
@@ -448,7 +448,7 @@ class Session:
                 return False
             model = self._best(values)
             known = [each for each in self._local if each.holds(model, values)]
-        wanted = [around(model, values), *([along(model, name)] if name in model.ranges else [])]
+        wanted = [local_ranges(model, values), *([along(model, name)] if name in model.ranges else [])]
         for reach in wanted:
             if any(each.reach.keys() == reach.keys() and (len(reach) == 1 or each.centre == values) for each in known):
                 continue

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from workbench.comparison import Comparison, compare
-from workbench.merit import Figures, NoResonance, figures
-from workbench.ranges import Response
-from workbench.spectrum import Spectrum
+from workbench.reduced.ranges import Response
+from workbench.results.comparison import Comparison, compare
+from workbench.results.merit import Figures, NoResonance, figures
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

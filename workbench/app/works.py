@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geometry.chip_file import write_chip
-from workbench.app.background import Say, Stopped, lines_of, run_command
+from workbench.app.background import Say, Stopped, last_lines, run_command
 from workbench.app.elsewhere import Send, elsewhere, stand_back
 from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
@@ -20,7 +20,7 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
-from workbench.spectrum import write_csv
+from workbench.results.spectrum import write_csv
 
 #: What each kind of work is called on the page.
 KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full solve", "fit": "Fit",
@@ -126,7 +126,7 @@ class Works:
         status = run_command(["diagnose", str(campaign), "-o", str(folder)], stopped, log)
         if status is None:
             return "stopped"
-        last = next(lines_of(log), "no words")
+        last = next(last_lines(log), "no words")
         return f"done, see {self.report}" if status == 0 else f"failed: {last}"
 
     def one_recording(self, folder: Path) -> Path:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]

@@ -13,9 +13,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.bench.setup import FREQUENCY_RESOLUTION, BenchSetup, Sweep
-from workbench.merit import NoResonance, figures
-from workbench.spectrum import Spectrum
+from workbench.bench.setup import FREQUENCY_RESOLUTION, BenchSetup, SweepPlan
+from workbench.results.merit import NoResonance, figures
+from workbench.results.spectrum import Spectrum
 
 #: Share of the points that an adaptive sweep spreads evenly before it looks where the spectrum bends.
 _EVEN_SHARE = 0.25
@@ -81,11 +81,11 @@ def expected_points(setup: BenchSetup) -> int:
     return first * sweep.passes * len(setup.levels)
 
 
-def _rising(sweep: Sweep, number: int) -> bool:
+def _rising(sweep: SweepPlan, number: int) -> bool:
     return sweep.direction == "up" or (sweep.direction == "both" and number % 2 == 0)
 
 
-def _next_of_first(sweep: Sweep, points: Sequence[Measured]) -> float | None:
+def _next_of_first(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
     if sweep.kind == "linear":
         seen = {point.frequency for point in points}
         grid = [float(f) for f in sweep.grid()]
@@ -93,7 +93,7 @@ def _next_of_first(sweep: Sweep, points: Sequence[Measured]) -> float | None:
     return _adaptive(sweep, points)
 
 
-def _adaptive(sweep: Sweep, points: Sequence[Measured]) -> float | None:
+def _adaptive(sweep: SweepPlan, points: Sequence[Measured]) -> float | None:
     """The next frequency of an adaptive sweep.
 
     First points spread evenly. Then, one at a time, the middle of the interval where the other points predict the
@@ -109,7 +109,7 @@ def _adaptive(sweep: Sweep, points: Sequence[Measured]) -> float | None:
             return float(frequency)
     if len(points) >= sweep.points:
         return None
-    spectrum = combined(points)
+    spectrum = combined_points(points)
     assert spectrum.uncertainty is not None  # combined() always states it
     low, high = _deepest(spectrum)
     frequency, width = spectrum.frequency, np.diff(spectrum.frequency)
@@ -145,7 +145,8 @@ def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64
     """How far (relative to Z) the cubic through the two nearest points either side misses each point (n,), zero at the
     ends, and what noise would do.
 
-    Of the reflection coefficient, as :meth:`workbench.spectrum.Spectrum.interpolant` does, because it is bounded.
+    Of the reflection coefficient, as :meth:`workbench.results.spectrum.Spectrum.interpolant` does, because it is
+    bounded.
     """
     frequency, impedance = spectrum.frequency, spectrum.impedance
     assert spectrum.uncertainty is not None  # combined() always states it
@@ -169,7 +170,7 @@ def _missed(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64
     return missed, 2.0 * spectrum.uncertainty / spectrum.magnitude
 
 
-def combined(points: Sequence[Measured]) -> Spectrum:
+def combined_points(points: Sequence[Measured]) -> Spectrum:
     """Points as a spectrum in rising order; points of one frequency by their weighted mean.
 
     The uncertainty (ohm) is that of the noise alone.

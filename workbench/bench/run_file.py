@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.brief import Brief
 from workbench.files.errors import InputError
 from workbench.files.writing import replacing, sync_folder
+from workbench.results.brief import Brief
 
 FORMAT = "workbench run 1"
 
@@ -36,7 +36,7 @@ _MAGIC = b"WBR1"
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class RunPoint:
     """One frequency at one drive level on one pass.
 
     ``sequence`` counts points from zero; ``frequency`` Hz as set; ``level`` (V peak to peak, open circuit) as asked for
@@ -96,7 +96,7 @@ class Run(Brief):
     created: float
     setup_text: str
     instruments: Mapping[str, str]
-    points: tuple[Point, ...] = ()
+    points: tuple[RunPoint, ...] = ()
     events: tuple[Event, ...] = ()
     complete: bool = False
 
@@ -130,7 +130,7 @@ class Journal:
                          "instruments": dict(run.instruments)}, {})
             sync_folder(beside.parent)
 
-    def add(self, entry: Point | Event) -> None:
+    def add(self, entry: RunPoint | Event) -> None:
         """Put a point or an event on the disk."""
         if isinstance(entry, Event):
             self._write({"kind": "event", "time": entry.time, "text": entry.text}, {})
@@ -222,8 +222,8 @@ def _with(run: Run, record: Mapping[str, Any]) -> Run:
     if any(point.sequence == record["sequence"] for point in run.points):
         return run
     real, imaginary = record["impedance"]
-    point = Point(impedance=complex(real, imaginary), flags=tuple(record["flags"]),
-                  **{name: record[name] for name in _NUMBERS}, **{name: record[name] for name in _ARRAYS})
+    point = RunPoint(impedance=complex(real, imaginary), flags=tuple(record["flags"]),
+                     **{name: record[name] for name in _NUMBERS}, **{name: record[name] for name in _ARRAYS})
     return replace(run, points=(*run.points, point), complete=False)
 
 
@@ -288,9 +288,9 @@ def _read_hdf5(path: Path) -> Run:
             points = []
             for index, kept in enumerate(flags):
                 group = file["captures"][f"{int(numbers['sequence'][index]):06d}"]
-                points.append(Point(impedance=complex(numbers["impedance"][index]), flags=kept,
-                                    **{name: numbers[name][index].item() for name in _NUMBERS},
-                                    **{name: group[name][()] for name in _ARRAYS}))
+                points.append(RunPoint(impedance=complex(numbers["impedance"][index]), flags=kept,
+                                       **{name: numbers[name][index].item() for name in _NUMBERS},
+                                       **{name: group[name][()] for name in _ARRAYS}))
             events = [Event(float(time), text) for time, text in
                       zip(file["events/time"][()], file["events/text"].asstr()[()], strict=True)]
             return Run(str(file.attrs["run_id"]), float(file.attrs["created"]), str(file.attrs["setup"]),

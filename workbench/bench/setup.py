@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
 
 #: What the generator can be set to: hertz and volt peak to peak.
@@ -68,7 +68,7 @@ class ReferenceResistor:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepPlan:
     """Where to measure, from ``low`` to ``high`` (Hz).
 
     ``kind`` "linear" takes every ``step`` (Hz); "adaptive" at most ``points``, where the spectrum bends, until what is
@@ -146,7 +146,7 @@ class BenchSetup:
     generator: GeneratorSettings
     oscilloscope: OscilloscopeSettings
     reference: ReferenceResistor
-    sweep: Sweep
+    sweep: SweepPlan
     levels: tuple[float, ...]
     limits: Limits
     acquisition: Acquisition
@@ -165,7 +165,7 @@ _TABLES = ("generator", "oscilloscope", "reference", "sweep", "drive", "limits",
 _METADATA = ("name", "state", "temperature", "gel", "operator", "note")
 
 
-def _positive(table: Table, key: str, dimension: str, default: float | None = None) -> float:
+def _positive(table: FileTable, key: str, dimension: str, default: float | None = None) -> float:
     if default is None and key not in table:
         raise table.error(key, "to be given")
     value = table.quantity(key, dimension, default)
@@ -174,28 +174,28 @@ def _positive(table: Table, key: str, dimension: str, default: float | None = No
     return value
 
 
-def _fraction(table: Table, key: str, default: float) -> float:
+def _fraction(table: FileTable, key: str, default: float) -> float:
     value = table.quantity(key, "share", default)
     if not 0.0 <= value < 1.0:
         raise table.error(key, 'from "0 %" to less than "100 %"')
     return value
 
 
-def _seconds(table: Table, key: str, default: float) -> float:
+def _seconds(table: FileTable, key: str, default: float) -> float:
     value = table.quantity(key, "time", default)
     if value < 0.0:
         raise table.error(key, "a time not below zero")
     return value
 
 
-def _line(table: Table, key: str, default: str | None = None) -> str:
+def _line(table: FileTable, key: str, default: str | None = None) -> str:
     text = table.text(key, default, expected="one line of text").strip()
     if not text or len(text.splitlines()) > 1:
         raise table.error(key, "one line of text")
     return text
 
 
-def _path(table: Table, key: str, folder: Path) -> Path | None:
+def _path(table: FileTable, key: str, folder: Path) -> Path | None:
     return folder / _line(table, key) if key in table else None
 
 
@@ -206,9 +206,9 @@ def read_bench(path: Path | str) -> BenchSetup:
         InputError: anything missing, unknown, or not what an instrument can do.
     """
     path = Path(path)
-    root = Table.read(path).only(_TABLES)
+    root = FileTable.read(path).only(_TABLES)
 
-    def table(name: str, keys: tuple[str, ...]) -> Table:
+    def table(name: str, keys: tuple[str, ...]) -> FileTable:
         return root.table(name, expected=f"a table, [{name}]").only(keys)
 
     sweep = _sweep(table("sweep", ("centre", "span", "from", "to", "kind", "step", "points", "resolution", "direction",
@@ -242,7 +242,7 @@ def read_bench(path: Path | str) -> BenchSetup:
     )
 
 
-def _generator(table: Table) -> GeneratorSettings:
+def _generator(table: FileTable) -> GeneratorSettings:
     default = {f.name: f.default for f in fields(GeneratorSettings) if f.default is not MISSING}
     return GeneratorSettings(
         port=_line(table, "port"), model=_line(table, "model", str(default["model"])),
@@ -252,7 +252,7 @@ def _generator(table: Table) -> GeneratorSettings:
     )
 
 
-def _oscilloscope(table: Table) -> OscilloscopeSettings:
+def _oscilloscope(table: FileTable) -> OscilloscopeSettings:
     channels = {key: table.whole(key, default, low=1, high=4)
                 for key, default in (("channel_total", 1), ("channel_reference", 2))}
     if channels["channel_total"] == channels["channel_reference"]:
@@ -270,7 +270,7 @@ def _oscilloscope(table: Table) -> OscilloscopeSettings:
     )
 
 
-def _sweep(table: Table) -> Sweep:
+def _sweep(table: FileTable) -> SweepPlan:
     given = {key for key in ("centre", "span", "from", "to") if key in table}
     if given == {"from", "to"}:
         low, high = _positive(table, "from", "frequency"), _positive(table, "to", "frequency")
@@ -280,18 +280,18 @@ def _sweep(table: Table) -> Sweep:
     else:
         raise InputError(table.source, "sweep", sorted(given), "centre (and span), or from and to")
     low, high = (round(f / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION for f in (low, high))
-    step = _positive(table, "step", "frequency", Sweep.step)
+    step = _positive(table, "step", "frequency", SweepPlan.step)
     if not high - low >= step:
         raise InputError(table.source, "sweep", f"{low:g} Hz to {high:g} Hz", f"a rising band of {step:g} Hz or more")
-    return Sweep(
+    return SweepPlan(
         low, high, kind=table.choice("kind", KINDS, "linear"), step=step,
-        points=table.whole("points", Sweep.points, low=16, high=10_000),
-        resolution=_fraction(table, "resolution", Sweep.resolution),
+        points=table.whole("points", SweepPlan.points, low=16, high=10_000),
+        resolution=_fraction(table, "resolution", SweepPlan.resolution),
         direction=table.choice("direction", DIRECTIONS, "up"), repeats=table.whole("repeats", 1, low=1, high=1000),
     )
 
 
-def _levels(table: Table) -> tuple[float, ...]:
+def _levels(table: FileTable) -> tuple[float, ...]:
     given = table.content.get("amplitude")
     listed = given if isinstance(given, list) else [given]
     levels = []
@@ -306,7 +306,7 @@ def _levels(table: Table) -> tuple[float, ...]:
     return tuple(levels)
 
 
-def _standards(table: Table, folder: Path) -> Standards:
+def _standards(table: FileTable, folder: Path) -> Standards:
     found = Standards(
         open=_path(table, "open", folder), short=_path(table, "short", folder), load=_path(table, "load", folder),
         load_resistance=_positive(table, "load_resistance", "resistance") if "load_resistance" in table else None,

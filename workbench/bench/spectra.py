@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from workbench import readers
 from workbench.bench.compensation import Compensation, Load, compensate
 from workbench.bench.impedance import common_uncertainty
-from workbench.bench.plan import combined
-from workbench.bench.run_file import Point, Run, read_run
+from workbench.bench.plan import combined_points
+from workbench.bench.run_file import Run, RunPoint, read_run
 from workbench.bench.setup import BenchSetup, Standards
-from workbench.brief import Brief
 from workbench.files.errors import InputError
-from workbench.spectrum import Origin, Spectrum
+from workbench.results.brief import Brief
+from workbench.results.spectrum import Origin, Spectrum
 
 #: A lead of a hand's breadth, as inductance (henry): what is at stake when nothing was compensated.
 _USUAL_LEAD = 0.2e-6
@@ -71,7 +71,7 @@ def _standard(path: Path, columns: readers.ColumnMap | None) -> Spectrum:
     if len(levels) != 1 or len({point.frequency for point in run.points}) < 2:
         raise InputError(str(path), "points", f"{len(run.points)} points at {len(levels)} drive levels",
                          "a run over 2 frequencies or more at one level")
-    return replace(combined(run.points), origin=Origin("measured", str(path)))
+    return replace(combined_points(run.points), origin=Origin("measured", str(path)))
 
 
 def level_spectra(run: Run, setup: BenchSetup, compensation: Compensation) -> tuple[LevelSpectrum, ...]:
@@ -110,9 +110,9 @@ def _arrays(spectrum: Spectrum) -> dict[str, NDArray[np.float64] | NDArray[np.co
 
 
 def _level_spectrum(
-    level: float, points: Sequence[Point], run: Run, setup: BenchSetup, compensation: Compensation
+    level: float, points: Sequence[RunPoint], run: Run, setup: BenchSetup, compensation: Compensation
 ) -> LevelSpectrum:
-    measured = combined(points)
+    measured = combined_points(points)
     drift = _drift(points, measured)
     if drift > _DRIFT and measured.uncertainty is not None:
         # Passes that disagree know no better than that they disagree.
@@ -131,7 +131,7 @@ def _level_spectrum(
                          _flags(run, device, measured, compensation, drift, words), tuple(words))
 
 
-def _drift(points: Sequence[Point], mean: Spectrum) -> float:
+def _drift(points: Sequence[RunPoint], mean: Spectrum) -> float:
     """Root of the reduced chi-square of points measured more than once about their mean; nan if none was."""
     value = dict(zip(mean.frequency, mean.impedance, strict=True))
     squares = sum(abs(p.impedance - value[p.frequency]) ** 2 / p.uncertainty**2 for p in points)

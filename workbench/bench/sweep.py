@@ -18,7 +18,7 @@ import numpy as np
 from workbench.bench.impedance import impedance
 from workbench.bench.plan import Target, expected_points, next_target
 from workbench.bench.rig import Rig, marker_path
-from workbench.bench.run_file import Event, Journal, Point, Run, exists, new_run, read_run
+from workbench.bench.run_file import Event, Journal, Run, RunPoint, exists, new_run, read_run
 from workbench.bench.setup import AMPLITUDE_RESOLUTION, SOURCE_RESISTANCE, BenchSetup
 from workbench.bench.sine_fit import NoSine, SineFit, fit_sines
 from workbench.files.errors import InputError
@@ -137,7 +137,7 @@ def _sweep(
 
 def _insistently(
     setup: BenchSetup, rig: Rig, journal: Journal, target: Target, sleep: Callable[[float], None]
-) -> Point:
+) -> RunPoint:
     """The point, however many attempts of those allowed it takes."""
     sequence = len(journal.run.points)
     for attempt in range(setup.acquisition.attempts):
@@ -153,7 +153,7 @@ def _insistently(
                        f"{sequence} points before it are in {journal.path}; --resume goes on from there")
 
 
-def _point(setup: BenchSetup, rig: Rig, target: Target, sequence: int) -> Point:
+def _point(setup: BenchSetup, rig: Rig, target: Target, sequence: int) -> RunPoint:
     """Set, settle, find the ranges, capture, fit."""
     started = time.time()
     amplitude = _allowed(setup, rig, target)
@@ -169,7 +169,7 @@ def _point(setup: BenchSetup, rig: Rig, target: Target, sequence: int) -> Point:
     flags = _doubts(setup, pairs, fits, found.value, amplitude, target)
     if not math.isnan(found.scatter) and found.scatter > 3.0:
         flags.append(f"unsteady: captures differ by {found.scatter:.1f} times their noise")
-    point = Point(
+    point = RunPoint(
         sequence, target.frequency, target.level, amplitude, target.pass_number, started,
         raw=np.stack([[w.raw for w in pair] for pair in pairs]),
         volts_per_count=np.array([[w.volts_per_count for w in pair] for pair in pairs]),

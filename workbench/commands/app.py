@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _PORTS = range(1024, 65536)
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_app(options: argparse.Namespace, console: Console) -> int:
     """``workbench app``: serve the live view until interrupted."""
     if options.port and options.port not in _PORTS:
         raise InputError("command line", "--port", options.port, f"0, or {_PORTS[0]} to {_PORTS[-1]}")

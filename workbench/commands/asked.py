@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from geometry.chip import Chip
 from geometry.plausible import check_band
 from materials.registry import Registry, user_folder, user_registry
-from workbench.discretisation import Discretisation, discretisation
-from workbench.drive import Drive, parse_drive
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import writable_folder
+from workbench.model.discretisation import Discretisation, discretisation
+from workbench.model.drive import Drive, parse_drive
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,7 +30,7 @@ ROOM = 20e6
 
 @dataclass(frozen=True)
 class Asked:
-    """What the options say about a model: frequencies in Hz, the rest as in `workbench.simulation.simulate`."""
+    """What the options say about a model: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
     band: tuple[float, float]

@@ -21,20 +21,20 @@ from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.sine_fit import NoSine, fit_sines
 from workbench.commands.asked import asked_model, asked_reading
 from workbench.commands.terminal import print_line, print_table, say_finding
+from workbench.fem.operators import assemble
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
 from workbench.instruments.circuit import IDEAL, TYPICAL, Device, device_of, open_circuit, resistor
-from workbench.instruments.faults import KINDS, Fault, Kind
+from workbench.instruments.faults import KINDS, Fault, FaultKind
 from workbench.instruments.instrument import InstrumentError
 from workbench.instruments.opening import found_ports, who_answers
 from workbench.instruments.simulated import Drift, SimulatedBench
 from workbench.instruments.simulated_oscilloscope import Errors
-from workbench.operators import assemble
-from workbench.problem import build, fill, with_boundary_layers
-from workbench.reduction import reduce
-from workbench.report.page import Table
-from workbench.simulation import frequency_grid
-from workbench.spectrum import Spectrum
+from workbench.model.problem import build, fill, with_boundary_layers
+from workbench.reduced.reduction import reduce
+from workbench.report.page import TextTable
+from workbench.results.spectrum import Spectrum
+from workbench.simulation.run import frequency_grid
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,7 +49,7 @@ LEAST_COUNTS = 4
 PROBES = {f"{total},{reference}": (total, reference) for total in (1, 10) for reference in (1, 10)}
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_bench(options: argparse.Namespace, console: Console) -> int:
     """``workbench bench``."""
     actions: dict[str, Callable[[argparse.Namespace, Console], int]] = {
         "list": _list, "check": _check, "simulate": _simulate}
@@ -70,7 +70,7 @@ def _list(options: argparse.Namespace, console: Console) -> int:
         except InstrumentError as error:
             answer = f"({str(error).removeprefix(f'{name}: ')})"
         rows.append((name, description, answer or "nothing answers"))
-    print_table("Ports", Table(("port", "what the system says", "who answers"), tuple(rows)))
+    print_table("Ports", TextTable(("port", "what the system says", "who answers"), tuple(rows)))
     return 0
 
 
@@ -216,4 +216,4 @@ def _fault(text: str) -> Fault:
         raise InputError("command line", "--fault", text, "INSTRUMENT:KIND@COMMAND, such as generator:silence@120")
     instrument = choose(read["instrument"], KINDS, source="command line", field="--fault")
     kind = choose(read["kind"], [kind.value for kind in KINDS[instrument]], source="command line", field="--fault")
-    return Fault(instrument, Kind(kind), at=int(read["at"]), count=int(read["count"] or 1))
+    return Fault(instrument, FaultKind(kind), at=int(read["at"]), count=int(read["count"] or 1))

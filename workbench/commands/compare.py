@@ -17,14 +17,14 @@ from workbench.commands.tables import model_table, origin_table
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.report.figures import figures_record, measured_figures
-from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
 from workbench.report.simulations import comparison_record, simulation_record
-from workbench.spectrum import write_csv
+from workbench.results.spectrum import write_csv
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from workbench.comparison import Comparison
+    from workbench.results.comparison import Comparison
 
 
 #: Reduced chi-square below which a simulation is said to agree with a recording whose uncertainty is known. Doubled,
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 AGREES = 1.5
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_compare(options: argparse.Namespace, console: Console) -> int:
     """``workbench compare``: a recording beside the simulation of a chip."""
-    from workbench.comparison import compare as compare_spectra
     from workbench.render import plots
+    from workbench.results.comparison import compare as compare_spectra
 
     reading = asked_reading(options, options.recording, console)
     measured = reading.spectrum
@@ -68,13 +68,13 @@ def run(options: argparse.Namespace, console: Console) -> int:
         "measured": figures_record(merit, reason), "simulated": simulation_record(run),
         "comparison": comparison_record(comparison),
     })
-    rows = Table(("", "measured", "simulated", "difference (%)"), tuple(
-        (row.metric.removesuffix(" factor"), number(row.measured, 6), number(row.simulated, 6),
+    rows = TextTable(("", "measured", "simulated", "difference (%)"), tuple(
+        (row.metric.removesuffix(" factor"), number_text(row.measured, 6), number_text(row.simulated, 6),
          f"{row.difference_percent:+.2f}")
         for row in comparison.rows))
-    summary = Table(("over the common band", "value"), (
-        ("MAPE of |Z| (%)", number(comparison.mape_percent)),
-        ("rms of ln(Z_sim / Z_meas)", number(comparison.rms_log_residual)),
+    summary = TextTable(("over the common band", "value"), (
+        ("MAPE of |Z| (%)", number_text(comparison.mape_percent)),
+        ("rms of ln(Z_sim / Z_meas)", number_text(comparison.rms_log_residual)),
         ("mean, largest error of phase (degrees)",
          f"{comparison.phase_mean_deg:.2f}, {comparison.phase_max_deg:.2f}"),
         ("largest error of |Z| (%) and where", f"{comparison.worst_percent:.1f} at "

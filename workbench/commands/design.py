@@ -19,28 +19,28 @@ from geometry.chip_file import write_chip
 from materials.registry import user_registry
 from workbench.commands.asked import asked_accuracy, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
-from workbench.design.candidate import Candidate, Confirmed
+from workbench.design.candidate import Confirmed, RoundedDesign
 from workbench.design.design_report import (
     active_table,
     before_after_table,
     choices_table,
     design_record,
-    figure,
     front_table,
     lengths_table,
     models_table,
     optima_table,
+    programme_figure,
+    reported_figure,
     starts_text,
     summary_lines,
-    value_of,
 )
 from workbench.design.executors import processes
-from workbench.design.goal import Objective, read_goal
+from workbench.design.goal import DesignObjective, read_goal
 from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
 from workbench.design.programme import KEPT
 from workbench.files.errors import InputError
-from workbench.problem import fill
+from workbench.model.problem import fill
 from workbench.report.page import Block, Note, Picture, write_json, write_report
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 SO_FAR = "best_so_far.toml"
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_design(options: argparse.Namespace, console: Console) -> int:
     """``workbench design``: the best chip for a goal, its file, its CAD, its pictures, and the report."""
     workers = os.cpu_count() or 1 if options.workers is None else options.workers
     if workers < 1:
@@ -138,18 +138,18 @@ def _solids(chip: Chip, folder: Path) -> Picture:
 
 
 def _convergence(found: Design, folder: Path) -> Picture:
-    from workbench.render.designs import Course, draw_convergence
+    from workbench.render.designs import Course, draw_descents
 
     objective, chosen = found.goal.objectives[0], found.chosen
-    factor = figure(objective.figure).factor
+    factor = reported_figure(objective.figure).factor
     courses = []
     for attempt in chosen.attempts:
         path = np.array(attempt.best.path)
         values = np.exp(-path[:, 0] if objective.maximise else path[:, 0]) / factor
         number = next((k for k, one in enumerate(chosen.optima) if attempt.number in one.starts), len(chosen.optima))
         courses.append(Course(np.where(path[:, 1] <= KEPT, values, np.nan), number))
-    drawn = draw_convergence(courses, folder / "convergence.png", label=_label(objective), maximise=objective.maximise,
-                             title=starts_text(chosen))
+    drawn = draw_descents(courses, folder / "convergence.png", label=_label(objective), maximise=objective.maximise,
+                          title=starts_text(chosen))
     return Picture(drawn, "the best descent of every start: the best chip so far that keeps all constraints")
 
 
@@ -157,11 +157,11 @@ def _front(found: Design, folder: Path) -> Picture:
     from workbench.render.designs import draw_front
 
     objectives = found.goal.objectives
-    factors = np.array([figure(each.figure).factor for each in objectives])
+    factors = np.array([reported_figure(each.figure).factor for each in objectives])
 
-    def figures(each: Confirmed | Candidate) -> list[float]:
+    def figures(each: Confirmed | RoundedDesign) -> list[float]:
         candidate = each.candidate if isinstance(each, Confirmed) else each
-        return [value_of(o, v) for o, v in zip(objectives, candidate.objectives, strict=True)]
+        return [programme_figure(o, v) for o, v in zip(objectives, candidate.objectives, strict=True)]
 
     confirmed = [[each.after.figures[o.figure] for o in objectives] for each in found.front
                  if isinstance(each, Confirmed)]
@@ -172,8 +172,8 @@ def _front(found: Design, folder: Path) -> Picture:
     return Picture(path, "chips of which none is better in both")
 
 
-def _label(objective: Objective) -> str:
-    shown = figure(objective.figure).shown
+def _label(objective: DesignObjective) -> str:
+    shown = reported_figure(objective.figure).shown
     return f"{objective.figure} ({shown})" if shown else objective.figure
 
 

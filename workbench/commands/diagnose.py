@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 INTERRUPTED, NOT_FINISHED = 130, 3
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     """``workbench diagnose``: what differs, where, which physics, how sure, what else it could be.
 
     Cut short, it returns :data:`INTERRUPTED` or :data:`NOT_FINISHED`, and what it writes claims nothing.

@@ -8,16 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geometry.names import whole
+from workbench.acoustics.fields import section_nodes
 from workbench.commands.tables import known_physics_table, merit_cells, origin_table
 from workbench.commands.terminal import print_line, print_table
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.outcome import Diagnosis, Estimate, in_plain_words
+from workbench.diagnosis.outcome import Diagnosis, FoundNumber, in_plain_words
 from workbench.diagnosis.record import Contribution, stopped_record
-from workbench.diagnosis.state import spectrum_of
-from workbench.fields import section_nodes
+from workbench.diagnosis.state import fitted_spectrum
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.report.figures import measured_figures
-from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
 
 #: What the table of what is left shows.
 LEFT = "what is left of Z, rms of both parts (%)"
@@ -41,32 +41,32 @@ def _wrapped(text: str) -> str:
     return textwrap.fill(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
 
 
-def established_table(found: Diagnosis) -> Table:
+def established_table(found: Diagnosis) -> TextTable:
     """Effects with the share that they take, those that belong together as one, and their parameters with intervals."""
     rows = []
     for group, share in found.shares:
         told = f"{100.0 * share:.3g} %" + (", together" if len(group) > 1 else "")
         for each in group:
             for k, e in enumerate(each.estimates):
-                rows.append((in_plain_words(each.effect.name) if k == 0 else "", told, e.name, number(e.shown[0]),
-                             f"{number(e.shown[1])} to {number(e.shown[2])}",
+                rows.append((in_plain_words(each.effect.name) if k == 0 else "", told, e.name, number_text(e.shown[0]),
+                             f"{number_text(e.shown[1])} to {number_text(e.shown[2])}",
                              "of what is stated" if e.relative else shown_unit(e.unit)))
                 told = ""
-    return Table(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(rows))
+    return TextTable(("effect", "share", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
-def left_table(found: Diagnosis) -> Table:
+def left_table(found: Diagnosis) -> TextTable:
     """Rms of ln(Z / Z_measured) of every state (%): noise, as stated, with the known parameters, with the effects."""
     held = {state.name for state in found.campaign.held_out}
     rows = []
     for state, *fits in zip(found.states, found.stated, found.base, found.best, strict=True):
         stated = 100.0 * math.sqrt(float((state.noise**2).mean()))
-        told = [number(100.0 * fit.rms, 3) for fit in fits]
+        told = [number_text(100.0 * fit.rms, 3) for fit in fits]
         rows.append((state.name + (", held out" if state.name in held else ""),
-                     f"{number(stated, 3)} leaves {number(math.sqrt(2.0) * stated, 3)}",
+                     f"{number_text(stated, 3)} leaves {number_text(math.sqrt(2.0) * stated, 3)}",
                      *(told if found.established else told[:2])))
     columns = ("state", "noise", "as stated", "known parameters", "with what was found")
-    return Table(columns if found.established else columns[:-1], tuple(rows))
+    return TextTable(columns if found.established else columns[:-1], tuple(rows))
 
 
 def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], folder: Path) -> Path:
@@ -110,9 +110,10 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
     """``diagnosis.json`` and ``report.html`` of a diagnosis that was stopped before its first result: what was read."""
     said = stopped_record(campaign, seconds)
     write_json(folder / "diagnosis.json", said)
-    states = Table(("state", "points", "from (MHz)", "to (MHz)", "held out"), tuple(
-        (state.name, str(state.measured.frequency.size), number(state.measured.frequency[0] / 1e6),
-         number(state.measured.frequency[-1] / 1e6), "yes" if state.held_out else "no") for state in campaign.states))
+    states = TextTable(("state", "points", "from (MHz)", "to (MHz)", "held out"), tuple(
+        (state.name, str(state.measured.frequency.size), number_text(state.measured.frequency[0] / 1e6),
+         number_text(state.measured.frequency[-1] / 1e6),
+         "yes" if state.held_out else "no") for state in campaign.states))
     write_report(folder / "report.html", f"Diagnosis, not finished: {campaign.name}", [
         ("Not finished", [Note(said["headline"]), "Verdict: not finished."]),
         ("The recordings that were read", [states]),
@@ -151,13 +152,13 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     return pictures
 
 
-def _taken(campaign: Campaign) -> Table:
-    return Table(("parameter", "standard uncertainty", "unit", "from"), tuple(
-        (each.name, number(each.uncertainty * shown_factor(each.unit), 3), shown_unit(each.unit), each.source)
+def _taken(campaign: Campaign) -> TextTable:
+    return TextTable(("parameter", "standard uncertainty", "unit", "from"), tuple(
+        (each.name, number_text(each.uncertainty * shown_factor(each.unit), 3), shown_unit(each.unit), each.source)
         for each in campaign.taken))
 
 
-def _odds(found: Diagnosis) -> Table:
+def _odds(found: Diagnosis) -> TextTable:
     decision, base = found.conclusion.decision, found.found.base
     rows = []
     for settled in found.found.final:
@@ -166,8 +167,8 @@ def _odds(found: Diagnosis) -> Table:
             e.hypothesis.name, _power(decision.log_odds[e.hypothesis.name]),
             f"{e.log_evidence - base.explanation.log_evidence:.1f}", f"{settled.held_out - base.held_out:.1f}",
             f"{100.0 * e.accuracy:.2g}", "; ".join(f"{p.name} {p.in_words}" for p in found.estimates_of(settled)))))
-    return Table(("hypothesis", "odds", "evidence", "of it by states held out", "accuracy of the model (%)",
-                  "parameters"), tuple(row for _, row in sorted(rows, key=lambda both: -both[0])))
+    return TextTable(("hypothesis", "odds", "evidence", "of it by states held out", "accuracy of the model (%)",
+                      "parameters"), tuple(row for _, row in sorted(rows, key=lambda both: -both[0])))
 
 
 def _power(log_odds: float) -> str:
@@ -175,41 +176,42 @@ def _power(log_odds: float) -> str:
     return f"{math.exp(log_odds):.3g}" if abs(log_odds) < 14.0 else f"10^{log_odds / math.log(10.0):.0f}"
 
 
-def _given_up(found: Diagnosis) -> Table:
+def _given_up(found: Diagnosis) -> TextTable:
     settled = {each.explanation.hypothesis.name for each in found.found.final}
     plain = next((each.log_evidence for each in found.found.candidates
                   if each.hypothesis.name == found.found.base.explanation.hypothesis.name), 0.0)
     left = [each for each in found.found.candidates if each.hypothesis.name not in settled]
-    return Table(("hypothesis", "evidence"), tuple(
+    return TextTable(("hypothesis", "evidence"), tuple(
         (each.hypothesis.name, f"{each.log_evidence - plain:.1f}")
         for each in sorted(left, key=lambda each: -each.log_evidence)))
 
 
-def _location(found: Diagnosis) -> Table:
-    return Table(("region", "evidence", "sigmas", "where"), tuple(
+def _location(found: Diagnosis) -> TextTable:
+    return TextTable(("region", "evidence", "sigmas", "where"), tuple(
         (place.region, f"{place.evidence:.1f}", f"{place.sigmas:.1f}", "; ".join(place.modes))
         for place in found.location))
 
 
-def _scores(found: Diagnosis) -> Table:
-    return Table(("hypothesis", "where", "kind", "fall of chi-square", "evidence"), tuple(
+def _scores(found: Diagnosis) -> TextTable:
+    return TextTable(("hypothesis", "where", "kind", "fall of chi-square", "evidence"), tuple(
         (s.effect.name, s.effect.region, s.effect.kind, f"{s.gain:.1f}", f"{s.evidence:.1f}")
         for s in found.scores[:LISTED]))
 
 
-def _known(known: Sequence[Estimate]) -> Table:
-    return Table(("known parameter", "stated", "found", "unit", "sigmas"), tuple(
-        (each.name, number(each.shown[3], 5), number(each.shown[0], 5), shown_unit(each.unit),
+def _known(known: Sequence[FoundNumber]) -> TextTable:
+    return TextTable(("known parameter", "stated", "found", "unit", "sigmas"), tuple(
+        (each.name, number_text(each.shown[3], 5), number_text(each.shown[0], 5), shown_unit(each.unit),
          f"{each.sigmas or 0.0:+.2f}") for each in sorted(known, key=lambda each: -abs(each.sigmas or 0.0))))
 
 
-def _merit(found: Diagnosis) -> Table:
+def _merit(found: Diagnosis) -> TextTable:
     rows = []
     for state, stated, base, best in zip(found.states, found.stated, found.base, found.best, strict=True):
         rows.append((state.name, "measured", *merit_cells(measured_figures(state.measured)[0]), ""))
         fits = {"as stated": stated, "known parameters": base}
         if found.established:
             fits["with what was found"] = best
-        rows += [(state.name, label, *merit_cells(measured_figures(spectrum_of(fit, state))[0]), number(fit.reduced, 3))
+        rows += [(state.name, label, *merit_cells(measured_figures(fitted_spectrum(fit, state))[0]),
+                  number_text(fit.reduced, 3))
                  for label, fit in fits.items()]
-    return Table(("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))
+    return TextTable(("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-def run(options: argparse.Namespace, _console: Console) -> int:
+def run_export(options: argparse.Namespace, _console: Console) -> int:
     """``workbench export``: STEP of the assembly, STL of every part."""
     from geometry.export import export_step, export_stl
 

@@ -19,18 +19,18 @@ from workbench.commands.fit_job import (
     gel_table,
     known,
     match_table,
+    number_in_unit,
     parameter_table,
     run_job,
-    shown,
 )
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
 from workbench.fitting.batch import (
     OUTLIER,
-    Column,
+    BatchColumn,
+    BatchMember,
     Job,
-    Member,
     Settings,
     read_batch,
     run_commands,
@@ -41,13 +41,13 @@ from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import DEFAULT
 from workbench.fitting.record import refusals
 from workbench.readers import READ_AS
-from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_fit(options: argparse.Namespace, console: Console) -> int:
     """``workbench fit``: material parameters from one recording, or from many."""
     if options.tries < 0:
         raise InputError("command line", "--tries", options.tries, "a number of descents, 0 for none")
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     return _tell(done, console, options.save)
 
 
-def _member(options: argparse.Namespace) -> Member:
+def _member(options: argparse.Namespace) -> BatchMember:
     def end(text: str | None, field: str) -> float | None:
         return None if text is None else parse_quantity(text, "frequency", source="command line", field=field)
 
@@ -75,7 +75,7 @@ def _member(options: argparse.Namespace) -> Member:
     names = tuple(name.strip() for name in free.split(","))
     if not all(names):
         raise InputError("command line", "--free", options.free, "names of parameters with commas between them")
-    return Member(
+    return BatchMember(
         options.recording.stem, options.recording, options.chip, options.kind, options.state, options.material,
         options.region, names, (end(options.low, "--from"), end(options.high, "--to")), options.columns, options.format,
         options.correction)
@@ -118,11 +118,11 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
     return 1 if refused else 0
 
 
-def _narrow(table: Table) -> Table:
+def _narrow(table: TextTable) -> TextTable:
     """The table of parameters for a terminal of 80 columns: without what was known before."""
     without = table.columns.index("known before")
     heads, *rows = (row[:without] + row[without + 1:] for row in (table.columns, *table.rows))
-    return Table(heads, tuple(rows))
+    return TextTable(heads, tuple(rows))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -195,31 +195,34 @@ def _report(show: Show, name: str, activity: str) -> None:
     show(name, activity, 0.0 if activity == "fitting" else 1.0)
 
 
-def _devices_table(records: dict[str, dict[str, Any]]) -> Table:
-    return Table(("device", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "accepted", "saved as", "time (s)"), tuple(
-        (name, number(r["mape_percent"]), number(r["rms_log_residual"]), "yes" if r["accepted"] else "NO",
+def _devices_table(records: dict[str, dict[str, Any]]) -> TextTable:
+    return TextTable(("device", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "accepted", "saved as", "time (s)"),
+                     tuple(
+        (name, number_text(r["mape_percent"]), number_text(r["rms_log_residual"]), "yes" if r["accepted"] else "NO",
          r["saved_as"] or "", f"{r['wall_seconds']:.1f}") for name, r in records.items()))
 
 
-def _columns_table(columns: tuple[Column, ...]) -> Table:
+def _columns_table(columns: tuple[BatchColumn, ...]) -> TextTable:
     heads = ("quantity", "unit", "devices", "mean", "standard deviation", "range over mean (%)", "outliers")
-    return Table(heads, tuple(
-        (c.name, shown_unit(c.unit), str(len(c.devices)), shown(c.mean, c.unit), shown(c.deviation, c.unit, digits=3),
-         number(c.dispersion_percent, 3), ", ".join(c.outliers)) for c in columns))
+    return TextTable(heads, tuple(
+        (c.name, shown_unit(c.unit), str(len(c.devices)), number_in_unit(c.mean, c.unit),
+         number_in_unit(c.deviation, c.unit, digits=3),
+         number_text(c.dispersion_percent, 3), ", ".join(c.outliers)) for c in columns))
 
 
-def _values_table(columns: tuple[Column, ...]) -> Table:
+def _values_table(columns: tuple[BatchColumn, ...]) -> TextTable:
     devices = list(dict.fromkeys(device for c in columns for device in c.devices))
     rows = []
     for c in columns:
-        cells = {device: shown(v, c.unit) + (" (!)" if device in c.outliers else "")
+        cells = {device: number_in_unit(v, c.unit) + (" (!)" if device in c.outliers else "")
                  for device, v in zip(c.devices, c.values, strict=True)}
         rows.append((f"{c.name} ({shown_unit(c.unit)})".replace(" ()", ""), *(cells.get(d, "") for d in devices)))
-    return Table(("quantity", *devices), tuple(rows))
+    return TextTable(("quantity", *devices), tuple(rows))
 
 
 def _write_summary(
-    folder: Path, title: str, columns: tuple[Column, ...], records: dict[str, dict[str, Any]], failed: dict[str, str]
+    folder: Path, title: str, columns: tuple[BatchColumn, ...], records: dict[str, dict[str, Any]],
+    failed: dict[str, str]
 ) -> None:
     from workbench.render import fits
 
@@ -243,6 +246,6 @@ def _write_summary(
             _values_table(columns),
             Picture(picture, "every quantity over the devices with its interval; dashed: the median"),
         ]))
-    sections.append(("Findings", [Table(("device", "finding"), tuple(
+    sections.append(("Findings", [TextTable(("device", "finding"), tuple(
         (name, text) for name, r in records.items() for text in r["findings"]))]))
     write_report(folder / "report.html", title, sections)

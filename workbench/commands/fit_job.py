@@ -12,18 +12,17 @@ from typing import Any
 import numpy as np
 
 from geometry.chip import read_chip
-from materials import Registry, save, user_registry
+from materials import Registry, save_fit, user_registry
 from materials.kinds import Material
 from materials.versions import check_name
 from workbench.commands.asked import saving_folder
 from workbench.commands.tables import origin_table
 from workbench.files.errors import InputError
-from workbench.fitting import paper
-from workbench.fitting.batch import Job, Member, Settings, content_key, finished
+from workbench.fitting.batch import BatchMember, Job, Settings, content_key, finished
 from workbench.fitting.gel import PUBLISHED, GelCase, gel_study, with_gel
-from workbench.fitting.joint import FitResult, fit
+from workbench.fitting.joint import FitResult, fit_parameters
 from workbench.fitting.parameter import shown_factor, shown_unit
-from workbench.fitting.prepare import Prepared, free_region, material_starts, prepare, together, with_material
+from workbench.fitting.prepare import Prepared, free_region, material_starts, prepare, prepare_together, with_material
 from workbench.fitting.record import (
     Source,
     derived_quantities,
@@ -35,10 +34,11 @@ from workbench.fitting.record import (
     source,
 )
 from workbench.fitting.uncertainty import ParameterEstimate
-from workbench.problem import fill
+from workbench.model.problem import fill
 from workbench.readers import read_column_map, read_recording
-from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
-from workbench.spectrum import write_csv
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
+from workbench.reproduction import fits as paper
+from workbench.results.spectrum import write_csv
 
 #: Called with what is being done and the share of it that is done.
 Progress = Callable[[str, float], None]
@@ -72,8 +72,8 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     starts = material_starts(prepared, registry, settings.starts)
     match settings.algorithm:
         case "joint":
-            result = fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse, starts=starts,
-                         tries=settings.tries, progress=progress)
+            result = fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse, starts=starts,
+                                    tries=settings.tries, progress=progress)
         case _:
             result = _as_published(prepared, starts, progress)
     progress("writing", 0.95)
@@ -84,7 +84,7 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
         # The entry's `start` names the registry's material, which a chip's density may have changed.
         entry = registry_entry(result, prepared, sources, date=date, forced=refused,
                                temperature=prepared.chip.state(prepared.state).temperature)
-        saved_as = save(entry, job.save, folder=saving_folder(settings.materials))
+        saved_as = save_fit(entry, job.save, folder=saving_folder(settings.materials))
     gel: tuple[GelCase, ...] = ()
     if settings.gel_thicknesses:
         gel = gel_study(prepared, registry, numbers={e.parameter.name: e.value for e in result.estimates},
@@ -120,7 +120,7 @@ def known(job: Job, settings: Settings, folder: Path) -> dict[str, Any] | None:
     return finished(folder / job.name, job_key(job, settings))
 
 
-def _filling(member: Member, registry: Registry) -> dict[str, Material]:
+def _filling(member: BatchMember, registry: Registry) -> dict[str, Material]:
     chip = read_chip(member.chip)
     state = chip.state(member.state).name
     if member.material is not None:
@@ -144,7 +144,7 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
             material=member.material, region=member.region, free=member.free, band=(band[0], band[1]),
             accuracy=settings.accuracy, check=not settings.force))
         sources.append(source(member.recording, member.chip, findings=[str(f.message) for f in reading.findings]))
-    return (parts[0] if len(parts) == 1 and not job.own else together(parts, own=job.own)), tuple(sources)
+    return (parts[0] if len(parts) == 1 and not job.own else prepare_together(parts, own=job.own)), tuple(sources)
 
 
 def _as_published(prepared: Prepared, starts: Mapping[str, Any], progress: Progress) -> FitResult:
@@ -173,19 +173,20 @@ def _as_published(prepared: Prepared, starts: Mapping[str, Any], progress: Progr
 # Tables, pictures, report.
 
 
-def shown(value: float, unit: str, *, digits: int = 5) -> str:
+def number_in_unit(value: float, unit: str, *, digits: int = 5) -> str:
     """A number in the unit it is shown in, without the unit; nothing for NaN."""
-    return number(value * shown_factor(unit), digits) if np.isfinite(value) else ""
+    return number_text(value * shown_factor(unit), digits) if np.isfinite(value) else ""
 
 
 def shown_estimate(value: float, low: float, high: float, unit: str) -> tuple[str, str]:
     """An estimate and its interval, without the unit, with digits enough to show two of the interval's width."""
     if not np.isfinite(low):
-        return shown(value, unit), ""
+        return number_in_unit(value, unit), ""
     digits = 5
     if high > low:
         digits = max(digits, math.ceil(math.log10(max(abs(value), abs(low), abs(high)) / (high - low))) + 2)
-    return shown(value, unit, digits=digits), f"{shown(low, unit, digits=digits)} to {shown(high, unit, digits=digits)}"
+    shown, *ends = (number_in_unit(number, unit, digits=digits) for number in (value, low, high))
+    return shown, " to ".join(ends)
 
 
 def short_name(estimate: ParameterEstimate, prepared: Prepared) -> str:
@@ -195,7 +196,7 @@ def short_name(estimate: ParameterEstimate, prepared: Prepared) -> str:
     return f"{text} ({', '.join(p.recordings)})" if p.recordings else text
 
 
-def parameter_table(result: FitResult, prepared: Prepared) -> Table:
+def parameter_table(result: FitResult, prepared: Prepared) -> TextTable:
     """As Table 3 of Acevedo-Espinosa et al. (RP-UEIS), with intervals."""
     rows = []
     for e in result.estimates:
@@ -205,41 +206,43 @@ def parameter_table(result: FitResult, prepared: Prepared) -> Table:
         remarks = [f"held by {held}" if held else "",
                    "of all points together" if p.nuisance else "" if e.determined else "not determined",
                    "by profile" if e.method == "profile" else ""]
-        prior = "" if p.prior is None else f"± {shown(p.prior, p.unit, digits=2)}{' (assumed)' if p.assumed else ''}"
-        rows.append((short_name(e, prepared), shown(p.start, p.unit), *shown_estimate(e.value, e.low, e.high, p.unit),
-                     shown_unit(p.unit), difference, prior, "; ".join(filter(None, remarks))))
-    return Table(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", "remark"),
-                 tuple(rows))
+        spread = "" if p.prior is None else number_in_unit(p.prior, p.unit, digits=2)
+        prior = f"± {spread}{' (assumed)' if p.assumed else ''}" if spread else ""
+        rows.append((short_name(e, prepared), number_in_unit(p.start, p.unit),
+                     *shown_estimate(e.value, e.low, e.high, p.unit), shown_unit(p.unit), difference, prior,
+                     "; ".join(filter(None, remarks))))
+    return TextTable(("parameter", "start", "fitted", "95 % interval", "unit", "change (%)", "known before", "remark"),
+                     tuple(rows))
 
 
-def derived_table(result: FitResult, prepared: Prepared) -> Table | None:
+def derived_table(result: FitResult, prepared: Prepared) -> TextTable | None:
     """As Table 4 of the paper, None for a transducer."""
     found = derived_quantities(result, prepared)
     if not found:
         return None
-    return Table(("follows from it", "value", "95 % interval", "unit"), tuple(
+    return TextTable(("follows from it", "value", "95 % interval", "unit"), tuple(
         (d.name, *shown_estimate(d.value, d.low, d.high, d.unit), shown_unit(d.unit)) for d in found))
 
 
-def match_table(result: FitResult) -> Table:
+def match_table(result: FitResult) -> TextTable:
     """How far start and fit are from every recording."""
     rows = []
     for m in result.recordings:
-        rows += [(f"{m.name}: MAPE of |Z| (%)", number(m.before.mape_percent), number(m.after.mape_percent)),
-                 (f"{m.name}: rms of ln(Z / Z_measured)", number(m.before.rms_log_residual),
-                  number(m.after.rms_log_residual))]
+        rows += [(f"{m.name}: MAPE of |Z| (%)", number_text(m.before.mape_percent), number_text(m.after.mape_percent)),
+                 (f"{m.name}: rms of ln(Z / Z_measured)", number_text(m.before.rms_log_residual),
+                  number_text(m.after.rms_log_residual))]
         before = {row.metric: row for row in m.before.rows}
         for row in m.after.rows:
             start = f"{before[row.metric].simulated:.6g}" if row.metric in before else ""
             rows.append((f"{m.name}: {row.metric}, measured {row.measured:.6g}", start,
                          f"{row.simulated:.6g} ({row.difference_percent:+.2f} %)"))
-    return Table(("", "start", "fitted"), tuple(rows))
+    return TextTable(("", "start", "fitted"), tuple(rows))
 
 
-def gel_table(cases: Sequence[GelCase]) -> Table:
+def gel_table(cases: Sequence[GelCase]) -> TextTable:
     """As section 4.3 of the paper."""
-    return Table(("gel (um)", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "MAPE in the paper (%)"), tuple(
-        (f"{1e6 * c.thickness:g}", number(c.comparison.mape_percent), number(c.comparison.rms_log_residual),
+    return TextTable(("gel (um)", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "MAPE in the paper (%)"), tuple(
+        (f"{1e6 * c.thickness:g}", number_text(c.comparison.mape_percent), number_text(c.comparison.rms_log_residual),
          "" if _published(c.thickness) is None else f"{_published(c.thickness):g}") for c in cases))
 
 
@@ -291,30 +294,31 @@ def write_fit_report(
 
 
 def _background(result: FitResult, sources: Sequence[Source]) -> list[tuple[str, Sequence[Block]]]:
-    starts = Table(("start", "rms of ln(Z / Z_measured)", "outcome", "steps"), tuple(
-        (s.label, number(s.rms), s.outcome, str(s.steps)) for s in result.starts))
-    spent = Table(("algorithm", "wall time (s)", "full solves", "steps", "difference from full solves"), (
+    starts = TextTable(("start", "rms of ln(Z / Z_measured)", "outcome", "steps"), tuple(
+        (s.label, number_text(s.rms), s.outcome, str(s.steps)) for s in result.starts))
+    spent = TextTable(("algorithm", "wall time (s)", "full solves", "steps", "difference from full solves"), (
         (result.algorithm, f"{result.seconds:.1f}", str(result.full_solves), str(result.iterations),
          f"{result.check[0]:.1e} at {result.check[1] / 1e3:.1f} kHz" if np.isfinite(result.check[0]) else ""),))
     sections: list[tuple[str, Sequence[Block]]] = [("Starts and effort", [starts, spent])]
     if result.bands:
         sections.append(("Bands left out", [
             "Each band was left out in turn, and predicted by a fit to the rest.",
-            Table(("recording", "band (kHz)", "rms when fitted", "rms when left out"), tuple(
-                (b.recording, f"{b.low / 1e3:.1f} to {b.high / 1e3:.1f}", number(b.fitted_rms, 3),
-                 number(b.predicted_rms, 3)) for b in result.bands))]))
+            TextTable(("recording", "band (kHz)", "rms when fitted", "rms when left out"), tuple(
+                (b.recording, f"{b.low / 1e3:.1f} to {b.high / 1e3:.1f}", number_text(b.fitted_rms, 3),
+                 number_text(b.predicted_rms, 3)) for b in result.bands))]))
     if result.undetermined:
-        sections.append(("What the data do not determine", [Table(("combination", "narrowed to", "symmetry"), tuple(
+        sections.append(("What the data do not determine", [TextTable(("combination", "narrowed to", "symmetry"), tuple(
             (", ".join(f"{share:+.2f} {name}" for name, share in d.shares[:6]), f"{d.narrowing:.0%}", d.symmetry)
             for d in result.undetermined))]))
-    sections.append(("Noise", [Table(
+    sections.append(("Noise", [TextTable(
         ("recording", "relative deviation of a point (%)", "points that say as much as one", "stated"),
-        tuple((m.name, number(100.0 * m.noise.deviation, 3), f"{m.noise.correlation:.1f}",
+        tuple((m.name, number_text(100.0 * m.noise.deviation, 3), f"{m.noise.correlation:.1f}",
                f"yes, residual {m.noise.ratio:.2f} times as large" if m.noise.stated else "no")
               for m in result.recordings))]))
     provenance: list[Block] = []
     for m, s in zip(result.recordings, sources, strict=True):
-        provenance += [Table((m.name, "value"), (("recording", s.recording), ("SHA-256", s.sha256), ("chip", s.chip),
-                                            ("SHA-256 of the chip", s.chip_sha256))), origin_table(m.measured.origin)]
+        files = (("recording", s.recording), ("SHA-256", s.sha256), ("chip", s.chip),
+                 ("SHA-256 of the chip", s.chip_sha256))
+        provenance += [TextTable((m.name, "value"), files), origin_table(m.measured.origin)]
     sections.append(("The recordings", provenance))
     return sections

@@ -19,8 +19,8 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_atomic
 from workbench.instruments.instrument import Waveform
-from workbench.report.page import Table
-from workbench.spectrum import Origin, Spectrum, write_csv
+from workbench.report.page import TextTable
+from workbench.results.spectrum import Origin, Spectrum, write_csv
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -37,7 +37,7 @@ class ImportedPair:
     clipped: bool
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
     """``workbench import``: ratios of pairs of waveforms and, with a resistor, the impedance."""
     resistance, tolerance = _resistor(options)
     if options.total == options.reference:
@@ -123,13 +123,13 @@ def _spectrum(
                     Origin("measured", ", ".join(pair.name for pair in pairs), settings=settings))
 
 
-def _table(pairs: list[ImportedPair], values: list[PointImpedance] | None) -> Table:
+def _table(pairs: list[ImportedPair], values: list[PointImpedance] | None) -> TextTable:
     columns = ("pair", "frequency (Hz)", "ratio", "phase (degrees)", "uncertainty (%)")
     rows = [(p.name, f"{p.fit.frequency:.6g}", f"{abs(p.ratio):.5g}", f"{_degrees(p.ratio):.2f}",
              f"{100.0 * p.relative:.2g}") for p in pairs]
     if values is None:
-        return Table(columns, tuple(rows))
-    return Table((*columns, "|Z| (ohm)", "phase of Z (degrees)"), tuple(
+        return TextTable(columns, tuple(rows))
+    return TextTable((*columns, "|Z| (ohm)", "phase of Z (degrees)"), tuple(
         (*row, f"{abs(v.value):.5g}", f"{_degrees(v.value):.2f}") for row, v in zip(rows, values, strict=True)))
 
 

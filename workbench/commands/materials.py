@@ -25,13 +25,13 @@ from workbench.commands.terminal import print_line, print_table
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
-from workbench.report.page import Table
+from workbench.report.page import TextTable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def run(options: argparse.Namespace, _console: Console) -> int:
+def run_materials(options: argparse.Namespace, _console: Console) -> int:
     """``workbench materials``: look at them, and keep the saved fits."""
     if options.action == "import":
         for imported in import_entries(options.file, folder=saving_folder(options.materials)):
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace, _console: Console) -> int:
     registry = user_registry(options.materials)
     match options.action:
         case "list":
-            print_table("materials", Table(("name", "kind", "density (kg/m^3)", "remarks"), tuple(
+            print_table("materials", TextTable(("name", "kind", "density (kg/m^3)", "remarks"), tuple(
                 _list_row(registry, name) for name in registry.names())))
         case "show":
             if options.name is None:
@@ -59,7 +59,8 @@ def run(options: argparse.Namespace, _console: Console) -> int:
                 withdrawn = version.withdrawal
                 remark = version.fault if withdrawn is None else f"withdrawn on {withdrawn.date}: {withdrawn.reason}"
                 rows.append((version.name, *figures, remark))
-            print_table(options.name, Table(("version", "fitted on", "MAPE (%)", "algorithm", "remarks"), tuple(rows)))
+            print_table(options.name, TextTable(("version", "fitted on", "MAPE (%)", "algorithm", "remarks"),
+                                                tuple(rows)))
         case "withdraw":
             now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
             withdraw(registry, options.name, reason=options.reason, date=now)
@@ -119,7 +120,7 @@ def _check(registry: Registry, options: argparse.Namespace) -> int:
 def _diff(registry: Registry, options: argparse.Namespace) -> None:
     first, second = load_quietly(registry, options.first), load_quietly(registry, options.second)
     columns = ("SI", first.name, second.name, "difference (%)", "in standard uncertainties")
-    print_table("", Table(columns, tuple(
+    print_table("", TextTable(columns, tuple(
         (row.parameter, f"{row.first:.6g}", f"{row.second:.6g}",
          "" if row.percent is None else f"{row.percent:+.3f}",
          "" if row.deviations is None else f"{row.deviations:+.2f}")

@@ -25,8 +25,8 @@ from workbench.commands.tables import origin_table
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.report.figures import FIGURE_COLUMNS, figures_row, measured_figures
-from workbench.report.page import Block, Note, Picture, Table, Verbatim, number, write_report
-from workbench.spectrum import write_csv
+from workbench.report.page import Block, Note, Picture, TextTable, Verbatim, number_text, write_report
+from workbench.results.spectrum import write_csv
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _WIDTH, _HEIGHT = 64, 10
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_measure(options: argparse.Namespace, console: Console) -> int:
     """``workbench measure``: sweep, run file, spectrum as CSV, report."""
     setup = read_bench(options.bench)
     # Before the sweep, so that a recording that is missing is not found out after it.
@@ -136,8 +136,8 @@ def _write_results(
             console.print(f"{found.level:g} Vpp: {flag}", style="yellow", markup=False)
 
 
-def _figures(levels: tuple[LevelSpectrum, ...]) -> Table:
-    return Table(FIGURE_COLUMNS, tuple(
+def _figures(levels: tuple[LevelSpectrum, ...]) -> TextTable:
+    return TextTable(FIGURE_COLUMNS, tuple(
         figures_row(f"{found.level:g} Vpp", measured_figures(found.spectrum)[0]) for found in levels))
 
 
@@ -164,11 +164,12 @@ def write_measurement(setup: BenchSetup, run: Run, levels: tuple[LevelSpectrum, 
                 found.spectrum.frequency, curves, folder / f"uncertainty_{found.level:g}.png",
                 label="standard uncertainty (% of |Z|)"), "of the real and of the imaginary part, each"))
             if found.point_flags:
-                shown.append(Table(("frequency (MHz)", "doubtful"), tuple(
+                shown.append(TextTable(("frequency (MHz)", "doubtful"), tuple(
                     (f"{at / 1e6:.6f}", flag) for at, flag in found.point_flags)))
             sections.append((f"Uncertainty at {found.level:g} Vpp", shown))
         sections += [
-            ("The recording", [origin_table(levels[0].spectrum.origin), Table(("time (UTC)", "what happened"), tuple(
+            ("The recording", [origin_table(levels[0].spectrum.origin), TextTable(("time (UTC)", "what happened"),
+                                                                                  tuple(
                 (datetime.fromtimestamp(event.time, tz=UTC).isoformat(sep=" ", timespec="seconds"), event.text)
                 for event in run.events))]),
             ("BENCH.toml", [Verbatim(run.setup_text)]),
@@ -176,11 +177,11 @@ def write_measurement(setup: BenchSetup, run: Run, levels: tuple[LevelSpectrum, 
         return write_report(path, title, sections)
 
 
-def _uncertainty_table(found: LevelSpectrum) -> Table:
+def _uncertainty_table(found: LevelSpectrum) -> TextTable:
     relative = 100.0 * found.noise / found.spectrum.magnitude
     rows = [("points", str(len(found.spectrum.frequency))),
             ("noise, median and largest (% of |Z|)", f"{np.median(relative):.2g}, {np.max(relative):.2g}"),
-            ("shared by all points (% of Z)", number(100.0 * found.common, 2))]
+            ("shared by all points (% of Z)", number_text(100.0 * found.common, 2))]
     if not math.isnan(found.drift):
-        rows.append(("disagreement of repeated points over their noise", number(found.drift, 2)))
-    return Table(("standard uncertainty", "value"), tuple(rows))
+        rows.append(("disagreement of repeated points over their noise", number_text(found.drift, 2)))
+    return TextTable(("standard uncertainty", "value"), tuple(rows))

@@ -17,11 +17,11 @@ from geometry.mesh import elements_per_wavelength
 from workbench.commands.asked import Asked, asked_accuracy, asked_model, output_folder
 from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
-from workbench.discretisation import ROWS, discretisation
 from workbench.files.errors import InputError
-from workbench.problem import build, fill
-from workbench.report.page import Block, Picture, Table, number, write_json, write_report
-from workbench.simulation import Simulation
+from workbench.model.discretisation import ROWS, discretisation
+from workbench.model.problem import build, fill
+from workbench.report.page import Block, Picture, TextTable, number_text, write_json, write_report
+from workbench.simulation.run import Simulation
 
 Real = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 FINER = 1.5
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_mesh(options: argparse.Namespace, console: Console) -> int:
     """``workbench mesh``: the mesh of a chip, and what the accuracies it can be made for are worth."""
     chip = read_chip(options.chip)
     asked, state = asked_model(options, chip), chip.state(options.state).name
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     speeds = {region: material.slowest_wave_speed() for region, material in problem.materials.items()}
     counts = elements_per_wavelength(problem.mesh, speeds, asked.band[1])
     cells = {region: len(problem.mesh.mesh.subdomains[region]) for region in problem.mesh.section.regions}
-    table = Table(("region", "cells", "elements per wavelength"), tuple(
+    table = TextTable(("region", "cells", "elements per wavelength"), tuple(
         (region, str(count), f"{counts[region]:.1f}" if region in counts else "empty")
         for region, count in cells.items()))
     print_table(f"{chip.name}, {state}: {sum(cells.values())} cells of order {made.order} at "
@@ -72,8 +72,8 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
         rows.append((run.unknowns, run.figures.f0, run.figures.z_min, run.figures.q, estimated,
                      _difference(run, finest)))
     columns = ("accuracy", "unknowns", "f0 (MHz)", "Z_min (ohm)", "Q", "error (%)", "estimate")
-    table = Table(columns, tuple(
-        (label, str(size), f"{f0 / 1e6:.5f}", number(z), number(q),
+    table = TextTable(columns, tuple(
+        (label, str(size), f"{f0 / 1e6:.5f}", number_text(z), number_text(q),
          "" if runs[label] is finest else f"{100.0 * error:.4f}", f"{100.0 * estimated:.4f}")
         for label, (size, f0, z, q, estimated, error) in zip(runs, rows, strict=True)))
     print_table(f"meshes of {chip.name}, {state}", table)
@@ -106,7 +106,7 @@ def _renamed(show: Show, label: str, _state: str, activity: str, fraction: float
 
 def _write_convergence(
     folder: Path, chip: Chip, state: str, accuracies: list[float],
-    rows: list[tuple[int, float, float, float, float, float]], sizes: Real, table: Table
+    rows: list[tuple[int, float, float, float, float, float]], sizes: Real, table: TextTable
 ) -> None:
     from workbench.render.plots import draw_convergence
 

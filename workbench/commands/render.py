@@ -11,13 +11,13 @@ from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.states import SIMULATED, simulated, write_fields
 from workbench.commands.terminal import print_line, progress_bars
 from workbench.files.errors import InputError, choose
-from workbench.simulation import snapshot
+from workbench.simulation.run import snapshot
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_render(options: argparse.Namespace, console: Console) -> int:
     """``workbench render``: the fields at one frequency."""
     from workbench.render.gallery import FIELDS, draw_state
 

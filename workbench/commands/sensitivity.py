@@ -15,7 +15,10 @@ from workbench.commands.asked import asked_model, output_folder
 from workbench.commands.terminal import print_line, print_table, progress_bars
 from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
-from workbench.fitting.sensitivity import (
+from workbench.model.numbers import ParameterName
+from workbench.model.problem import Problem, build, fill
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
+from workbench.reproduction.sensitivity import (
     LOSS_THRESHOLD,
     REAL_THRESHOLD,
     TABLE_ONE,
@@ -23,9 +26,6 @@ from workbench.fitting.sensitivity import (
     Sensitivity,
     sensitivity,
 )
-from workbench.parameter_names import ParameterName
-from workbench.problem import Problem, build, fill
-from workbench.report.page import Block, Note, Picture, Table, number, write_json, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 NEAR = 0.02
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
     """``workbench sensitivity``: Algorithm 1 of the paper for the transducer of a chip, beside its Table 2."""
     chip = read_chip(options.chip)
     if options.density is not None:
@@ -108,7 +108,7 @@ def _short(name: str) -> str:
     return ParameterName.parse(name).local
 
 
-def _ranking_table(found: Sensitivity) -> Table:
+def _ranking_table(found: Sensitivity) -> TextTable:
     """Table 2 with the published slopes beside ours."""
     near = dict(zip(found.names, found.normalised(found.slopes(reach=_near(found))), strict=True))
     local = dict(zip(found.names, found.normalised(found.local), strict=True))
@@ -116,14 +116,14 @@ def _ranking_table(found: Sensitivity) -> Table:
     for rank in found.ranking():
         known = TABLE_TWO.get(_short(rank.name))
         nothing = rank.name in found.undetermined
-        rows.append((_short(rank.name), *("zero" if nothing else number(x, 3)
+        rows.append((_short(rank.name), *("zero" if nothing else number_text(x, 3)
                                           for x in (rank.slope, near[rank.name], local[rank.name])),
                      "" if known is None else f"{known:.3f}", "yes" if rank.kept else ""))
     heads = ("parameter", "slope, eq. 30", "near no variation", "exact gradient", "published", "kept")
-    return Table(heads, tuple(rows))
+    return TextTable(heads, tuple(rows))
 
 
-def _write(path: Path, chip: Chip, found: Sensitivity, table: Table) -> None:
+def _write(path: Path, chip: Chip, found: Sensitivity, table: TextTable) -> None:
     from workbench.render import fits
 
     kinds = []
@@ -149,6 +149,6 @@ def _write(path: Path, chip: Chip, found: Sensitivity, table: Table) -> None:
         if costs:
             file = path.parent / f"costs_{'imaginary' if loss else 'real'}.png"
             blocks.append(Picture(fits.draw_costs(found.scalings, costs, file, title=label), f"costs of the {label}"))
-    effort = Table(("spectra", "full solves", "wall time (s)", "largest estimated error of Z"), (
+    effort = TextTable(("spectra", "full solves", "wall time (s)", "largest estimated error of Z"), (
         (str(found.spectra), str(found.solves), f"{found.seconds:.1f}", f"{found.error:.1e}"),))
     write_report(path, f"{chip.name}: what the spectrum depends on", [("Ranking", blocks), ("Effort", [effort])])

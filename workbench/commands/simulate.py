@@ -19,23 +19,23 @@ from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.tables import model_table
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
-from workbench.discretisation import discretisation
-from workbench.gathering import Gathering, gathering
-from workbench.interruption import Stopped, shielded
-from workbench.job_size import job_size, memory_to_use
-from workbench.parameter_names import ParameterName
-from workbench.problem import fill
+from workbench.jobs.interruption import Stopped, shielded
+from workbench.model.discretisation import discretisation
+from workbench.model.job_size import job_size, memory_to_use
+from workbench.model.numbers import ParameterName
+from workbench.model.problem import fill
 from workbench.report.figures import MODEL_COLUMNS, capacitance_cells, figures_row
-from workbench.report.page import Answer, Block, Note, Picture, Table, number, write_json, write_report
+from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, write_json, write_report
 from workbench.report.simulations import field_table, simulation_record, traps_table
-from workbench.simulation import Simulation
-from workbench.spectrum import write_csv
+from workbench.results.spectrum import write_csv
+from workbench.simulation.gathering import Gathering, gathering
+from workbench.simulation.run import Simulation
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_simulate(options: argparse.Namespace, console: Console) -> int:
     """``workbench simulate``: every state of a chip, its pictures, its CAD, and the report."""
     chip = read_chip(options.chip)
     asked = asked_model(options, chip)
@@ -160,13 +160,13 @@ def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Cal
         yield wait
 
 
-def _figures_table(chip: Chip, runs: list[Simulation]) -> Table:
+def _figures_table(chip: Chip, runs: list[Simulation]) -> TextTable:
     rows = []
     for run in runs:
         rows.append((*figures_row(f"{run.state}, simulated", run.figures), *capacitance_cells(run.capacitance)))
-        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number(r.z_min), number(r.q), "", "", "")
+        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number_text(r.z_min), number_text(r.q), "", "", "")
                  for r in chip.state(run.state).reported]
-    return Table(MODEL_COLUMNS, tuple(rows))
+    return TextTable(MODEL_COLUMNS, tuple(rows))
 
 
 def _without_resonance(runs: list[Simulation]) -> list[Note]:
@@ -196,7 +196,7 @@ def _simulation_report(
     from workbench.render.plots import draw_spectra
 
     spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
-    dimensions = Table(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
+    dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
         (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
          ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
     sections: list[tuple[str, list[Block]]] = []
@@ -212,7 +212,7 @@ def _simulation_report(
             blocks += [field_table(run.traps), traps_table(run.traps)]
         sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}",
                          [*blocks, *pictures[run.state]]))
-    used = Table(("state", "region", "material", "source"), tuple(
+    used = TextTable(("state", "region", "material", "source"), tuple(
         (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
     sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
     write_report(folder / "report.html", chip.name, sections)

@@ -10,12 +10,12 @@ from pathlib import Path
 from geometry.chip import Chip
 from workbench.commands.asked import Asked
 from workbench.commands.terminal import Show
-from workbench.discretisation import discretisation
 from workbench.files.writing import write_atomic
-from workbench.problem import fill
-from workbench.simulation import Simulation, Snapshot
-from workbench.simulation import simulate as simulate_state
-from workbench.spectrum import write_csv
+from workbench.model.discretisation import discretisation
+from workbench.model.problem import fill
+from workbench.results.spectrum import write_csv
+from workbench.simulation.run import Simulation, Snapshot
+from workbench.simulation.run import simulate as simulate_state
 
 #: Share of the progress bar of a state that is the simulation; the pictures are the rest.
 SIMULATED = 0.9

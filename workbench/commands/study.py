@@ -15,22 +15,22 @@ from workbench.commands.asked import output_folder
 from workbench.commands.study_tables import confirmed_table, extremes_table, missing_table, statistics_table
 from workbench.commands.terminal import print_table, progress_bars, say_finding
 from workbench.design.axes import NumberAxis
-from workbench.design.figures import figure
+from workbench.design.figures import figure_named
 from workbench.design.plan import read_study
 from workbench.design.study import study
 from workbench.design.study_result import STATE, StudyResult
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import shown_factor, shown_unit
-from workbench.problem import fill
-from workbench.report.page import Block, Note, Picture, Table, write_report
+from workbench.model.problem import fill
+from workbench.report.page import Block, Note, Picture, TextTable, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from workbench.render.studies import Column
+    from workbench.render.studies import StudyColumn
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_study(options: argparse.Namespace, console: Console) -> int:
     """``workbench study``: every point of a study, its table, its pictures, and the report."""
     if options.jobs is not None and options.jobs < 1:
         raise InputError("command line", "--jobs", options.jobs, "one or more")
@@ -74,7 +74,7 @@ def draw(found: StudyResult, folder: Path) -> list[Picture]:
 
     pictures: list[Picture] = []
     for state in found.study.states:
-        parameters, figures = columns_of(found, state)
+        parameters, figures = study_columns(found, state)
         known = [column for column in figures if np.isfinite(column.values).any()]
         if known:
             path = draw_parallel([*parameters, *known], known[0], folder / f"parallel_{state}.png", title=state)
@@ -94,16 +94,17 @@ def draw(found: StudyResult, folder: Path) -> list[Picture]:
     return pictures
 
 
-def columns_of(found: StudyResult, state: str) -> tuple[list[Column], list[Column]]:
+def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], list[StudyColumn]]:
     """What varies, and the figures, at the points of one state in the units they are shown in."""
-    from workbench.render.studies import Column
+    from workbench.render.studies import StudyColumn
 
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
-        Column(_label(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
-        if isinstance(axis, NumberAxis) else Column(axis.name, plan.sample[:, at], axis.materials)
+        StudyColumn(_label(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
+        if isinstance(axis, NumberAxis) else StudyColumn(axis.name, plan.sample[:, at], axis.materials)
         for at, axis in enumerate(plan.axes)]
-    figures = [Column(_label(name, figure(name).shown), found.columns[name][there] / figure(name).factor)
+    figures = [StudyColumn(_label(name, figure_named(name).shown),
+                           found.columns[name][there] / figure_named(name).factor)
                for name in plan.figures]
     return parameters, figures
 
@@ -115,7 +116,7 @@ def _label(name: str, unit: str) -> str:
 def _report(found: StudyResult, pictures: list[Picture], folder: Path) -> None:
     plan = found.study
     missing = missing_table(found)
-    words = Table(("figure", "meaning"), tuple((name, figure(name).words) for name in plan.figures))
+    words = TextTable(("figure", "meaning"), tuple((name, figure_named(name).words) for name in plan.figures))
     asked: list[Block] = [
         f"{plan.size} points of {plan.chip.name} ({plan.sampling.method}), driven by {plan.operation.drive}.", words]
     confirmed: list[Block] = ["Points solved in full, on a mesh of their own, against the reduced model:",

@@ -7,34 +7,34 @@ import math
 import numpy as np
 
 from workbench.design.axes import NumberAxis
-from workbench.design.figures import figure
+from workbench.design.figures import figure_named
 from workbench.design.study_result import MISSING, STATE, StudyResult
 from workbench.fitting.parameter import shown_factor, shown_unit
-from workbench.report.page import Table, number
+from workbench.report.page import TextTable, number_text
 
 
-def statistics_table(result: StudyResult) -> Table:
+def statistics_table(result: StudyResult) -> TextTable:
     """Every figure in every state: how many points have it, extremes, quantiles and mean."""
     rows = []
     for each in result.statistics:
-        shown = figure(each.figure)
+        shown = figure_named(each.figure)
         values = (each.lowest, each.low, each.median, each.high, each.highest, each.mean)
         rows.append((_headed(each.figure, shown.shown), each.state, f"{each.count} of {each.points}",
                      *(_told(value, shown.factor) for value in values)))
-    return Table(("figure", "state", "points", "lowest", "5 %", "median", "95 %", "highest", "mean"), tuple(rows))
+    return TextTable(("figure", "state", "points", "lowest", "5 %", "median", "95 %", "highest", "mean"), tuple(rows))
 
 
-def extremes_table(result: StudyResult) -> Table:
+def extremes_table(result: StudyResult) -> TextTable:
     """The points at which the figures are lowest and highest."""
     rows = []
     for each in result.statistics:
-        shown = figure(each.figure)
+        shown = figure_named(each.figure)
         for words, row, value in (("lowest", each.lowest_row, each.lowest),
                                   ("highest", each.highest_row, each.highest)):
             if row >= 0:
                 told = f"{_told(value, shown.factor)} {shown.shown}".strip()
                 rows.append((f"{words} {each.figure}", each.state, told, str(row), _place(result, row)))
-    return Table(("", "state", "figure", "row", "where"), tuple(rows))
+    return TextTable(("", "state", "figure", "row", "where"), tuple(rows))
 
 
 def _place(result: StudyResult, row: int) -> str:
@@ -42,12 +42,12 @@ def _place(result: StudyResult, row: int) -> str:
     told = []
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
-        told.append(f"{axis.name} {number(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
+        told.append(f"{axis.name} {number_text(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
                     if isinstance(axis, NumberAxis) else f"{axis.name} {value}")
     return ", ".join(told)
 
 
-def confirmed_table(result: StudyResult) -> Table:
+def confirmed_table(result: StudyResult) -> TextTable:
     """Every figure at the points solved in full: the largest difference of the reduced model, there and relative to
     the range that the figure has in the study."""
     rows = []
@@ -57,7 +57,7 @@ def confirmed_table(result: StudyResult) -> Table:
             both = [each for each in result.confirmations if each.figure == name and states[each.row] == state]
             if not both:
                 continue
-            shown = figure(name)
+            shown = figure_named(name)
             known = [each for each in both if not math.isnan(each.difference)]
             worst = max(known, key=lambda each: abs(each.difference), default=None)
             extent, size = next((s.highest - s.lowest, abs(s.highest)) for s in result.statistics
@@ -66,13 +66,13 @@ def confirmed_table(result: StudyResult) -> Table:
                 _headed(name, shown.shown), state, str(len(both)), str(len(both) - len(known)),
                 *(("", "", "", "") if worst is None else (
                     _told(worst.reduced, shown.factor), _told(worst.full, shown.factor),
-                    number(100.0 * abs(worst.difference / worst.full), 2) if worst.full else "",
-                    number(100.0 * abs(worst.difference) / extent, 2) if extent > CONSTANT * size else ""))))
-    return Table(("figure", "state", "solved in full", "one of both lacks it", "reduced, where it is off most",
-                  "full there", "difference (%)", "of the range in the study (%)"), tuple(rows))
+                    number_text(100.0 * abs(worst.difference / worst.full), 2) if worst.full else "",
+                    number_text(100.0 * abs(worst.difference) / extent, 2) if extent > CONSTANT * size else ""))))
+    return TextTable(("figure", "state", "solved in full", "one of both lacks it", "reduced, where it is off most",
+                      "full there", "difference (%)", "of the range in the study (%)"), tuple(rows))
 
 
-def missing_table(result: StudyResult) -> Table | None:
+def missing_table(result: StudyResult) -> TextTable | None:
     """Why figures are missing, and at how many points; None where none is."""
     reasons, counts = np.unique(result.columns[MISSING], return_counts=True)
     found = sorted(((int(count), str(reason)) for reason, count in zip(reasons, counts, strict=True) if reason),
@@ -82,7 +82,7 @@ def missing_table(result: StudyResult) -> Table | None:
     # A reason may name numbers of its point: thousands of rows say no more than the commonest.
     shown = [(reason, str(count)) for count, reason in found[:MOST_REASONS]]
     rest = sum(count for count, _ in found[MOST_REASONS:])
-    return Table(("missing figures and why", "points"), (*shown, *([("other reasons", str(rest))] if rest else [])))
+    return TextTable(("missing figures and why", "points"), (*shown, *([("other reasons", str(rest))] if rest else [])))
 
 
 #: Reasons that a report lists.
@@ -98,4 +98,4 @@ def _headed(name: str, unit: str) -> str:
 
 
 def _told(value: float, factor: float) -> str:
-    return "" if math.isnan(value) else number(value / factor, 5)
+    return "" if math.isnan(value) else number_text(value / factor, 5)

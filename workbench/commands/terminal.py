@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from workbench.report.page import Table
+from workbench.report.page import TextTable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,7 +51,7 @@ def print_paragraph(text: str) -> None:
     print_line(textwrap.fill(text, shutil.get_terminal_size((80, 24)).columns, break_on_hyphens=False))
 
 
-def print_table(title: str, table: Table) -> None:
+def print_table(title: str, table: TextTable) -> None:
     """A table of results, to standard output, as wide as the terminal at most (80 columns where there is none)."""
     from rich.console import Console
 
@@ -64,7 +64,7 @@ def print_table(title: str, table: Table) -> None:
 _ASCII = str.maketrans(dict.fromkeys("┏┳┓┡╇┩└┴┘", "+") | dict.fromkeys("━─", "-") | dict.fromkeys("┃│", "|"))
 
 
-def table_lines(title: str, table: Table, *, width: int) -> list[str]:
+def table_lines(title: str, table: TextTable, *, width: int) -> list[str]:
     """A table as lines of at most `width` cells of the terminal; no word is cut.
 
     Headings and cells that are too long are wrapped between words, then behind the dots and slashes of names
@@ -87,7 +87,7 @@ def table_lines(title: str, table: Table, *, width: int) -> list[str]:
     return lines
 
 
-def _widths(table: Table, width: int, *, at_joints: bool) -> list[int] | None:
+def _widths(table: TextTable, width: int, *, at_joints: bool) -> list[int] | None:
     """The width of every column so that the table fits in `width`; None if its words are too long."""
     columns = list(zip(table.columns, *table.rows, strict=True))
     least = [max(max(map(cell_width, _pieces(text, at_joints=at_joints)), default=0) for text in column)
@@ -105,7 +105,7 @@ def _widths(table: Table, width: int, *, at_joints: bool) -> list[int] | None:
     return found
 
 
-def _keys(table: Table) -> int:
+def _keys(table: TextTable) -> int:
     """How many of the first columns tell every row from the others; one, if all of them do not."""
     for count in range(1, len(table.columns)):
         if len({row[:count] for row in table.rows}) == len(table.rows):
@@ -113,10 +113,10 @@ def _keys(table: Table) -> int:
     return 1
 
 
-def _folded(table: Table, width: int) -> list[Table] | None:
+def _folded(table: TextTable, width: int) -> list[TextTable] | None:
     """Tables that fit in `width`, each with the columns that tell the rows apart; None if one column cannot."""
     keys = list(range(_keys(table)))
-    found: list[Table] = []
+    found: list[TextTable] = []
     group: list[int] = []
     for column in range(len(keys), len(table.columns)):
         longer, alone = _chosen(table, [*keys, *group, column]), _chosen(table, [*keys, column])
@@ -131,13 +131,13 @@ def _folded(table: Table, width: int) -> list[Table] | None:
     return found
 
 
-def _chosen(table: Table, columns: Sequence[int]) -> Table:
+def _chosen(table: TextTable, columns: Sequence[int]) -> TextTable:
     """The table with these columns only."""
     heads, *rows = (tuple(row[column] for column in columns) for row in (table.columns, *table.rows))
-    return Table(heads, tuple(rows))
+    return TextTable(heads, tuple(rows))
 
 
-def _drawn(table: Table, widths: list[int], *, at_joints: bool) -> list[str]:
+def _drawn(table: TextTable, widths: list[int], *, at_joints: bool) -> list[str]:
     """The table with lines around it, its columns of the given widths."""
     def rule(left: str, line: str, middle: str, right: str) -> str:
         return left + middle.join(line * (width + 2) for width in widths) + right
@@ -154,7 +154,7 @@ def _drawn(table: Table, widths: list[int], *, at_joints: bool) -> list[str]:
     return [*lines, rule("└", "─", "┴", "┘")]
 
 
-def _as_records(table: Table, width: int) -> list[str]:
+def _as_records(table: TextTable, width: int) -> list[str]:
     """Every row as a list of headings and values."""
     lines = []
     for row in table.rows:

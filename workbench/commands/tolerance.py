@@ -14,7 +14,7 @@ from workbench.commands.terminal import print_line, print_table, progress_bars, 
 from workbench.design.figures import check_figures
 from workbench.design.requirement import parse_requirements
 from workbench.design.stated import Statement, parse_statement, read_statements, stated_uncertainty
-from workbench.design.tolerance import Tolerance, check, tolerance
+from workbench.design.tolerance import Tolerance, check_tolerance_request, tolerance
 from workbench.design.tolerance_report import (
     figures_table,
     inputs_table,
@@ -28,14 +28,14 @@ from workbench.design.tolerance_report import (
 )
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
-from workbench.problem import fill
-from workbench.report.page import Block, Note, Table, write_json, write_report
+from workbench.model.problem import fill
+from workbench.report.page import Block, Note, TextTable, write_json, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def run(options: argparse.Namespace, console: Console) -> int:
+def run_tolerance(options: argparse.Namespace, console: Console) -> int:
     """``workbench tolerance``: what matters, the yield, and which uncertainty to halve first."""
     chip = read_chip(options.chip)
     asked = asked_model(options, chip)
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         chip, options.state, registry=registry, law=options.distribution, statements=_statements(options),
         posteriors=options.posterior)
     resistance = _thermal_resistance(options.thermal_resistance, chip)
-    check(uncertainty, required, options.samples, options.sobol, chip, names=("--samples", "--sobol"))
+    check_tolerance_request(uncertainty, required, options.samples, options.sobol, chip, names=("--samples", "--sobol"))
     folder = output_folder(options.output)
     with progress_bars(console) as show:
         found = tolerance(
@@ -151,11 +151,11 @@ def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
     return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances", blocks)
 
 
-def _model_table(found: Tolerance) -> Table:
+def _model_table(found: Tolerance) -> TextTable:
     assert found.model is not None
     rows = [("unknowns", str(found.model.rank)),
             ("largest relative error found by full solves", f"{100.0 * found.model.error:.2g} %"),
             ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
     rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
              for label, off in found.model.off.items()]
-    return Table(("of the model", "value"), tuple(rows))
+    return TextTable(("of the model", "value"), tuple(rows))

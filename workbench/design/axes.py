@@ -28,9 +28,9 @@ from materials.entry import KINDS
 from materials.registry import Registry
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS, parse_quantity
-from workbench.files.tables import Table
-from workbench.parameter_names import ParameterName
-from workbench.problem import fill
+from workbench.files.tables import FileTable
+from workbench.model.numbers import ParameterName
+from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ _EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } o
 
 @dataclass(frozen=True)
 class NumberAxis:
-    """A number that varies, by its parameter ``name`` (`workbench.parameter_names`): between ``low`` and ``high``, or
+    """A number that varies, by its parameter ``name`` (`workbench.model.numbers`): between ``low`` and ``high``, or
     over ``values`` where there are any; ``points`` of a range on a grid. All in SI ``unit``."""
 
     name: str
@@ -91,7 +91,8 @@ def _index(share: Real, count: int) -> NDArray[np.int64]:
     return np.minimum((share * count).astype(np.int64), count - 1)
 
 
-def read_axes(table: Table, chip: Chip, states: Sequence[str], registry: Registry, *, method: str) -> tuple[Axis, ...]:
+def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Registry, *,
+              method: str) -> tuple[Axis, ...]:
     """What the table [vary] says, of a chip in those `states`; `method` is that of the sample.
 
     Raises:
@@ -112,17 +113,17 @@ def read_axes(table: Table, chip: Chip, states: Sequence[str], registry: Registr
     return tuple(axes)
 
 
-def _flat(table: Table) -> Iterator[tuple[str, Table]]:
+def _flat(table: FileTable) -> Iterator[tuple[str, FileTable]]:
     """The entries by name; without quotes ``substrate.thickness`` is a table in a table, and means the same."""
     for key in table:
-        inner = Table.of(table.content[key], source=table.source, field=table.at(key), expected=_EXAMPLE)
+        inner = FileTable.of(table.content[key], source=table.source, field=table.at(key), expected=_EXAMPLE)
         if inner.content and all(isinstance(value, Mapping) for value in inner.content.values()):
             yield from ((f"{key}.{name}", entry) for name, entry in _flat(inner))
         else:
             yield key, inner.only(_KEYS)
 
 
-def _check_points(entry: Table, method: str, *, ranged: bool) -> None:
+def _check_points(entry: FileTable, method: str, *, ranged: bool) -> None:
     if method == "grid" and ranged:
         entry.required("points", "how many points the range has on the grid, such as points = 5")
         entry.whole("points", low=2, high=100_000)
@@ -173,7 +174,7 @@ class Numbers:
         return f"{full.pop()}.{parsed.local}" if len(full) == 1 else written
 
 
-def _number_axis(written: str, field: str, entry: Table, numbers: Numbers) -> NumberAxis:
+def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -> NumberAxis:
     name = numbers.full_name(written)
     if name in numbers.others:
         raise InputError(entry.source, field, written, "a number of a material that every state and every alternative "
@@ -199,18 +200,18 @@ def _number_axis(written: str, field: str, entry: Table, numbers: Numbers) -> Nu
     return NumberAxis(name, unit, low, high, points=points)
 
 
-def _check_plausible(name: str, values: Sequence[float], entry: Table, numbers: Numbers) -> None:
+def _check_plausible(name: str, values: Sequence[float], entry: FileTable, numbers: Numbers) -> None:
     """Refuse lengths that no such part has."""
     for value in values:
         check_length(name, value, source=entry.source, field=entry.field, unusual=numbers.unusual)
 
 
-def _quantity(entry: Table, key: str, dimension: str) -> float:
+def _quantity(entry: FileTable, key: str, dimension: str) -> float:
     entry.required(key, f"a {dimension} with its unit; what varies is given as {_EXAMPLE}")
     return entry.quantity(key, dimension)
 
 
-def _values(entry: Table, dimension: str) -> tuple[float, float, tuple[float, ...]]:
+def _values(entry: FileTable, dimension: str) -> tuple[float, float, tuple[float, ...]]:
     """The lowest, the highest, and all values of a list."""
     for key in ("from", "to", "tolerance"):
         if key in entry:
@@ -225,7 +226,7 @@ def _values(entry: Table, dimension: str) -> tuple[float, float, tuple[float, ..
     return min(found), max(found), found
 
 
-def _tolerance(name: str, entry: Table, dimension: str, numbers: Numbers) -> tuple[float, float]:
+def _tolerance(name: str, entry: FileTable, dimension: str, numbers: Numbers) -> tuple[float, float]:
     """The ends of the range that a tolerance leaves about what the chip file or the material says."""
     for key in ("from", "to"):
         if key in entry:
@@ -262,10 +263,10 @@ def dimension_of(name: str) -> str:
     return "diffusivity" if parsed.coefficient == "diffusivity_of_sound" else "dimensionless"
 
 
-def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: Table) -> None:
+def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: FileTable) -> None:
     """Lengths are above zero, no radius passes another one, and of radii that coincide one varies."""
     first = tied(chip)
-    base = centred(chip, axes, table)
+    base = centred_in_ranges(chip, axes, table)
     radii: dict[str, NumberAxis] = {}
     for axis in axes:
         if axis.name not in base.dimensions():
@@ -292,7 +293,7 @@ def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: Table) -> None
                              f"a radius above the {millimetres(inner.high)} that {inner.name} reaches")
 
 
-def centred(chip: Chip, axes: Sequence[NumberAxis], table: Table | None = None) -> Chip:
+def centred_in_ranges(chip: Chip, axes: Sequence[NumberAxis], table: FileTable | None = None) -> Chip:
     """The chip with lengths whose range does not hold what its file says set to the middle of the range."""
     known, first = chip.dimensions(), tied(chip)
     moved = {axis.name: 0.5 * (axis.low + axis.high) for axis in axes
@@ -313,7 +314,7 @@ def centred(chip: Chip, axes: Sequence[NumberAxis], table: Table | None = None) 
 
 
 def _choice(
-    name: str, field: str, entry: Table, chip: Chip, states: Sequence[str], registry: Registry
+    name: str, field: str, entry: FileTable, chip: Chip, states: Sequence[str], registry: Registry
 ) -> MaterialAxis:
     region, regions = name.removesuffix(MATERIAL), chip.regions
     if not name.endswith(MATERIAL) or region not in regions:

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from workbench.design.cavity import Cavity
-from workbench.linearised import FullSystem, Linearised, ReducedSystem
-from workbench.parameter_names import ParameterName, placed
+from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.fem.solve import Solution, one_thread
+from workbench.model.numbers import ParameterName, placed
 from workbench.physics.term import Values
-from workbench.ranges import Progress, RangeModel, compacted, keys
-from workbench.reduced_operators import ReducedOperators
-from workbench.reduction import ReducedModel, sketched_error, smallest
-from workbench.solve import Solution, one_thread
+from workbench.reduced.ranges import Progress, RangeModel, compacted, range_keys
+from workbench.reduced.reduction import ReducedModel, sketched_error, smallest_part
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -126,7 +126,7 @@ def bases_of(
         first = rough[: max(LEAST, TAKEN * len(names))]
         columns = list(pool.map(lambda each: _columns(made, each, names, moves, width), first))
         for turn in range(ROUNDS):
-            basis = _decomposed(np.concatenate(columns, axis=1), made, smallest(tolerance))
+            basis = _decomposed(np.concatenate(columns, axis=1), made, smallest_part(tolerance))
             operating = made.reduced.on(basis)
             checked = points.drawn(CHECKED, pool)
             fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each.values).linearised(each.driven),
@@ -141,7 +141,7 @@ def bases_of(
             raise NotConfirmed(error, pressure_error, tolerance)
     band = made.frequency[-1] - made.frequency[0]
     grid = np.linspace(made.frequency[0], made.frequency[-1], int(np.ceil(ACROSS * band / width)) + 1)
-    small = compacted(operating, keys(made.ranges), made.problem.values, by_place=by_place)
+    small = compacted(operating, range_keys(made.ranges), made.problem.values, by_place=by_place)
     rows = places[0].pressure_rows(basis) if places else None
     return Bases(small.operators, small.sketch, rows, sweeping, grid, error, pressure_error)
 
@@ -217,7 +217,7 @@ def _sweeping(model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_
 
 
 def _errors(
-    operating: ReducedModel, places: Sequence[Cavity], samples: Sequence[_Sample], fulls: Sequence[Linearised]
+    operating: ReducedModel, places: Sequence[Cavity], samples: Sequence[_Sample], fulls: Sequence[LinearisedState]
 ) -> tuple[float, float]:
     """The largest relative errors of Z and of the pressure (root mean square) against full states."""
     rows = [place.pressure_rows(operating.basis) for place in places]

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.requirement import parse_requirement
-from workbench.drive import Drive
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
+from workbench.model.drive import Drive
 
 _ENDS = re.compile(r"\s*(?P<name>.+?)\s+within\s*\[(?P<low>[^,\]]+),(?P<high>[^,\]]+)\]\s*", re.IGNORECASE)
 _LENGTHS = re.compile(r"\s*(?P<sum>[^<>=]+?)\s*(?P<sign><=|>=)\s*(?P<limit>[^<>=]+?)\s*")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from workbench.design.variables import GRAIN, Length
+from workbench.design.variables import GRAIN, LengthVariable
 
 Box = Mapping[str, tuple[float, float]]
 
@@ -14,21 +14,21 @@ ON_SIDE = 1e-3
 
 
 @dataclass(frozen=True)
-class Reach:
+class TrustRegion:
     """How far boxes extend: ``half_widths`` (m) by name of the length."""
 
     half_widths: Mapping[str, float]
 
     @classmethod
-    def relative(cls, lengths: Mapping[str, float], share: float) -> Reach:
+    def relative(cls, lengths: Mapping[str, float], share: float) -> TrustRegion:
         """A `share` of each of the `lengths` (m)."""
         return cls({name: share * value for name, value in lengths.items()})
 
-    def halved(self) -> Reach:
+    def halved(self) -> TrustRegion:
         """Half as far."""
-        return Reach({name: 0.5 * width for name, width in self.half_widths.items()})
+        return TrustRegion({name: 0.5 * width for name, width in self.half_widths.items()})
 
-    def about(self, middle: Mapping[str, float], variables: Sequence[Length]) -> dict[str, tuple[float, float]]:
+    def about(self, middle: Mapping[str, float], variables: Sequence[LengthVariable]) -> dict[str, tuple[float, float]]:
         """The box about a `middle` (m), moved inwards where it crosses the bounds of the variables."""
         found = {}
         for each in variables:
@@ -38,9 +38,9 @@ class Reach:
         return found
 
 
-def within(variables: Sequence[Length], box: Box) -> tuple[Length, ...]:
+def variables_in_box(variables: Sequence[LengthVariable], box: Box) -> tuple[LengthVariable, ...]:
     """The variables with the ranges of a box."""
-    return tuple(Length(each.name, *box[each.name], each.step) for each in variables)
+    return tuple(LengthVariable(each.name, *box[each.name], each.step) for each in variables)
 
 
 def middle(box: Box) -> dict[str, float]:
@@ -48,7 +48,7 @@ def middle(box: Box) -> dict[str, float]:
     return {name: 0.5 * (low + high) for name, (low, high) in box.items()}
 
 
-def sides_within(lengths: Mapping[str, float], box: Box, variables: Sequence[Length]) -> tuple[str, ...]:
+def sides_within(lengths: Mapping[str, float], box: Box, variables: Sequence[LengthVariable]) -> tuple[str, ...]:
     """The variables that lie on a side of the box that is no bound of theirs: beyond it may be better ones."""
     found = []
     for each in variables:

@@ -12,12 +12,12 @@ from geometry.chip import Chip
 from workbench.design.bounds import Bound
 from workbench.design.descent import Multipliers
 from workbench.design.evaluation import Evaluation
-from workbench.design.figures import figure
+from workbench.design.figures import figure_named
 from workbench.design.goal import SIGNED, Goal
-from workbench.design.programme import Point, Programme
+from workbench.design.programme import Programme, ProgrammePoint
 from workbench.design.search import Optimum
 from workbench.design.steps import settle
-from workbench.design.variables import Length, Selection, changed
+from workbench.design.variables import LengthVariable, Selection, changed
 
 #: Largest relative difference between the figures of the model and of the full solve with which an optimum is accepted,
 #: and largest share of its scale by which a bound may then be missed.
@@ -38,7 +38,7 @@ class Active:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class RoundedDesign:
     """A chip with its lengths on their steps.
 
     ``selection`` of stock and materials; ``lengths`` (m) of all variables; ``point`` on the model, under the first
@@ -49,7 +49,7 @@ class Candidate:
     selection: Selection
     chip: Chip
     lengths: Mapping[str, float]
-    point: Point
+    point: ProgrammePoint
     objectives: tuple[float, ...]
     optimum: Optimum | None
     active: tuple[Active, ...]
@@ -75,7 +75,7 @@ class Confirmed:
     is above :data:`CONFIRMED` and all bounds hold; the ``statement`` says so in words.
     """
 
-    candidate: Candidate
+    candidate: RoundedDesign
     after: Evaluation
     differences: Mapping[str, float]
     accepted: bool
@@ -86,9 +86,9 @@ class Confirmed:
         return self.candidate.chip
 
 
-def settled(
+def rounded_design(
     goal: Goal, programme: Programme, optimum: Optimum, selection: Selection, evaluations: int
-) -> Candidate:
+) -> RoundedDesign:
     """The chip that an optimum becomes with its lengths on their steps."""
     held, descent = settle(programme, optimum.descent, evaluations=evaluations)
     rounded = {each.name: each.round(descent.point.lengths[each.name]) for each in held.variables}
@@ -99,7 +99,7 @@ def settled(
 def proposed(
     goal: Goal, programme: Programme, lengths: Mapping[str, float], selection: Selection,
     optimum: Optimum | None = None,
-) -> Candidate:
+) -> RoundedDesign:
     """The chip of these `lengths` (m), one for each of the goal's unknowns."""
     everything = {**selection.stock, **lengths}
     chip = changed(goal.chip, everything, selection.materials, note=f"by {goal.source}")
@@ -108,8 +108,8 @@ def proposed(
     points = [fixed.under(each).point(nothing, evaluations) for each in goal.objectives]
     point = replace(points[0], x=programme.unknowns(lengths), lengths=dict(lengths))
     active = () if optimum is None else active_bounds(goal, programme, optimum.descent.multipliers)
-    return Candidate(selection, chip, everything, point, tuple(each.objective for each in points), optimum, active,
-                     goal.bounds)
+    return RoundedDesign(selection, chip, everything, point, tuple(each.objective for each in points), optimum, active,
+                         goal.bounds)
 
 
 def active_bounds(goal: Goal, programme: Programme, found: Multipliers) -> tuple[Active, ...]:
@@ -129,7 +129,7 @@ def active_bounds(goal: Goal, programme: Programme, found: Multipliers) -> tuple
     return tuple(sorted(active, key=lambda each: -each.gain))
 
 
-def _own(goal: Goal, variable: Length) -> Length:
+def _own(goal: Goal, variable: LengthVariable) -> LengthVariable:
     return next(each for each in goal.unknowns if each.name == variable.name)
 
 
@@ -140,7 +140,8 @@ def _told(bound: Bound) -> str:
 
 def _step(bound: Bound, multiplier: float) -> tuple[str, float]:
     """A hundredth of a bound's scale in its unit, and the gain for it."""
-    factor, unit = (1e-6, "um") if bound.of_lengths else (figure(bound.figure).factor, figure(bound.figure).shown)
+    factor, unit = (1e-6, "um") if bound.of_lengths else (figure_named(bound.figure).factor,
+                                                          figure_named(bound.figure).shown)
     return f"{0.01 * bound.scale / factor:.3g} {unit}".strip(), 0.01 * multiplier
 
 
@@ -152,7 +153,7 @@ def _scale(goal: Goal, chip: Chip, name: str, otherwise: float) -> float:
     return min((each.scale for each in goal.bounds if not each.of_lengths and each.figure == name), default=otherwise)
 
 
-def confirmed(goal: Goal, candidate: Candidate, after: Evaluation) -> Confirmed:
+def confirmed(goal: Goal, candidate: RoundedDesign, after: Evaluation) -> Confirmed:
     """What the figures `after` a full solve say of a candidate."""
     nominal = candidate.point.evaluation.figures
     differences = {}

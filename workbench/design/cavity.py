@@ -26,13 +26,13 @@ from geometry.dimension import SAME_LENGTH
 from geometry.names import CAVITY, whole
 from geometry.section import cut_section
 from materials.kinds import Fluid
-from workbench.design.dual import Dual, slope
+from workbench.acoustics.fields import section_nodes
+from workbench.acoustics.radiation import gorkov_potential, radiation_force
+from workbench.design.dual import Dual, dual_derivative
 from workbench.design.legendre import derivatives
-from workbench.fields import section_nodes
-from workbench.operators import FullOperators
-from workbench.parameter_names import ParameterName
-from workbench.particles import Particle, compressibility, viscous_scattering
-from workbench.radiation import gorkov_potential, radiation_force
+from workbench.fem.operators import FullOperators
+from workbench.model.numbers import ParameterName
+from workbench.model.particles import Particle, compressibility, viscous_scattering
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -262,7 +262,7 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
             gradient[..., k] = (0.5 * length / size) * both
     for name, number in around.numbers().items():
         if number.gradient.any():
-            by_scalar = slope(lambda x, name=name: squares(cavity, found, {**scalars, name: x}), number.value)  # type: ignore[misc]
+            by_scalar = dual_derivative(lambda x, name=name: squares(cavity, found, {**scalars, name: x}), number.value)  # type: ignore[misc]
             gradient += by_scalar[..., None] * number.gradient
     to_end = np.moveaxis(polynomials.coefficients(np.moveaxis(gradient, -1, 0)), 0, -1)
     return CavityField(cavity, polynomials.coefficients(values), to_end, around,

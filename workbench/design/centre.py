@@ -11,7 +11,7 @@ from materials.assumed import with_assumed_loss
 from materials.kinds import Material
 from materials.registry import Registry
 from workbench.design.model import all_of_one_length
-from workbench.parameter_names import Kind, ParameterName, placed
+from workbench.model.numbers import ParameterKind, ParameterName, placed
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,13 @@ class CentredRegistry(Registry):
         return replace(material, **changed) if changed else material
 
 
-def centred(chip: Chip, registry: Registry | None, numbers: Mapping[str, float]) -> tuple[Chip, Registry]:
+def centred_chip(chip: Chip, registry: Registry | None, numbers: Mapping[str, float]) -> tuple[Chip, Registry]:
     """`chip` and `registry` with `numbers` (SI, by parameter name) in the place of their own."""
     known = chip.dimensions()
     lengths = {name: number for name, number in numbers.items()
-               if ParameterName.parse(name).kind is Kind.DIMENSION and number != known[name].value}
-    others = {name: number for name, number in numbers.items() if ParameterName.parse(name).kind is not Kind.DIMENSION}
+               if ParameterName.parse(name).kind is ParameterKind.DIMENSION and number != known[name].value}
+    others = {name: number for name,
+              number in numbers.items() if ParameterName.parse(name).kind is not ParameterKind.DIMENSION}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths)) if lengths else chip
     registry = registry or Registry()
     return moved, CentredRegistry(registry.folders, registry.assumed_losses, others)

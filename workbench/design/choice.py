@@ -9,18 +9,18 @@ from dataclasses import dataclass, replace
 
 from geometry.chip import Chip
 from workbench.design.boxes import sides_within
-from workbench.design.candidate import Candidate, proposed, settled
+from workbench.design.candidate import RoundedDesign, proposed, rounded_design
 from workbench.design.descent import descend
 from workbench.design.evolution import evolve
 from workbench.design.goal import Goal
 from workbench.design.modelling import Modelling, Say, Solver, modelled, present_of, reach_of
-from workbench.design.programme import Point
+from workbench.design.programme import ProgrammePoint
 from workbench.design.search import Attempt, Optimum, attempt, optima, search_all
 from workbench.design.spread import Spread
 from workbench.design.variables import Selection, changed
 
 #: Called with a chip that is not confirmed and its point on the model, as each is found.
-Keep = Callable[[Chip, Point], None]
+Keep = Callable[[Chip, ProgrammePoint], None]
 
 #: Distinct optima of a choice from which a robust one is looked for.
 RUNNERS_UP = 3
@@ -41,8 +41,8 @@ class Searched:
     models: int
     attempts: tuple[Attempt, ...]
     optima: tuple[Optimum, ...]
-    candidates: tuple[Candidate, ...]
-    front: tuple[Candidate, ...] = ()
+    candidates: tuple[RoundedDesign, ...]
+    front: tuple[RoundedDesign, ...] = ()
     open_sides: tuple[str, ...] = ()
 
     @property
@@ -103,7 +103,8 @@ def _attempts(
     return search_all(programme, goal.search, programme.unknowns(about), executor=executor, finished=finished)
 
 
-def _kept(goal: Goal, selection: Selection, lengths: Mapping[str, float], point: Point, keep: Keep | None) -> None:
+def _kept(goal: Goal, selection: Selection, lengths: Mapping[str, float], point: ProgrammePoint,
+          keep: Keep | None) -> None:
     """Hand the chip of these lengths (m) over, as one that is not confirmed."""
     if keep is not None:
         keep(changed(goal.chip, {**selection.stock, **lengths}, selection.materials,
@@ -125,19 +126,19 @@ def _robust(
 
 def _on_steps(
     goal: Goal, modelling: Modelling, ends: Sequence[Optimum], selection: Selection, spread: Spread | None, say: Say
-) -> tuple[Candidate, ...]:
+) -> tuple[RoundedDesign, ...]:
     """The optima with their lengths on steps, best first.
 
     An optimum between the steps is better than any chip on them that comes of it; so those that are worse than a chip
     that was found need not be looked at.
     """
     programme = replace(modelling.programme, spread=spread)
-    found: list[Candidate] = []
+    found: list[RoundedDesign] = []
     for index, each in enumerate(ends):
         if not each.point.exists or (found and each.point.rank > min(one.point.rank for one in found)):
             continue
         say("steps", index / len(ends))
-        found.append(settled(goal, programme, each, selection, goal.search.evaluations))
+        found.append(rounded_design(goal, programme, each, selection, goal.search.evaluations))
     say("steps", 1.0)
     return tuple(sorted(found, key=lambda each: each.point.rank))
 
@@ -165,5 +166,6 @@ def _evolved(
     held = programme.holding({each.name: members[0].lengths[each.name] for each in goal.stock})
     start = held.unknowns(members[0].lengths)
     end = Optimum(descend(held, start, evaluations=goal.search.evaluations), (0,))
-    best = min([settled(goal, held, end, selection, goal.search.evaluations), *chips], key=lambda each: each.point.rank)
+    best = min([rounded_design(goal, held, end, selection, goal.search.evaluations), *chips],
+               key=lambda each: each.point.rank)
     return Searched(selection, modelling, 1, (), (end,), (best,))

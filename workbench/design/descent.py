@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 
-from workbench.design.programme import KEPT, Point, Programme
+from workbench.design.programme import KEPT, Programme, ProgrammePoint
 
 Real = NDArray[np.float64]
 
@@ -64,11 +64,11 @@ class Multipliers:
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
+class DesignDescent:
     """The best point of a descent, from which ``start`` (n,), and the (objective, violation) of every evaluation."""
 
     start: Real
-    point: Point
+    point: ProgrammePoint
     multipliers: Multipliers
     path: tuple[tuple[float, float], ...]
 
@@ -83,12 +83,12 @@ class Descent:
         return self.point.violation <= KEPT
 
 
-def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
+def descend(programme: Programme, start: Real, *, evaluations: int) -> DesignDescent:
     """The best point that is found from `start` (n,) by at most so many `evaluations`."""
-    points: list[Point] = []
+    points: list[ProgrammePoint] = []
     begun = 0
 
-    def evaluate(x: Real) -> Point:
+    def evaluate(x: Real) -> ProgrammePoint:
         for each in reversed(points):
             if np.array_equal(each.x, x):
                 return each
@@ -114,25 +114,26 @@ def descend(programme: Programme, start: Real, *, evaluations: int) -> Descent:
     except _Spent:
         pass
     best = min(points, key=lambda each: each.rank)
-    return Descent(np.asarray(start, dtype=float), best, multipliers(best),
-                   tuple((each.objective, each.violation) for each in points))
+    return DesignDescent(np.asarray(start, dtype=float), best, multipliers(best),
+                         tuple((each.objective, each.violation) for each in points))
 
 
-def _last_gain(points: list[Point]) -> int:
+def _last_gain(points: list[ProgrammePoint]) -> int:
     """How many points there were when the best one was found."""
     return 0 if not points else 1 + min(range(len(points)), key=lambda k: points[k].rank)
 
 
-def _better(one: Point, other: Point) -> bool:
+def _better(one: ProgrammePoint, other: ProgrammePoint) -> bool:
     """Whether one point is better than another by more than a descent ends with."""
     return one.rank[0] < other.rank[0] or (one.rank[0] == other.rank[0] and one.rank[1] < other.rank[1] - CONVERGED)
 
 
 def _follow(
-    programme: Programme, evaluate: Callable[[Real], Point], points: list[Point], centre: Real, width: float
+    programme: Programme, evaluate: Callable[[Real], ProgrammePoint], points: list[ProgrammePoint], centre: Real,
+    width: float
 ) -> None:
     """SLSQP from `centre` (n,) within `width` to either side."""
-    def clipped(x: Real) -> Point:
+    def clipped(x: Real) -> ProgrammePoint:
         return evaluate(np.clip(x, low, high))
 
     def objective(x: Real) -> tuple[float, Real]:
@@ -157,7 +158,7 @@ def _follow(
              constraints=constraints, options={"ftol": CONVERGED, "maxiter": 1000})
 
 
-def multipliers(point: Point) -> Multipliers:
+def multipliers(point: ProgrammePoint) -> Multipliers:
     """The multipliers of the bounds and ends that are active at `point`: none is negative, and what is left of the
     slope is as small as they can make it (non-negative least squares)."""
     count, size = len(point.margins), len(point.x)

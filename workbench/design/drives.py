@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.evaluation import Evaluation, Operation
-from workbench.design.figures import LOSS_SHARE, Figure, figure
+from workbench.design.figures import LOSS_SHARE, Figure, figure_named
 from workbench.design.model import DesignModel
 from workbench.design.requirement import Requirement
-from workbench.drive import Drive
+from workbench.model.drive import Drive
 
 Real = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ UNDRIVEN = ("f0", "z_min", "q", "trap_height", "trap_offset", "trap_radius")
 
 
 @dataclass(frozen=True)
-class Quantity:
+class DrivenFigure:
     """A figure at a drive; its ``label`` is the figure's name, with the drive where there are several."""
 
     label: str
@@ -33,20 +33,20 @@ class Quantity:
     drive: Drive
 
 
-def quantities(names: Sequence[str], requirements: Sequence[Requirement], drive: Drive) -> tuple[Quantity, ...]:
+def driven_figures(names: Sequence[str], requirements: Sequence[Requirement], drive: Drive) -> tuple[DrivenFigure, ...]:
     """The figures called `names` at the `drive`, and those of `requirements` at theirs, each once."""
-    asked = [(figure(name), drive) for name in names]
+    asked = [(figure_named(name), drive) for name in names]
     asked += [(each.figure, each.drive or drive) for each in requirements]
-    found: dict[tuple[str, str], Quantity] = {}
+    found: dict[tuple[str, str], DrivenFigure] = {}
     for each, at in asked:
         undriven = each.name in UNDRIVEN or each.name.startswith(LOSS_SHARE)
         key = each.name, "" if undriven or str(at) == str(drive) else str(at)
-        found.setdefault(key, Quantity(each.name if not key[1] else f"{each.name} at {at}", each,
-                                       drive if undriven else at))
+        found.setdefault(key, DrivenFigure(each.name if not key[1] else f"{each.name} at {at}", each,
+                                           drive if undriven else at))
     return tuple(found.values())
 
 
-def label_of(requirement: Requirement, known: Sequence[Quantity], drive: Drive) -> str:
+def label_of(requirement: Requirement, known: Sequence[DrivenFigure], drive: Drive) -> str:
     """Which of the `known` quantities a requirement is about."""
     at = requirement.drive or drive
     mine = [each for each in known if each.figure == requirement.figure]
@@ -61,7 +61,7 @@ class Driven:
     """
 
     model: DesignModel
-    asked: tuple[Quantity, ...]
+    asked: tuple[DrivenFigure, ...]
     operation: Operation = field(default_factory=Operation)
 
     @property
@@ -73,19 +73,19 @@ class Driven:
         return tuple(each.label for each in self.asked)
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
-        return together([
+        return merged_evaluations([
             (mine, replace(self.model, figures=tuple(each.figure.name for each in mine),
                            operation=replace(self.operation, drive=mine[0].drive))(values, gradient=gradient))
             for mine in by_drive(self.asked)])
 
 
-def by_drive(asked: Sequence[Quantity]) -> list[tuple[Quantity, ...]]:
+def by_drive(asked: Sequence[DrivenFigure]) -> list[tuple[DrivenFigure, ...]]:
     """Quantities in groups of one drive."""
     drives = dict.fromkeys(str(each.drive) for each in asked)
     return [tuple(each for each in asked if str(each.drive) == drive) for drive in drives]
 
 
-def together(parts: Sequence[tuple[Sequence[Quantity], Evaluation]]) -> Evaluation:
+def merged_evaluations(parts: Sequence[tuple[Sequence[DrivenFigure], Evaluation]]) -> Evaluation:
     """Evaluations of one chip at different drives as one, figures by label."""
     figures: dict[str, float] = {}
     missing: dict[str, str] = {}

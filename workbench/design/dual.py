@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.linearised import FIRST, PLACES, STEP
+from workbench.fem.linearised import FIRST, PLACES, STEP
 
 Real = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Dual:
         return Dual(root, 0.5 / root * self.gradient)
 
 
-def slope(function: Callable[[float], Real], at: float) -> Real:
-    """The derivative (...) of a closed formula (...) of a scalar, to rounding (`workbench.linearised`)."""
+def dual_derivative(function: Callable[[float], Real], at: float) -> Real:
+    """The derivative (...) of a closed formula (...) of a scalar, to rounding (`workbench.fem.linearised`)."""
     step = STEP * abs(at)
     return np.tensordot(FIRST, np.stack([function(at + step * place) for place in PLACES]), axes=1) / step

@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.names import whole
-from workbench.brief import Brief
 from workbench.design.cavity import OF_FLUID, Cavity, CavityField, Surroundings, cavity_field
-from workbench.design.dual import Dual, slope
+from workbench.design.dual import Dual, dual_derivative
 from workbench.design.figures import LOSS_SHARE
 from workbench.design.resonance import Linearisable, Resonance, find_resonance
-from workbench.design.trapping import FoundTrap, NoTrap, find_trap, focus_time, largest_square
-from workbench.drive import Drive, VoltageDrive
-from workbench.linearised import Linearised, around, by_frequency, slope_columns
-from workbench.merit import NoResonance
-from workbench.parameter_names import ParameterName
-from workbench.solve import Solution
+from workbench.design.trapping import FoundTrap, NoTrap, find_trap, largest_square, trap_focus_time
+from workbench.fem.linearised import LinearisedState, by_frequency, difference_frequencies, slope_columns
+from workbench.fem.solve import Solution
+from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.numbers import ParameterName
+from workbench.results.brief import Brief
+from workbench.results.merit import NoResonance
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -101,14 +101,14 @@ class Question:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class FigureValues:
     """Figures with their derivatives, why others are missing, and the frequency (Hz) that the chip is driven at."""
 
     question: Question
     figures: Mapping[str, Dual]
     missing: Mapping[str, str]
     frequency: float
-    state: Linearised | None
+    state: LinearisedState | None
 
     def evaluation(self, values: Mapping[str, float], estimate: Callable[[Solution], float] | None) -> Evaluation:
         """For the numbers asked for, with the estimated error of the state's charge (none: of a full solve)."""
@@ -128,7 +128,7 @@ def needs_resonance(question: Question) -> bool:
 
 def answer(
     question: Question, model: Linearisable, frequency: Real, charge: Complex, final: Linearisable | None = None
-) -> Answer:
+) -> FigureValues:
     """The figures asked for, of a `model` whose `charge` (n,) at some ascending `frequency` (n,) Hz is known.
 
     With `final` the model only says where the resonance is, and the states are those of that better model.
@@ -161,8 +161,8 @@ def answer(
             if wanted:
                 compute(wanted, found, missing)
     kept = {name: found[name] for name in question.figures if name in found}
-    return Answer(question, kept, {name: why for name, why in missing.items() if name in question.figures},
-                  math.nan if driven is None else driven, state)
+    return FigureValues(question, kept, {name: why for name, why in missing.items() if name in question.figures},
+                        math.nan if driven is None else driven, state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ class _Operating:
     """A chip at the frequency it is driven at: the ``state`` there, and that frequency with its derivatives."""
 
     question: Question
-    state: Linearised
+    state: LinearisedState
     frequency: Dual
 
     @property
@@ -192,8 +192,8 @@ class _Operating:
         def square(z: complex) -> Real:
             return np.abs(drive.amplitude(np.array([z]))[0]) ** 2
 
-        by_real = slope(lambda x: square(complex(x, impedance.imag)), impedance.real)
-        by_imaginary = slope(lambda x: square(complex(impedance.real, x)), impedance.imag)
+        by_real = dual_derivative(lambda x: square(complex(x, impedance.imag)), impedance.real)
+        by_imaginary = dual_derivative(lambda x: square(complex(impedance.real, x)), impedance.imag)
         return Dual(float(square(impedance)), by_real * moved.real + by_imaginary * moved.imag)
 
     def electrical(self, names: list[str], found: dict[str, Dual], missing: dict[str, str]) -> None:
@@ -246,7 +246,7 @@ class _Operating:
     def _coefficients(self) -> tuple[Complex, Complex]:
         """g_q (integrals,) and their derivative per Hz."""
         operators = self.state.solution.operators
-        at = operators.coefficients(2.0 * np.pi * around(self.frequency.value), self.question.values)
+        at = operators.coefficients(2.0 * np.pi * difference_frequencies(self.frequency.value), self.question.values)
         value, first, _ = by_frequency(at.T, self.frequency.value)
         return value, first
 
@@ -297,6 +297,6 @@ def _trap_figures(trap: FoundTrap, square: Dual, found: dict[str, Dual], missing
     found["trap_depth"] = trap.depth * square
     found["axial_stiffness"], found["radial_stiffness"] = trap.axial * square, trap.radial * square
     try:
-        found["focus_time"] = focus_time(trap, square)
+        found["focus_time"] = trap_focus_time(trap, square)
     except NoTrap as error:
         missing["focus_time"] = str(error)

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.goal import Search
-from workbench.design.programme import Point, Programme
-from workbench.design.variables import Length, Stock
+from workbench.design.goal import SearchOptions
+from workbench.design.programme import Programme, ProgrammePoint
+from workbench.design.variables import LengthVariable, Stock
 
 if TYPE_CHECKING:
     from pymoo.core.problem import Problem
@@ -26,11 +26,11 @@ NOTHING = 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
+class PopulationMember:
     """One member of a population: its ``lengths`` (m), and its point under every objective."""
 
     lengths: Mapping[str, float]
-    points: tuple[Point, ...]
+    points: tuple[ProgrammePoint, ...]
 
     @property
     def objectives(self) -> Real:
@@ -38,18 +38,18 @@ class Member:
         return np.array([each.objective for each in self.points])
 
 
-def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> Member:
+def judge(programmes: Sequence[Programme], lengths: Mapping[str, float]) -> PopulationMember:
     """The member of these lengths (m): evaluated once, judged by every programme."""
     x = programmes[0].unknowns(lengths)
     evaluations = programmes[0].evaluations(x, gradient=False)
-    return Member(lengths, tuple(each.point(x, evaluations) for each in programmes))
+    return PopulationMember(lengths, tuple(each.point(x, evaluations) for each in programmes))
 
 
 def evolve(
-    programmes: Sequence[Programme], stock: Sequence[Stock], search: Search,
+    programmes: Sequence[Programme], stock: Sequence[Stock], search: SearchOptions,
     first: Sequence[Mapping[str, float]] = (), *, executor: Executor | None = None,
-    say: Callable[[float], None] | None = None, better: Callable[[Member], None] | None = None,
-) -> list[Member]:
+    say: Callable[[float], None] | None = None, better: Callable[[PopulationMember], None] | None = None,
+) -> list[PopulationMember]:
     """The members of the last generation that none dominates: one under one objective, the front between two.
 
     `first` are lengths (m) that the first generation has among its random ones; `better` is called with every member
@@ -63,9 +63,9 @@ def evolve(
 
     genes = [_gene(each, stock) for each in programmes[0].variables]
     total = search.generations * search.population
-    seen: list[Member] = []
+    seen: list[PopulationMember] = []
 
-    def evaluate(rows: Sequence[Mapping[str, Any]]) -> list[Member]:
+    def evaluate(rows: Sequence[Mapping[str, Any]]) -> list[PopulationMember]:
         lengths = [{gene.name: gene.length(row[gene.name]) for gene in genes} for row in rows]
         if executor is None:
             found = [judge(programmes, each) for each in lengths]
@@ -92,7 +92,7 @@ def evolve(
     return undominated(seen)
 
 
-def undominated(members: Sequence[Member]) -> list[Member]:
+def undominated(members: Sequence[PopulationMember]) -> list[PopulationMember]:
     """Those that keep all bounds and that no other one is better than in all objectives, by the first objective.
 
     Where none keeps the bounds, the one nearest to it alone.
@@ -101,7 +101,7 @@ def undominated(members: Sequence[Member]) -> list[Member]:
     kept = [each for each in existing if not each.points[0].rank[0]]
     if not kept:
         return sorted(existing, key=lambda each: each.points[0].rank)[:1]
-    found: list[Member] = []
+    found: list[PopulationMember] = []
     for each in sorted(kept, key=lambda one: tuple(one.objectives)):
         if not any(np.all(other.objectives <= each.objectives) for other in found):
             found.append(each)
@@ -132,7 +132,7 @@ class _Gene:
         """The length (m) that a value of the variable is."""
         if self.values:
             return self.values[int(value)]
-        return Length(self.name, self.low, self.high, self.step).round(
+        return LengthVariable(self.name, self.low, self.high, self.step).round(
             float(value) if self.step is None else int(value) * self.step)
 
     def nearest(self, length: float) -> Any:
@@ -140,18 +140,19 @@ class _Gene:
         if self.values:
             return min(range(len(self.values)), key=lambda k: abs(self.values[k] - length))
         value = min(max(length, self.low), self.high)
-        return value if self.step is None else round(Length(self.name, self.low, self.high, self.step).round(value)
+        return value if self.step is None else round(LengthVariable(self.name, self.low, self.high,
+                                                                    self.step).round(value)
                                                      / self.step)
 
 
-def _gene(variable: Length, stock: Sequence[Stock]) -> _Gene:
+def _gene(variable: LengthVariable, stock: Sequence[Stock]) -> _Gene:
     values = next((each.values for each in stock if each.name == variable.name), ())
     return _Gene(variable.name, variable.low, variable.high, variable.step, values)
 
 
 def _problem(
     genes: Sequence[_Gene], programmes: Sequence[Programme],
-    evaluate: Callable[[Sequence[Mapping[str, Any]]], list[Member]],
+    evaluate: Callable[[Sequence[Mapping[str, Any]]], list[PopulationMember]],
 ) -> Problem:
     """The problem as pymoo wants it."""
     from pymoo.core.problem import Problem as PymooProblem

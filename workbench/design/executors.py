@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from workbench.files.errors import InputError
-from workbench.interruption import shielded
+from workbench.jobs.interruption import shielded
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -51,7 +51,7 @@ _ALL = (
 FIGURES: Mapping[str, Figure] = {each.name: each for each in _ALL}
 
 
-def figure(name: str) -> Figure:
+def figure_named(name: str) -> Figure:
     """The figure of that name.
 
     Raises:

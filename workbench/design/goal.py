@@ -38,11 +38,11 @@ from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
 from workbench.design.thermal import read_thermal
 from workbench.design.uncertainty import Law
-from workbench.design.variables import MATERIAL, Length, MaterialChoice, Stock, Variable, first_name
-from workbench.drive import parse_drive
+from workbench.design.variables import MATERIAL, LengthVariable, MaterialChoice, Stock, Variable, first_name
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
+from workbench.model.drive import parse_drive
 
 #: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
 #: 95 % of the chips.
@@ -59,7 +59,7 @@ _VARIABLE_KEYS = ("from", "to", "step", "values", "materials")
 
 
 @dataclass(frozen=True)
-class Objective:
+class DesignObjective:
     """A figure that is to be as large as possible, or as small."""
 
     figure: str
@@ -70,7 +70,7 @@ class Objective:
 
 
 @dataclass(frozen=True)
-class Search:
+class SearchOptions:
     """How the optimum is looked for.
 
     ``starts`` of the search, each with ``looked_at`` random points (the first with the present chip besides), of which
@@ -122,22 +122,22 @@ class Goal:
     chip: Chip
     state: str
     operation: Operation
-    objectives: tuple[Objective, ...]
+    objectives: tuple[DesignObjective, ...]
     variables: tuple[Variable, ...]
     bounds: tuple[Bound, ...] = ()
     band: tuple[float, float] | None = None
     robust: Robust | None = None
-    search: Search = field(default_factory=Search)
+    search: SearchOptions = field(default_factory=SearchOptions)
 
     @property
-    def lengths(self) -> tuple[Length, ...]:
-        return tuple(each for each in self.variables if isinstance(each, Length))
+    def lengths(self) -> tuple[LengthVariable, ...]:
+        return tuple(each for each in self.variables if isinstance(each, LengthVariable))
 
     @property
-    def unknowns(self) -> tuple[Length, ...]:
+    def unknowns(self) -> tuple[LengthVariable, ...]:
         """The lengths that a model is of: the stock lengths too, from end to end, in an evolutionary search."""
         stock = self.stock if self.search.evolutionary else ()
-        return (*self.lengths, *(Length(each.name, each.values[0], each.values[-1]) for each in stock))
+        return (*self.lengths, *(LengthVariable(each.name, each.values[0], each.values[-1]) for each in stock))
 
     @property
     def stock(self) -> tuple[Stock, ...]:
@@ -158,7 +158,7 @@ def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
         InputError: the file or its chip cannot be read, or does not describe a goal.
     """
     path = Path(path)
-    root = Table.read(path).only(("goal", "variables", "thermal", "robust", "search"))
+    root = FileTable.read(path).only(("goal", "variables", "thermal", "robust", "search"))
     head = root.table("goal").only(("chip", "state", "drive", "maximise", "minimise", "constraints", "band"))
     chip = read_chip(path.parent / head.text("chip", expected="the path of a chip file, relative to this file"))
     state = chip.state(None).name
@@ -189,7 +189,7 @@ def _by_first_names(bound: Bound, chip: Chip) -> Bound:
     return replace(bound, weights=weights)
 
 
-def _objectives(head: Table, chip: Chip) -> tuple[Objective, ...]:
+def _objectives(head: FileTable, chip: Chip) -> tuple[DesignObjective, ...]:
     found = []
     known = [*FIGURES, TOLERANCE, *(LOSS_SHARE + region for region in chip.regions)]
     for key in ("maximise", "minimise"):
@@ -198,7 +198,7 @@ def _objectives(head: Table, chip: Chip) -> tuple[Objective, ...]:
             choose(name, known, source=head.source, field=head.at(key))
             if name in SIGNED:
                 raise head.error(key, f"a figure that is above zero; bound {name} among the constraints instead")
-            found.append(Objective(name, key == "maximise"))
+            found.append(DesignObjective(name, key == "maximise"))
     if len(found) not in (1, 2):
         raise InputError(head.source, head.field, [str(each) for each in found],
                          'maximise = "e_ac" or minimise = "focus_time"; two figures give a Pareto front')
@@ -209,7 +209,7 @@ def _objectives(head: Table, chip: Chip) -> tuple[Objective, ...]:
     return tuple(found)
 
 
-def _band(head: Table) -> tuple[float, float] | None:
+def _band(head: FileTable) -> tuple[float, float] | None:
     if "band" not in head:
         return None
     low, high = head.quantities("band", "frequency", numbered=True,
@@ -219,7 +219,7 @@ def _band(head: Table) -> tuple[float, float] | None:
     return low, high
 
 
-def _variables(table: Table, chip: Chip, registry: Registry | None) -> Iterator[Variable]:
+def _variables(table: FileTable, chip: Chip, registry: Registry | None) -> Iterator[Variable]:
     lengths = chip.dimensions()
     known = [*lengths, *(layer.region + MATERIAL for layer in chip.layers)]
     seen: dict[str, str] = {}
@@ -240,7 +240,7 @@ def _variables(table: Table, chip: Chip, registry: Registry | None) -> Iterator[
             yield found
 
 
-def _flat(table: Table) -> Iterator[tuple[str, Table]]:
+def _flat(table: FileTable) -> Iterator[tuple[str, FileTable]]:
     """The variables by their whole names, which TOML takes for tables in tables unless they are quoted."""
     expected = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'
     for name in table:
@@ -252,7 +252,7 @@ def _flat(table: Table) -> Iterator[tuple[str, Table]]:
             yield f"{name}.{rest}", inner.table(rest, expected=expected)
 
 
-def _length(table: Table, name: str) -> Stock | Length:
+def _length(table: FileTable, name: str) -> Stock | LengthVariable:
     if "values" in table:
         table.only(("values",))
         values = [parse_quantity(text, "length", source=table.source, field=table.at(f"values[{index}]"))
@@ -267,10 +267,10 @@ def _length(table: Table, name: str) -> Stock | Length:
     step = table.optional_quantity("step", "length")
     if step is not None and not 0.0 < step <= high - low:
         raise table.error("step", f"a step above zero and at most {1e3 * (high - low):g} mm, from end to end")
-    return Length(name, low, high, step)
+    return LengthVariable(name, low, high, step)
 
 
-def _material(table: Table, name: str, chip: Chip, registry: Registry | None) -> MaterialChoice:
+def _material(table: FileTable, name: str, chip: Chip, registry: Registry | None) -> MaterialChoice:
     table.only(("materials",))
     names = table.texts("materials", expected='materials such as ["pla", "petg"]')
     if len(set(names)) < max(2, len(names)):
@@ -283,7 +283,7 @@ def _material(table: Table, name: str, chip: Chip, registry: Registry | None) ->
     return MaterialChoice(chip.layer(name.removesuffix(MATERIAL)).region, names)
 
 
-def _robust(table: Table) -> Robust:
+def _robust(table: FileTable) -> Robust:
     table.only(("quantile", "mean", "samples", "law", "materials", "posteriors"))
     samples = table.whole("samples", Robust.samples, low=8, high=4096)
     if table.flag("mean") and "quantile" in table:
@@ -297,9 +297,9 @@ def _robust(table: Table) -> Robust:
                   tuple(folder / name for name in table.texts("posteriors", (), expected="files fit.json of fits")))
 
 
-def _search(table: Table) -> Search:
-    table.only(Search.__dataclass_fields__)
-    reach, tolerance = (table.quantity(key, "share", getattr(Search, key)) for key in ("reach", "tolerance"))
+def _search(table: FileTable) -> SearchOptions:
+    table.only(SearchOptions.__dataclass_fields__)
+    reach, tolerance = (table.quantity(key, "share", getattr(SearchOptions, key)) for key in ("reach", "tolerance"))
     if not 0.0 < reach < 1.0:
         raise table.error("reach", "a share of a length between 0 and 100 %")
     if not 1e-5 <= tolerance <= 0.1:
@@ -307,9 +307,9 @@ def _search(table: Table) -> Search:
     whole: Mapping[str, tuple[int, int]] = {
         "starts": (1, 1000), "looked_at": (1, 4096), "descended": (1, 64), "seed": (0, 2**31 - 1),
         "evaluations": (5, 10_000), "moves": (0, 100), "population": (4, 1000), "generations": (1, 10_000)}
-    numbers: dict[str, Any] = {key: table.whole(key, getattr(Search, key), low=low, high=high)
+    numbers: dict[str, Any] = {key: table.whole(key, getattr(SearchOptions, key), low=low, high=high)
                                for key, (low, high) in whole.items()}
-    return Search(**numbers, reach=reach, tolerance=tolerance, evolutionary=table.flag("evolutionary"))
+    return SearchOptions(**numbers, reach=reach, tolerance=tolerance, evolutionary=table.flag("evolutionary"))
 
 
 def _check(goal: Goal) -> None:

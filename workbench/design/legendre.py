@@ -26,7 +26,7 @@ def derivatives(x: Real, count: int, order: int) -> Real:
     return np.asarray(values @ _differentiation(count, order) if order else values)
 
 
-def derived(x: Real, count: int) -> Real:
+def legendre_polynomials(x: Real, count: int) -> Real:
     """P_0 ... P_(count - 1) at x (n,) with their first three derivatives: (4, n, count)."""
     values = derivatives(x, count, 0)
     return np.stack([values, *(values[:, : count - order] @ _differentiation(count, order) for order in (1, 2, 3))])

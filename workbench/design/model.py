@@ -22,23 +22,23 @@ from geometry.names import CAVITY
 from geometry.stretch import moving_together, tied
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.brief import Brief
 from workbench.design.bases import Bases, bases_of
 from workbench.design.cavity import Cavity, NoCavity, cavity_of
-from workbench.design.evaluation import OF_FIELD, Answer, Evaluation, Operation, Question, answer, needs_resonance
+from workbench.design.evaluation import OF_FIELD, Evaluation, FigureValues, Operation, Question, answer, needs_resonance
 from workbench.design.figures import LOSS_SHARE, check_figures
-from workbench.dimensions import flexible, flexible_within
-from workbench.discretisation import ACCURACY, Discretisation
+from workbench.fem.linearised import FullSystem, ReducedSystem
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import NotConverged, one_thread
 from workbench.files.errors import InputError, nearest_names
 from workbench.fitting.parameter import about
-from workbench.linearised import FullSystem, ReducedSystem
-from workbench.operators import FullOperators, assemble
-from workbench.parameter_names import Kind, ParameterName, placed
-from workbench.problem import FilledChip, Problem, build, fill
-from workbench.ranges import LIMIT, Progress, RangeModel, Ranges, range_model, within
-from workbench.reduction import reduced
-from workbench.solve import NotConverged, one_thread
-from workbench.spectrum import Spectrum
+from workbench.model.dimensions import flexible, flexible_within
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.numbers import ParameterKind, ParameterName, placed
+from workbench.model.problem import FilledChip, Problem, build, fill
+from workbench.reduced.ranges import LIMIT, Progress, RangeModel, Ranges, numbers_in_ranges, range_model
+from workbench.reduced.reduction import reduced
+from workbench.results.brief import Brief
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -54,7 +54,7 @@ class Evaluator(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters (`workbench.parameter_names`)."""
+        """Names of the parameters (`workbench.model.numbers`)."""
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ class DesignModel(Brief):
             KeyError: a name that is no parameter.
             OutOfRange: a number outside the ranges.
         """
-        return within(self.ranges, self.values, values)
+        return numbers_in_ranges(self.ranges, self.values, values)
 
 
 def design_model(
@@ -148,7 +148,7 @@ def design_model(
     progress: Progress | None = None,
     accuracy: float | Discretisation = ACCURACY,
 ) -> DesignModel:
-    """A model of a chip's figures over `ranges`, see `workbench.ranges.range_model` for the arguments.
+    """A model of a chip's figures over `ranges`, see `workbench.reduced.ranges.range_model` for the arguments.
 
     Args:
         tolerance: relative error of Z at f0; that of the pressure is `workbench.design.bases.OF_PRESSURE` times that.
@@ -214,7 +214,7 @@ def full_evaluation(
         InputError: something in the chip, its materials, the values or the figures.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
-    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).kind is Kind.DIMENSION}
+    lengths = {n: v for n, v in values.items() if ParameterName.parse(n).kind is ParameterKind.DIMENSION}
     others = {n: v for n, v in values.items() if n not in lengths}
     moved = chip.with_dimensions(all_of_one_length(chip, lengths))
     device = fill(moved, state, registry)
@@ -248,7 +248,7 @@ def _cavity(
         return None, ""
     if not isinstance(fluid, Fluid):
         return None, f"there is no fluid in the cavity in state {device.state.name!r}"
-    lengths = [n for n in names if ParameterName.parse(n).kind is Kind.DIMENSION]
+    lengths = [n for n in names if ParameterName.parse(n).kind is ParameterKind.DIMENSION]
     try:
         found = cavity_of(operators, device.chip, fluid, device.particle, lengths, highest)
     except NoCavity as error:
@@ -278,5 +278,5 @@ def _evaluated(
             found = answer(question, ReducedSystem(small.operators, problem.values), sweep.frequency, sweep.charge,
                            FullSystem(operators, problem.values))
     except NotConverged as error:  # an undamped resonance: this chip has no figures, others have
-        found = Answer(question, {}, dict.fromkeys(figures, str(error)), error.frequency, None)
+        found = FigureValues(question, {}, dict.fromkeys(figures, str(error)), error.frequency, None)
     return found.evaluation(numbers, None)

@@ -14,7 +14,7 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from materials.registry import Registry
-from workbench.design.boxes import Box, Reach, middle, within
+from workbench.design.boxes import Box, TrustRegion, middle, variables_in_box
 from workbench.design.evaluation import OF_FIELD, Evaluation
 from workbench.design.goal import TOLERANCE, Goal, Robust
 from workbench.design.model import DesignModel, Evaluator, design_model, full_evaluation
@@ -22,15 +22,15 @@ from workbench.design.programme import Programme
 from workbench.design.spread import Spread
 from workbench.design.stated import stated_uncertainty
 from workbench.design.variables import Selection, changed, first_name
-from workbench.discretisation import Discretisation
+from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
-from workbench.operators import assemble
-from workbench.parameter_names import Kind, ParameterName
-from workbench.problem import build, fill
-from workbench.ranges import NotCovered, Progress
-from workbench.reduction import reduced
-from workbench.simulation import Snapshot, snapshot
-from workbench.spectrum import Origin, Spectrum
+from workbench.model.discretisation import Discretisation
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.problem import build, fill
+from workbench.reduced.ranges import NotCovered, Progress
+from workbench.reduced.reduction import reduced
+from workbench.results.spectrum import Origin, Spectrum
+from workbench.simulation.run import Snapshot, snapshot
 
 #: Called with a row of the progress, what is done there, and the share of it that is done.
 Report = Callable[[str, str, float], None]
@@ -47,7 +47,7 @@ HALVED = 4
 DRAWN, DRAWN_WITHIN = 481, 1e-3
 
 
-def quiet(_row: str, _activity: str, _share: float) -> None:
+def no_report(_row: str, _activity: str, _share: float) -> None:
     """A report to nobody."""
 
 
@@ -140,7 +140,7 @@ class Modelling:
 
     chip: Chip
     box: Box
-    reach: Reach
+    reach: TrustRegion
     programme: Programme
     seconds: float
 
@@ -155,7 +155,7 @@ class Modelling:
 
 
 def modelled(
-    goal: Goal, selection: Selection, about: Mapping[str, float], reach: Reach, solver: Solver, say: Say,
+    goal: Goal, selection: Selection, about: Mapping[str, float], reach: TrustRegion, solver: Solver, say: Say,
     spread: Spread | None = None,
 ) -> Modelling:
     """The programme of a goal on a model about the lengths `about` (m), as wide as `reach` and the bounds let it.
@@ -180,7 +180,7 @@ def modelled(
             reach = reach.halved()
             continue
         lengths = {name: each.value for name, each in chip.dimensions().items()}
-        programme = Programme(model, within(goal.unknowns, box), goal.objectives[0], goal.bounds, lengths)
+        programme = Programme(model, variables_in_box(goal.unknowns, box), goal.objectives[0], goal.bounds, lengths)
         return Modelling(chip, box, reach, programme, time.perf_counter() - started)
     raise AssertionError("unreachable")
 
@@ -212,7 +212,7 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
     stated = stated_uncertainty(goal.chip, goal.state, registry=registry, law=robust.law, posteriors=robust.posteriors)
     if not robust.materials and not robust.posteriors:
         stated = stated.without([name for name in stated.names
-                                 if ParameterName.parse(name).kind is not Kind.DIMENSION])
+                                 if ParameterName.parse(name).kind is not ParameterKind.DIMENSION])
     if not stated.inputs:
         raise InputError(goal.source, "robust", goal.chip.file, "a chip file with tolerances, or materials = true")
     nominal = {name: each.value for name, each in goal.chip.dimensions().items()}
@@ -221,9 +221,9 @@ def spread_of(goal: Goal, registry: Registry | None = None) -> Spread | None:
                         for point in points), robust.quantile, stated.covariance)
 
 
-def reach_of(goal: Goal) -> Reach:
+def reach_of(goal: Goal) -> TrustRegion:
     """How far the models of a goal extend at first: a share of the present lengths, or of the nearest within bounds."""
-    return Reach.relative(present_of(goal), goal.search.reach)
+    return TrustRegion.relative(present_of(goal), goal.search.reach)
 
 
 def present_of(goal: Goal) -> dict[str, float]:

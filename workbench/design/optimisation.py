@@ -18,15 +18,15 @@ from functools import partial
 
 from geometry.chip import Chip
 from materials.registry import Registry
-from workbench.brief import Brief
-from workbench.design.candidate import Candidate, Confirmed, confirmed
+from workbench.design.candidate import Confirmed, RoundedDesign, confirmed
 from workbench.design.choice import Keep, Searched, search_choice
 from workbench.design.evaluation import Evaluation
 from workbench.design.goal import Goal
-from workbench.design.modelling import ChipSolver, Report, Solver, quiet, spread_of
-from workbench.design.programme import Point
+from workbench.design.modelling import ChipSolver, Report, Solver, no_report, spread_of
+from workbench.design.programme import ProgrammePoint
 from workbench.design.variables import selections
-from workbench.discretisation import ACCURACY, Discretisation
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.results.brief import Brief
 
 #: Candidates that are confirmed in turn, until a full solve agrees with one.
 CONFIRMED_AT_MOST = 3
@@ -46,7 +46,7 @@ class Design(Brief):
     best: Confirmed | None
     rejected: tuple[Confirmed, ...]
     searched: tuple[Searched, ...]
-    front: tuple[Confirmed | Candidate, ...] = ()
+    front: tuple[Confirmed | RoundedDesign, ...] = ()
     why_not: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
 
@@ -67,12 +67,13 @@ class Design(Brief):
 
 def optimise(
     goal: Goal, *, registry: Registry | None = None, accuracy: float | Discretisation = ACCURACY,
-    executor: Executor | None = None, report: Report = quiet, keep: Keep | None = None, solver: Solver | None = None,
+    executor: Executor | None = None, report: Report = no_report, keep: Keep | None = None,
+    solver: Solver | None = None,
 ) -> Design:
     """The best chip for a goal.
 
     Args:
-        accuracy: of the meshes, see `workbench.discretisation`.
+        accuracy: of the meshes, see `workbench.model.discretisation`.
         executor: works out the starts; this process if None.
         report: called with what is done, its subject, and the share of it that is done.
         keep: called with the best chip of the model so far, each time a start finds a better one.
@@ -106,7 +107,7 @@ def _improving(keep: Keep) -> Keep:
     """`keep` called only with a chip that is better than all before."""
     best = (True, math.inf)
 
-    def offered(chip: Chip, point: Point) -> None:
+    def offered(chip: Chip, point: ProgrammePoint) -> None:
         nonlocal best
         if point.rank < best:
             best = point.rank
@@ -121,7 +122,7 @@ class _Outcome:
 
     best: Confirmed | None
     rejected: tuple[Confirmed, ...]
-    front: tuple[Confirmed | Candidate, ...]
+    front: tuple[Confirmed | RoundedDesign, ...]
     why_not: str
 
 
@@ -169,7 +170,7 @@ def _front(goal: Goal, searched: Sequence[Searched], solver: Solver, say: Callab
                     "" if best else checked[knee].statement)
 
 
-def _why_not(candidates: Sequence[Candidate]) -> str:
+def _why_not(candidates: Sequence[RoundedDesign]) -> str:
     if not candidates:
         return "no point that was looked at has all the figures that are needed"
     return f"no point keeps all constraints; the nearest one breaks {', '.join(candidates[0].broken)}"

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.chip import Chip
-from workbench.design.axes import centred, with_materials
+from workbench.design.axes import centred_in_ranges, with_materials
 from workbench.design.evaluation import Evaluation
 from workbench.design.model import SWEEP, full_evaluation, of_range_model
 from workbench.design.plan import Study
 from workbench.files.writing import write_atomic
-from workbench.parameter_names import part as part_of
-from workbench.problem import fill
-from workbench.ranges import Progress, Ranges, load, range_model
+from workbench.model.numbers import real_part as part_of
+from workbench.model.problem import fill
+from workbench.reduced.ranges import Progress, Ranges, load_range_model, range_model
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -29,7 +29,7 @@ FREQUENCIES = 161
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class StudyPart:
     """Points of a study that one model serves.
 
     ``number`` counts the parts, ``label`` tells them apart in words; ``chip`` in ``state`` is what is modelled, with
@@ -49,30 +49,30 @@ class Part:
 class Models(Protocol):
     """Where the models of a study come from. What is done by :meth:`confirmed` may be done in another process."""
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
+    def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> bytes:
         """The model of a part, an `Evaluator` pickled: what the file `path` holds if there is one, and does once this
         returns. Files beside it, called alike, may keep what is known on the way."""
 
-    def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
+    def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:
         """The figures at one point (numbers of the study,) of a part, by full solves."""
 
 
-def parts_of(study: Study) -> list[Part]:
+def parts_of(study: Study) -> list[StudyPart]:
     """The parts of a study, states first; their rows together are all rows of the table, each once."""
-    found: list[Part] = []
+    found: list[StudyPart] = []
     numbers, choices = study.columns(study.numbers), study.columns(study.choices).astype(np.int64)
-    base = centred(study.chip, study.numbers)
+    base = centred_in_ranges(study.chip, study.numbers)
     for index, state in enumerate(study.states):
         for chosen in np.unique(choices, axis=0):
             there = np.flatnonzero((choices == chosen).all(axis=1))
             materials = {axis.region: axis.materials[k] for axis, k in zip(study.choices, chosen, strict=True)}
-            found.append(Part(
+            found.append(StudyPart(
                 len(found), ", ".join((state, *materials.values())), with_materials(base, materials, study.registry),
                 state, materials, index * len(study.sample) + there, numbers[there]))
     return found
 
 
-def ranges_of(study: Study, part: Part) -> Ranges:
+def ranges_of(study: Study, part: StudyPart) -> Ranges:
     """The ranges of the model of a part, wide enough for the numbers that its chip and materials have themselves."""
     held = fill(part.chip, part.state, study.registry).materials.values()
     present = {f"{m.name}.{key}": value for m in held for key, value in m.parameters().items()}
@@ -93,7 +93,7 @@ class ReducedModels:
     give other last bits.
     """
 
-    def model(self, study: Study, part: Part, path: Path, progress: Progress) -> bytes:
+    def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> bytes:
         """The model of a part.
 
         Raises:
@@ -106,7 +106,7 @@ class ReducedModels:
                 range_model(part.chip, part.state, ranges_of(study, part), registry=study.registry, band=study.band,
                             points=FREQUENCIES, tolerance=SWEEP, limit=study.limit, accuracy=study.accuracy,
                             progress=lambda share: progress(0.5 * share)).save(rough)
-            kept = load(rough, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
+            kept = load_range_model(rough, part.chip, part.state, registry=study.registry, accuracy=study.accuracy)
             made = of_range_model(
                 kept, part.chip, part.state, figures=study.figures, operation=study.operation, registry=study.registry,
                 tolerance=study.tolerance, progress=lambda share: progress(0.5 + 0.5 * share))
@@ -114,13 +114,13 @@ class ReducedModels:
         progress(1.0)
         return path.read_bytes()
 
-    def confirmed(self, study: Study, part: Part, point: Real) -> Evaluation:
+    def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:
         """The figures at one point of a part, by full solves."""
         return full_evaluation(
-            part.chip, part.state, named(study, point), figures=study.figures, operation=study.operation,
+            part.chip, part.state, numbers_by_name(study, point), figures=study.figures, operation=study.operation,
             registry=study.registry, band=study.band, accuracy=study.accuracy)
 
 
-def named(study: Study, point: Sequence[float] | Real) -> dict[str, float]:
+def numbers_by_name(study: Study, point: Sequence[float] | Real) -> dict[str, float]:
     """A point (numbers of the study,) as numbers by parameter name."""
     return {axis.name: float(value) for axis, value in zip(study.numbers, point, strict=True)}

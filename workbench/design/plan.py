@@ -39,13 +39,13 @@ from materials.registry import Registry, user_registry
 from workbench.design.axes import Axis, MaterialAxis, NumberAxis, read_axes
 from workbench.design.evaluation import Operation
 from workbench.design.figures import check_figures
-from workbench.design.sampling import Sampling, read_sampling, sample
+from workbench.design.sampling import Sampling, read_sampling, sample_points
 from workbench.design.thermal import read_thermal
-from workbench.discretisation import ACCURACY, discretisation
-from workbench.drive import parse_drive
 from workbench.files.errors import InputError, choose
-from workbench.files.tables import Table
-from workbench.ranges import LIMIT
+from workbench.files.tables import FileTable
+from workbench.model.discretisation import ACCURACY, discretisation
+from workbench.model.drive import parse_drive
+from workbench.reduced.ranges import LIMIT
 
 Real = NDArray[np.float64]
 
@@ -90,8 +90,8 @@ class Study:
 
     @cached_property
     def sample(self) -> Real:
-        """The points (n, len(axes)) of one state, see `workbench.design.sampling.sample`."""
-        return sample(self.axes, self.sampling, source=self.file)
+        """The points (n, len(axes)) of one state, see `workbench.design.sampling.sample_points`."""
+        return sample_points(self.axes, self.sampling, source=self.file)
 
     @property
     def size(self) -> int:
@@ -120,7 +120,7 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Stu
         InputError: a mistake in one of the files.
     """
     path = Path(path)
-    table = Table.read(path).only(("study", "thermal", "sample", "vary"))
+    table = FileTable.read(path).only(("study", "thermal", "sample", "vary"))
     table.required("study", "a table [study] with the chip and the figures")
     head = table.table("study", expected="a table [study]").only(_KEYS)
     chip = read_chip(path.parent / head.text("chip", expected='the chip file, such as "chip.toml"'))
@@ -141,7 +141,7 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = ()) -> Stu
         head.whole("confirm", CONFIRMED, low=0, high=1000), registry, str(path))
 
 
-def _states(head: Table, chip: Chip) -> tuple[str, ...]:
+def _states(head: FileTable, chip: Chip) -> tuple[str, ...]:
     known = [state.name for state in chip.states]
     if "state" in head and "states" in head:
         raise head.error("state", "state or states, not both")
@@ -155,7 +155,7 @@ def _states(head: Table, chip: Chip) -> tuple[str, ...]:
     return found
 
 
-def _band(head: Table, chip: Chip) -> tuple[float, float]:
+def _band(head: FileTable, chip: Chip) -> tuple[float, float]:
     if "band" not in head:
         return chip.band
     band = head.quantities("band", "frequency", expected="two frequencies with their units")
@@ -164,7 +164,7 @@ def _band(head: Table, chip: Chip) -> tuple[float, float]:
     return band
 
 
-def _frequency(head: Table, band: tuple[float, float]) -> float | None:
+def _frequency(head: FileTable, band: tuple[float, float]) -> float | None:
     if head.text("frequency", "f0") == "f0":
         return None
     frequency = head.quantity("frequency", "frequency")
@@ -173,14 +173,14 @@ def _frequency(head: Table, band: tuple[float, float]) -> float | None:
     return frequency
 
 
-def _share(head: Table, key: str, default: float) -> float:
+def _share(head: FileTable, key: str, default: float) -> float:
     value = head.quantity(key, "share", default)
     if not 0.0 < value < 1.0:
         raise head.error(key, 'a relative error between 0 and 1, such as "0.1 %"')
     return value
 
 
-def _accuracy(head: Table) -> float:
+def _accuracy(head: FileTable) -> float:
     value = head.quantity("accuracy", "share", ACCURACY)
     try:
         discretisation(value)

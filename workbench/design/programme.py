@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from workbench.design.bounds import Bound
 from workbench.design.evaluation import Evaluation
-from workbench.design.goal import TOLERANCE, Objective
+from workbench.design.goal import TOLERANCE, DesignObjective
 from workbench.design.model import Evaluator
 from workbench.design.spread import Spread
-from workbench.design.variables import Length
+from workbench.design.variables import LengthVariable
 
 Real = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ NO_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class ProgrammePoint:
     """A point of a programme.
 
     ``x`` (n,) the unknowns, ``lengths`` what they are (SI); ``objective`` to be small and its ``slope`` (n,);
@@ -77,8 +77,8 @@ class Programme:
     """
 
     evaluator: Evaluator
-    variables: tuple[Length, ...]
-    objective: Objective
+    variables: tuple[LengthVariable, ...]
+    objective: DesignObjective
     bounds: tuple[Bound, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     spread: Spread | None = None
@@ -113,11 +113,11 @@ class Programme:
         """Whether figures are over the samples of a spread; tolerances themselves are judged by slopes."""
         return self.objective.figure != TOLERANCE
 
-    def under(self, objective: Objective) -> Programme:
+    def under(self, objective: DesignObjective) -> Programme:
         """The programme with another objective."""
         return replace(self, objective=objective)
 
-    def __call__(self, x: Real, *, gradient: bool = True) -> Point:
+    def __call__(self, x: Real, *, gradient: bool = True) -> ProgrammePoint:
         """The point at the unknowns `x` (n,); without derivatives, which are NaN, if no `gradient` is asked for."""
         return self.point(x, self.evaluations(x, gradient=gradient))
 
@@ -132,15 +132,16 @@ class Programme:
         # Tolerances are judged by slopes.
         return tuple(self.evaluator({**known, **each}, gradient=gradient or not self.sampled) for each in moved)
 
-    def point(self, x: Real, evaluations: Sequence[Evaluation]) -> Point:
+    def point(self, x: Real, evaluations: Sequence[Evaluation]) -> ProgrammePoint:
         """What `evaluations`, those of the unknowns `x` (n,), are worth."""
         lengths = self.lengths(x)
         nominal, judged = evaluations[0], evaluations[1:] if self.spread and self.sampled else evaluations
         missing = next(filter(None, map(self._missing, evaluations)), "")
         n, m, count = len(self.variables), len(self.bounds), len(judged)
         if missing:
-            return Point(x, lengths, math.nan, np.full(n, math.nan), np.full(m, math.nan), np.full((m, n), math.nan),
-                         nominal, missing)
+            return ProgrammePoint(x, lengths, math.nan, np.full(n, math.nan), np.full(m, math.nan),
+                                  np.full((m, n), math.nan),
+                                  nominal, missing)
         everything = {**self.fixed, **lengths}
         losses, margins = np.empty(count), np.empty((m, count))
         slopes, jacobians = np.empty((count, n)), np.empty((m, count, n))
@@ -150,8 +151,9 @@ class Programme:
                 margins[j, k], jacobians[j, k] = self._margin(bound, each, everything)
         weights = self._weights(losses)
         kept = np.array([self._weights(-row) for row in margins]).reshape(m, count)
-        return Point(x, lengths, float(weights @ losses), weights @ slopes, np.einsum("jk,jk->j", kept, margins),
-                     np.einsum("jk,jkn->jn", kept, jacobians), nominal)
+        return ProgrammePoint(x, lengths, float(weights @ losses), weights @ slopes,
+                              np.einsum("jk,jk->j", kept, margins),
+                              np.einsum("jk,jkn->jn", kept, jacobians), nominal)
 
     def _weights(self, losses: Real) -> Real:
         return self.spread.weights(losses) if self.spread and self.sampled else np.ones(1)

@@ -4,7 +4,7 @@
     <figure> >= <number> [at <drive>]          or <=
 
 Figures are those of `workbench.design.figures`, in capitals or not. Without a centre, a margin is about what the chip
-as stated does; a margin may be a percentage of its centre. The drive is as of `workbench.drive.parse_drive`.
+as stated does; a margin may be a percentage of its centre. The drive is as of `workbench.model.drive.parse_drive`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.figures import FIGURES, LOSS_SHARE, Figure, figure
-from workbench.drive import Drive, parse_drive
+from workbench.design.figures import FIGURES, LOSS_SHARE, Figure, figure_named
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
+from workbench.model.drive import Drive, parse_drive
 
 EXPECTED = ('such as "f0 within 5 kHz", "trap_offset within 50 um of 0 um", "z_min <= 10 ohm" or '
             '"e_ac >= 20 J/m^3 at 10 Vpp"')
@@ -123,7 +123,7 @@ def _figure(name: str, regions: Iterable[str], text: str, source: str, field: st
     if name.casefold() not in known:
         raise InputError(source, f'{field} "{text}"', name, "a figure: " + ", ".join(known.values()),
                          nearest_names(name, known.values()))
-    return figure(known[name.casefold()])
+    return figure_named(known[name.casefold()])
 
 
 def parse_requirements(

@@ -1,12 +1,12 @@
 """The resonance of a model and its figures f0, Z_min and Q, on the model itself rather than on points of a spectrum.
 
-L(f) = ln |Z| has exact derivatives (`workbench.linearised`). f0 is a root of L', the half-power frequencies f1 and f2
-are roots of L - L(f0) - ln(2)/2, all found by Newton's method between points of a spectrum; the derivatives of the
+L(f) = ln |Z| has exact derivatives (`workbench.fem.linearised`). f0 is a root of L', the half-power frequencies f1 and
+f2 are roots of L - L(f0) - ln(2)/2, all found by Newton's method between points of a spectrum; the derivatives of the
 roots by a parameter follow from those of L (implicit function theorem):
 
     f0' = -L_f,theta / L_ff,   (ln Z_min)' = L_theta(f0),   fi' = (L_theta(f0) - L_theta(fi)) / L_f(fi)
 
-The definitions are those of `workbench.merit`.
+The definitions are those of `workbench.results.merit`.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.linearised import Linearised
-from workbench.merit import NoResonance
+from workbench.fem.linearised import LinearisedState
+from workbench.results.merit import NoResonance
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,7 +34,7 @@ STEPS = 60
 class Linearisable(Protocol):
     """A model with its parameter values in place."""
 
-    def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> Linearised:
+    def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
         """The state at a frequency (Hz) with its derivatives by frequency and by complex parameters."""
 
 
@@ -45,19 +45,19 @@ class Resonance:
     The frequencies themselves are a last step of Newton's method from these.
     """
 
-    at: Linearised
-    below: Linearised
-    above: Linearised
+    at: LinearisedState
+    below: LinearisedState
+    above: LinearisedState
 
     @property
     def f0(self) -> float:
         """Hz."""
-        return self.at.frequency - slope(self.at) / curvature(self.at)
+        return self.at.frequency - frequency_slope(self.at) / curvature(self.at)
 
     @property
     def log_z_min(self) -> float:
         """ln of the smallest |Z| in ohm."""
-        return log_impedance(self.at) - 0.5 * slope(self.at) ** 2 / curvature(self.at)
+        return log_impedance(self.at) - 0.5 * frequency_slope(self.at) ** 2 / curvature(self.at)
 
     @property
     def z_min(self) -> float:
@@ -68,7 +68,8 @@ class Resonance:
     def width(self) -> float:
         """f2 - f1, Hz."""
         half = self.log_z_min + 0.5 * math.log(2.0)
-        low, high = (each.frequency - (log_impedance(each) - half) / slope(each) for each in (self.below, self.above))
+        low, high = (each.frequency - (log_impedance(each) - half) / frequency_slope(each)
+                     for each in (self.below, self.above))
         return high - low
 
     @property
@@ -80,32 +81,32 @@ class Resonance:
         real part, 1j for an imaginary one."""
         slope_0 = log_slopes(self.at, turns)
         f0 = -mixed_slopes(self.at, turns) / curvature(self.at)
-        f1, f2 = ((slope_0 - log_slopes(each, turns)) / slope(each) for each in (self.below, self.above))
+        f1, f2 = ((slope_0 - log_slopes(each, turns)) / frequency_slope(each) for each in (self.below, self.above))
         return f0, self.z_min * slope_0, self.q * (f0 / self.f0 - (f2 - f1) / self.width)
 
 
-def log_impedance(state: Linearised) -> float:
+def log_impedance(state: LinearisedState) -> float:
     """L = ln |Z|, Z = i / (w Q)."""
     return -math.log(2.0 * math.pi * state.frequency * abs(state.charge))
 
 
-def slope(state: Linearised) -> float:
+def frequency_slope(state: LinearisedState) -> float:
     """dL / df, 1/Hz."""
     return -1.0 / state.frequency - (state.charge_by_frequency / state.charge).real
 
 
-def curvature(state: Linearised) -> float:
+def curvature(state: LinearisedState) -> float:
     """d2L / df2, 1/Hz^2."""
     ratio = state.charge_by_frequency / state.charge
     return 1.0 / state.frequency**2 - (state.charge_twice_by_frequency / state.charge - ratio**2).real
 
 
-def log_slopes(state: Linearised, turns: Complex) -> Real:
+def log_slopes(state: LinearisedState, turns: Complex) -> Real:
     """dL / d number (k,) at constant frequency."""
     return -np.asarray(turns * state.charge_by_parameter / state.charge).real
 
 
-def mixed_slopes(state: Linearised, turns: Complex) -> Real:
+def mixed_slopes(state: LinearisedState, turns: Complex) -> Real:
     """d2L / df d number (k,)."""
     by_both = state.charge_by_both - state.charge_by_frequency * state.charge_by_parameter / state.charge
     return -np.asarray(turns * by_both / state.charge).real
@@ -133,7 +134,7 @@ def find_resonance(
     start = _vertex(frequency[lowest - 1 : lowest + 2], level[lowest - 1 : lowest + 2])
     # The points may be those of a rougher model: one further to either side.
     at = _root(model, (float(frequency[max(lowest - 2, 0)]), float(frequency[min(lowest + 2, last)])), start,
-               lambda state: (slope(state), curvature(state)), rising=True)
+               lambda state: (frequency_slope(state), curvature(state)), rising=True)
     half = log_impedance(at) + 0.5 * math.log(2.0)
     below, above = np.flatnonzero(level[:lowest] >= half), np.flatnonzero(level[lowest + 1 :] >= half)
     if not below.size or not above.size:
@@ -143,7 +144,7 @@ def find_resonance(
     for outer, step in ((int(below[-1]), 1), (lowest + 1 + int(above[0]), -1)):
         ends = sorted((float(frequency[min(max(outer - step, 0), last)]), at.frequency))
         sides.append(_root(model, (ends[0], ends[1]), _crossing(frequency, level, outer, step, half, at),
-                           lambda state: (log_impedance(state) - half, slope(state)), rising=step < 0))
+                           lambda state: (log_impedance(state) - half, frequency_slope(state)), rising=step < 0))
     states = (at, *sides)
     if names or final is not None:
         states = tuple((final or model).linearised(each.frequency, names) for each in states)
@@ -162,7 +163,7 @@ def _vertex(x: Real, y: Real) -> float:
     return float(centre - scale * first / (2.0 * second)) if second > 0.0 else float(centre)
 
 
-def _crossing(frequency: Real, level: Real, outer: int, step: int, half: float, at: Linearised) -> float:
+def _crossing(frequency: Real, level: Real, outer: int, step: int, half: float, at: LinearisedState) -> float:
     """Where a straight line from one point inwards crosses `half`."""
     inner = _inner(float(frequency[outer + step]), at.frequency, step)
     low = log_impedance(at) if inner == at.frequency else float(level[outer + step])
@@ -172,8 +173,8 @@ def _crossing(frequency: Real, level: Real, outer: int, step: int, half: float, 
 
 def _root(
     model: Linearisable, ends: tuple[float, float], start: float,
-    function: Callable[[Linearised], tuple[float, float]], *, rising: bool,
-) -> Linearised:
+    function: Callable[[LinearisedState], tuple[float, float]], *, rising: bool,
+) -> LinearisedState:
     """The state where a `function` of it, which gives its value and derivative, is zero between two `ends` (Hz).
 
     Newton's method; a step that leaves what is left of the interval halves it instead.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workbench.design.axes import Axis, NumberAxis
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 Real = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Sampling:
     seed: int = 0
 
 
-def read_sampling(table: Table) -> Sampling:
+def read_sampling(table: FileTable) -> Sampling:
     """What the table [sample] says; a grid where there is none.
 
     Raises:
@@ -48,7 +48,7 @@ def read_sampling(table: Table) -> Sampling:
     return Sampling(method, table.whole("points", low=1, high=MOST), seed)
 
 
-def sample(axes: Sequence[Axis], sampling: Sampling, *, source: str) -> Real:
+def sample_points(axes: Sequence[Axis], sampling: Sampling, *, source: str) -> Real:
     """The points (n, len(axes)): numbers in SI, materials by their place in the list of alternatives.
 
     On a grid the last axis changes fastest. The first points of a Sobol sequence are the same however many there are.

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from workbench.design.descent import Descent, descend
-from workbench.design.goal import Search
-from workbench.design.programme import Point, Programme
+from workbench.design.descent import DesignDescent, descend
+from workbench.design.goal import SearchOptions
+from workbench.design.programme import Programme, ProgrammePoint
 
 Real = NDArray[np.float64]
 
@@ -32,11 +32,11 @@ BESIDE = 0.1
 class Optimum:
     """An optimum: the best ``descent`` that ends there, and the numbers of the ``starts`` that found it."""
 
-    descent: Descent
+    descent: DesignDescent
     starts: tuple[int, ...]
 
     @property
-    def point(self) -> Point:
+    def point(self) -> ProgrammePoint:
         return self.descent.point
 
 
@@ -45,14 +45,14 @@ class Attempt:
     """One start: its number, and its descents, the best first."""
 
     number: int
-    descents: tuple[Descent, ...]
+    descents: tuple[DesignDescent, ...]
 
     @property
-    def best(self) -> Descent:
+    def best(self) -> DesignDescent:
         return self.descents[0]
 
 
-def attempt(programme: Programme, search: Search, number: int, present: Real | None = None) -> Attempt:
+def attempt(programme: Programme, search: SearchOptions, number: int, present: Real | None = None) -> Attempt:
     """The start of that number; with `present` (n,) that point is descended from too."""
     size = len(programme.variables)
     sampler = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number]))
@@ -68,7 +68,7 @@ def attempt(programme: Programme, search: Search, number: int, present: Real | N
 
 
 def search_all(
-    programme: Programme, search: Search, present: Real, *, executor: Executor | None = None,
+    programme: Programme, search: SearchOptions, present: Real, *, executor: Executor | None = None,
     finished: Callable[[Attempt], None] | None = None,
 ) -> list[Attempt]:
     """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""
@@ -81,7 +81,7 @@ def search_all(
 
 
 def _attempts(
-    programme: Programme, search: Search, present: Real, executor: Executor | None
+    programme: Programme, search: SearchOptions, present: Real, executor: Executor | None
 ) -> Iterator[Attempt]:
     jobs = [(number, present if number == 0 else None) for number in range(search.starts)]
     if executor is None:
@@ -104,7 +104,7 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
     """
     ends = sorted(((each, start.number) for start in attempts for each in start.descents),
                   key=lambda pair: pair[0].point.rank)
-    groups: list[list[tuple[Descent, int]]] = []
+    groups: list[list[tuple[DesignDescent, int]]] = []
     for end in ends:
         group = next((each for each in groups if same(each[0][0].point, end[0].point)), None)
         if group is None:
@@ -115,7 +115,7 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
             for group in groups]
 
 
-def same(one: Point, other: Point) -> bool:
+def same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
     """Whether two points are of one optimum."""
     return bool(one.exists and other.exists and abs(one.objective - other.objective) <= SAME_OBJECTIVE
                 and np.all(np.abs(one.x - other.x) <= SAME_PLACE))

@@ -32,9 +32,9 @@ from materials.registry import Registry
 from workbench.design.uncertainty import Input, Law, Uncertainty, from_limits, from_standard
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import Table
-from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName
-from workbench.problem import FilledChip, fill
+from workbench.files.tables import FileTable
+from workbench.model.numbers import BENCH, LOSS, ParameterKind, ParameterName
+from workbench.model.problem import FilledChip, fill
 
 #: The amount that stands for what is assumed of a length by the role of its layer.
 ASSUMED = "assumed"
@@ -76,7 +76,7 @@ def read_statements(path: Path) -> tuple[Statement, ...]:
     Raises:
         InputError: no such file or table, or an amount that is no text.
     """
-    root = Table.read(path).only(("uncertainty",))
+    root = FileTable.read(path).only(("uncertainty",))
     root.required("uncertainty", "a table [uncertainty] of names and amounts")
     table = root.table("uncertainty")
     found = []
@@ -273,7 +273,7 @@ def _posterior(path: Path, device: FilledChip, found: _Collected) -> None:
         if stated not in names:
             raise InputError(table.source, "correlation.names", stated, "a row for every parameter of the fit")
         choose(name, known, source=table.source, field=each.field)
-        ends = movable(device.chip, name) if ParameterName.parse(name).kind is Kind.DIMENSION else None
+        ends = movable(device.chip, name) if ParameterName.parse(name).kind is ParameterKind.DIMENSION else None
         found.put(from_standard(name, mean, spread, origin=str(path), ends=ends, tied=_tied(device.chip, name)))
         kept.append((names.index(stated), name))
     if not kept:
@@ -283,15 +283,15 @@ def _posterior(path: Path, device: FilledChip, found: _Collected) -> None:
     found.correlations.append(Correlation(tuple(name for _, name in kept), matrix))
 
 
-def _read_fit(path: Path) -> Table:
+def _read_fit(path: Path) -> FileTable:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(str(path), "file", str(error), "a fit.json of workbench fit") from None
-    return Table.of(content, source=str(path), field="", expected="a fit.json of workbench fit")
+    return FileTable.of(content, source=str(path), field="", expected="a fit.json of workbench fit")
 
 
-def _correlation(table: Table) -> tuple[tuple[str, ...], list[list[float]]]:
+def _correlation(table: FileTable) -> tuple[tuple[str, ...], list[list[float]]]:
     """Names and rows of the correlation of a fit, symmetric with ones on the diagonal.
 
     Raises:
@@ -314,7 +314,7 @@ def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Co
     """What a number of a fit is called on this chip: the fitted material may be there as it was saved. Empty where the
     chip has no such number."""
     parsed, present = ParameterName.parse(stated), {each.name for each in device.materials.values()}
-    if parsed.kind is Kind.DIMENSION:
+    if parsed.kind is ParameterKind.DIMENSION:
         first = tied(device.chip)
         if stated in device.chip.dimensions():
             return first.get(stated, stated)
@@ -329,7 +329,7 @@ def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Co
 def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: Law, found: _Collected) -> None:
     name = _meant(each, device, known)
     mean = found.inputs[name].mean if name in found.inputs else known[name]
-    is_length = ParameterName.parse(name).kind is Kind.DIMENSION
+    is_length = ParameterName.parse(name).kind is ParameterKind.DIMENSION
     match = _AMOUNT.fullmatch(each.amount)
     assert match is not None
     amount, word = match["amount"], match["word"] or (law if is_length else "standard")
@@ -383,7 +383,7 @@ def _meant(each: Statement, device: FilledChip, known: Mapping[str, float]) -> s
 def _dimension(name: str, device: FilledChip) -> str:
     """What kind of quantity a number is, see `workbench.files.quantities.UNITS`."""
     parsed = ParameterName.parse(name)
-    if parsed.kind is Kind.DIMENSION:
+    if parsed.kind is ParameterKind.DIMENSION:
         return parsed.quantity
     material = next(each for each in device.materials.values() if each.name == parsed.owner)
     kind = next(each for each in KINDS.values() if each.build is type(material))

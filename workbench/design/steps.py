@@ -6,16 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import product
 
-from workbench.design.descent import Descent, descend
+from workbench.design.descent import DesignDescent, descend
 from workbench.design.programme import Programme
-from workbench.design.variables import Length
+from workbench.design.variables import LengthVariable
 
 #: Most combinations of rounding up and down that are tried; with more stepped lengths, those that matter least to the
 #: objective are rounded to the nearest step at first.
 CORNERS = 16
 
 
-def settle(programme: Programme, found: Descent, *, evaluations: int) -> tuple[Programme, Descent]:
+def settle(programme: Programme, found: DesignDescent, *, evaluations: int) -> tuple[Programme, DesignDescent]:
     """The best of the combinations of steps about an optimum, the other lengths optimal for each.
 
     All roundings up and down are tried, then single steps away from the best one until none is better. Returns the
@@ -25,9 +25,9 @@ def settle(programme: Programme, found: Descent, *, evaluations: int) -> tuple[P
     if not stepped:
         return programme, found
     lengths = found.point.lengths
-    tried: dict[tuple[float, ...], tuple[Programme, Descent]] = {}
+    tried: dict[tuple[float, ...], tuple[Programme, DesignDescent]] = {}
 
-    def settled(choice: Mapping[str, float]) -> tuple[Programme, Descent]:
+    def settled(choice: Mapping[str, float]) -> tuple[Programme, DesignDescent]:
         key = tuple(choice[each.name] for each in stepped)
         if key not in tried:
             held = programme.holding(choice)
@@ -51,14 +51,14 @@ def settle(programme: Programme, found: Descent, *, evaluations: int) -> tuple[P
             return tried[after]
 
 
-def _around(variable: Length, value: float) -> tuple[float, ...]:
+def _around(variable: LengthVariable, value: float) -> tuple[float, ...]:
     """The nearest step, then the other one of the two that `value` (m) lies between."""
     nearest = variable.round(value)
     return (nearest, *(each for each in variable.beside(value) if each != nearest
                        and abs(each - value) < (variable.step or 0.0)))
 
 
-def _leverage(programme: Programme, found: Descent) -> list[float]:
+def _leverage(programme: Programme, found: DesignDescent) -> list[float]:
     """What a step of every stepped length changes the objective by, to first order."""
     slopes = zip(programme.variables, found.point.slope, programme.extent, strict=True)
     return [abs(float(slope)) * each.step / float(extent) for each, slope, extent in slopes if each.step is not None]

@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 from workbench.design.evaluation import Evaluation
 from workbench.design.executors import processes
 from workbench.design.model import Evaluator
-from workbench.design.parts import Models, Part, ReducedModels, parts_of
+from workbench.design.parts import Models, ReducedModels, StudyPart, parts_of
 from workbench.design.plan import Study
-from workbench.design.study_folder import Rows, StudyFolder, opened
+from workbench.design.study_folder import FinishedPoints, StudyFolder, opened
 from workbench.design.study_result import StudyResult
+from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError
-from workbench.solve import one_thread
 
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -130,7 +130,7 @@ class _Run:
     ahead: int
     show: Progress
 
-    def points_of(self, part: Part, models: Models) -> None:
+    def points_of(self, part: StudyPart, models: Models) -> None:
         """All points of a part that are not finished yet."""
         left = np.flatnonzero(~np.isin(part.rows, self.kept.rows().index))
         if left.size:
@@ -139,10 +139,10 @@ class _Run:
             self._work(self._point_tasks(model, part, left))
         self.show(part.label, "points", 1.0)
 
-    def _point_tasks(self, model: bytes, part: Part, left: Indices) -> Iterator[_Task]:
+    def _point_tasks(self, model: bytes, part: StudyPart, left: Indices) -> Iterator[_Task]:
         names, finished = [axis.name for axis in self.plan.numbers], len(part.rows) - left.size
 
-        def keep(rows: Rows) -> None:
+        def keep(rows: FinishedPoints) -> None:
             nonlocal finished
             self.kept.keep(rows)
             finished += len(rows.index)
@@ -152,7 +152,7 @@ class _Run:
         for at in np.split(left, range(CHUNK, left.size, CHUNK)):
             yield _Task(_evaluated, (model, names, part.rows[at], part.points[at], self.plan.figures), keep)
 
-    def full_solves(self, parts: Sequence[Part], models: Models) -> None:
+    def full_solves(self, parts: Sequence[StudyPart], models: Models) -> None:
         """Full solves of some points of the table, drawn by the seed of the sample."""
         count = min(self.plan.confirmed, self.plan.size)
         drawn = np.random.default_rng(self.plan.sampling.seed).choice(self.plan.size, count, replace=False)
@@ -161,7 +161,7 @@ class _Run:
 
         def keep(row: int, found: Evaluation) -> None:
             nonlocal finished
-            self.kept.keep_full(Rows.of([row], [found], self.plan.figures))
+            self.kept.keep_full(FinishedPoints.of([row], [found], self.plan.figures))
             finished += 1
             self.show("confirmed", "full solves", finished / count)
 
@@ -184,7 +184,8 @@ class _Run:
                 future.cancel()
 
 
-def _evaluated(model: bytes, names: Sequence[str], rows: Indices, points: Real, figures: tuple[str, ...]) -> Rows:
+def _evaluated(model: bytes, names: Sequence[str], rows: Indices, points: Real,
+               figures: tuple[str, ...]) -> FinishedPoints:
     """The figures at `points` (k, numbers), which are `rows` (k,) of the study's table."""
     evaluator: Evaluator = pickle.loads(model)
     found = []
@@ -196,4 +197,4 @@ def _evaluated(model: bytes, names: Sequence[str], rows: Indices, points: Real, 
             except Exception as error:
                 where = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, point, strict=True))
                 raise RuntimeError(f"point {row} of the study ({where}): {error!r}") from error
-    return Rows.of(rows, found, figures)
+    return FinishedPoints.of(rows, found, figures)

@@ -1,7 +1,7 @@
 """The folder of a study: what was asked, and every point that is finished, each file written whole or not at all.
 
     begun.json          what was asked; a study that asks something else is refused
-    models/0.npz                the range model of a part, see `workbench.ranges.RangeModel.save`
+    models/0.npz                the range model of a part, see `workbench.reduced.ranges.RangeModel.save`
     models/0.pickle             the model made from it (only a folder that one trusts is to be gone on with)
     points/00000000.npz         finished points, called after the first of them
     points/full.00000042.npz    the full solve of a point
@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 
 from workbench.design.axes import NumberAxis
 from workbench.design.evaluation import Evaluation
-from workbench.design.parts import Part
+from workbench.design.parts import StudyPart
 from workbench.design.plan import Study
 from workbench.files.errors import InputError
 from workbench.files.writing import write_atomic
-from workbench.problem import fill
+from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ _BEGUN, _MODELS, _POINTS, _FULL, _LOCK = "begun.json", "models", "points", "full
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class FinishedPoints:
     """Finished points: their ``index`` (k,) in the study's table, ``figures`` (k, figures) in SI, ``missing`` (k,) why
     there are none, ``frequency`` (k,) Hz driven at, ``error`` (k,) estimated relative error of Z there."""
 
@@ -53,7 +53,8 @@ class Rows:
     error: Real
 
     @classmethod
-    def of(cls, index: Sequence[int] | NDArray[np.int64], found: Sequence[Evaluation], names: Sequence[str]) -> Rows:
+    def of(cls, index: Sequence[int] | NDArray[np.int64], found: Sequence[Evaluation],
+           names: Sequence[str]) -> FinishedPoints:
         """The evaluations of points of the table; `names` are the study's figures."""
         return cls(
             np.asarray(index, dtype=np.int64),
@@ -63,16 +64,16 @@ class Rows:
             np.array([each.error for each in found], dtype=float))
 
     @classmethod
-    def joined(cls, rows: Sequence[Rows], names: Sequence[str]) -> Rows:
+    def joined(cls, rows: Sequence[FinishedPoints], names: Sequence[str]) -> FinishedPoints:
         """All of them, each once, in the order of the table."""
         whole = [cls.of([], [], names), *rows]
         together = cls(*(np.concatenate([getattr(each, column.name) for each in whole]) for column in fields(cls)))
         _, order = np.unique(together.index, return_index=True)
         return together.chosen(order)
 
-    def chosen(self, at: NDArray[np.int64]) -> Rows:
+    def chosen(self, at: NDArray[np.int64]) -> FinishedPoints:
         """Those at places (m,)."""
-        return Rows(*(getattr(self, column.name)[at] for column in fields(self)))
+        return FinishedPoints(*(getattr(self, column.name)[at] for column in fields(self)))
 
 
 def _reasons(found: Evaluation) -> str:
@@ -90,32 +91,33 @@ class StudyFolder:
     path: Path
     figures: tuple[str, ...]
 
-    def model(self, part: Part) -> Path:
+    def model(self, part: StudyPart) -> Path:
         """The file of the model of a part."""
         return self.path / _MODELS / f"{part.number}.pickle"
 
-    def keep(self, rows: Rows) -> None:
+    def keep(self, rows: FinishedPoints) -> None:
         """Put finished points on the disk; they are there when this returns."""
         write_atomic(self.path / _POINTS / f"{rows.index[0]:08d}.npz", _packed(rows))
 
-    def keep_full(self, rows: Rows) -> None:
+    def keep_full(self, rows: FinishedPoints) -> None:
         """The same for one point by a full solve."""
         write_atomic(self.path / _POINTS / f"{_FULL}{rows.index[0]:08d}.npz", _packed(rows))
 
-    def rows(self) -> Rows:
+    def rows(self) -> FinishedPoints:
         """All finished points."""
         return self._read("[0-9]*.npz")
 
-    def full_rows(self) -> Rows:
+    def full_rows(self) -> FinishedPoints:
         """All points solved in full."""
         return self._read(f"{_FULL}*.npz")
 
-    def _read(self, pattern: str) -> Rows:
-        return Rows.joined([_unpacked(path) for path in sorted((self.path / _POINTS).glob(pattern))], self.figures)
+    def _read(self, pattern: str) -> FinishedPoints:
+        return FinishedPoints.joined([_unpacked(path) for path in sorted((self.path / _POINTS).glob(pattern))],
+                                     self.figures)
 
 
 @contextmanager
-def opened(path: Path, study: Study, parts: Sequence[Part], *, overwrite: bool = False) -> Iterator[StudyFolder]:
+def opened(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool = False) -> Iterator[StudyFolder]:
     """The folder for a study, made if need be, for this process alone; `overwrite` begins anew.
 
     Raises:
@@ -134,7 +136,7 @@ def opened(path: Path, study: Study, parts: Sequence[Part], *, overwrite: bool =
         yield StudyFolder(path, study.figures)
 
 
-def _begin(path: Path, study: Study, parts: Sequence[Part], *, overwrite: bool) -> None:
+def _begin(path: Path, study: Study, parts: Sequence[StudyPart], *, overwrite: bool) -> None:
     begun, asked = path / _BEGUN, asked_of(study, parts)
     if begun.exists() and overwrite:
         # First: points without it are nobody's, and are cleared away below.
@@ -158,7 +160,7 @@ def _check_same(begun: dict[str, str], asked: dict[str, str], path: Path, study:
                              f"the study in {path} was begun; choose another folder, or overwrite it (--overwrite)")
 
 
-def asked_of(study: Study, parts: Sequence[Part]) -> dict[str, str]:
+def asked_of(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
     """All that decides the table of a study, as texts by the name of what they are of."""
     operation, sampling = study.operation, study.sampling
     found = {
@@ -195,12 +197,12 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _packed(rows: Rows) -> bytes:
+def _packed(rows: FinishedPoints) -> bytes:
     stream = io.BytesIO()
     np.savez(stream, **{column.name: getattr(rows, column.name) for column in fields(rows)})
     return stream.getvalue()
 
 
-def _unpacked(path: Path) -> Rows:
+def _unpacked(path: Path) -> FinishedPoints:
     with np.load(path, allow_pickle=False) as archive:
-        return Rows(*(archive[column.name] for column in fields(Rows)))
+        return FinishedPoints(*(archive[column.name] for column in fields(FinishedPoints)))

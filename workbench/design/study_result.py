@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.axes import Axis, NumberAxis
-from workbench.design.figures import figure
+from workbench.design.figures import figure_named
 from workbench.design.plan import Study
 from workbench.design.sampling import GRID
-from workbench.design.study_folder import Rows
+from workbench.design.study_folder import FinishedPoints
 from workbench.files.writing import replacing, write_atomic
-from workbench.notebook import Shown, Summary
+from workbench.results.notebook import Shown, Summary
 
 if TYPE_CHECKING:
     import pyarrow
@@ -74,8 +74,8 @@ class StudyResult(Shown):
     """The table of a ``study``: ``rows`` are all of its points, ``full`` those solved in full besides."""
 
     study: Study
-    rows: Rows
-    full: Rows
+    rows: FinishedPoints
+    full: FinishedPoints
 
     @cached_property
     def columns(self) -> Mapping[str, NDArray[Any]]:
@@ -93,7 +93,7 @@ class StudyResult(Shown):
     def units(self) -> Mapping[str, str]:
         """SI units of the columns that are numbers."""
         return {**{axis.name: axis.unit for axis in self.study.numbers},
-                **{name: figure(name).unit for name in self.study.figures}, FREQUENCY: "Hz", ERROR: "1"}
+                **{name: figure_named(name).unit for name in self.study.figures}, FREQUENCY: "Hz", ERROR: "1"}
 
     @cached_property
     def statistics(self) -> tuple[Statistic, ...]:
@@ -116,7 +116,7 @@ class StudyResult(Shown):
         """Lowest, median and highest of every figure, for a notebook."""
         rows: list[tuple[str, ...]] = [("figure", "state", "lowest", "median", "highest")]
         for each in self.statistics:
-            shown = figure(each.figure)
+            shown = figure_named(each.figure)
             numbers = (f"{value / shown.factor:.4g} {shown.shown}" for value in
                        (each.lowest, each.median, each.highest))
             rows.append((each.figure, each.state, *numbers))
@@ -202,7 +202,7 @@ def _words(name: str) -> str:
         case "error":
             return "estimated relative error of Z there"
         case _:
-            return figure(name).words
+            return figure_named(name).words
 
 
 def _statistic(state: str, name: str, rows: NDArray[np.int64], values: Real) -> Statistic:

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 
 
-def read_thermal(root: Table, regions: Sequence[str], figures: Collection[str]) -> dict[str, float]:
+def read_thermal(root: FileTable, regions: Sequence[str], figures: Collection[str]) -> dict[str, float]:
     """The thermal resistances (K/W) in a file, by region, "" for all that are not named.
 
     Raises:

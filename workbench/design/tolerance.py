@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from materials.registry import Registry
-from workbench.design.centre import centred
-from workbench.design.drives import Driven, Quantity, by_drive, label_of, quantities, together
+from workbench.design.centre import centred_chip
+from workbench.design.drives import Driven, DrivenFigure, by_drive, driven_figures, label_of, merged_evaluations
 from workbench.design.evaluation import Evaluation, Operation
 from workbench.design.figures import check_figures
 from workbench.design.model import design_model, full_evaluation
@@ -36,12 +36,12 @@ from workbench.design.sensitivity import (
 )
 from workbench.design.stated import Statement, numbers_of, stated_uncertainty
 from workbench.design.uncertainty import Uncertainty
-from workbench.design.yields import Bound, LinearModel, Yields, bound, yields
-from workbench.discretisation import ACCURACY, Discretisation
-from workbench.drive import Drive, VoltageDrive
+from workbench.design.yields import LinearModel, RequiredRange, Yields, bound, yields
 from workbench.files.errors import InputError
-from workbench.notebook import Shown, Summary
-from workbench.problem import fill
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.problem import fill
+from workbench.results.notebook import Shown, Summary
 
 Real = NDArray[np.float64]
 
@@ -79,11 +79,11 @@ class Tolerance(Shown):
     chip: Chip
     state: str
     uncertainty: Uncertainty
-    asked: tuple[Quantity, ...]
+    asked: tuple[DrivenFigure, ...]
     drive: Drive
     frequency: float | None
     sensitivities: Sensitivities
-    bounds: tuple[Bound, ...]
+    bounds: tuple[RequiredRange, ...]
     seed: int
     outcomes: Outcomes | None = None
     redrawn: int = 0
@@ -179,11 +179,11 @@ def tolerance(
     required = _required(requirements, chip)
     extra = check_figures(figures, chip.regions, source=chip.file, field="figures")
     drive = drive or VoltageDrive()
-    asked = quantities(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
-    check(known, required, samples, sobol_points, chip, source="tolerance")
+    asked = driven_figures(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
+    check_tolerance_request(known, required, samples, sobol_points, chip, source="tolerance")
     say("full solves", 0.0)
     # What a fit says may lie far from what chip file and registry do: a model of both would be large for nothing.
-    there, with_means = centred(chip, registry, known.nominal())
+    there, with_means = centred_chip(chip, registry, known.nominal())
     operation = Operation(thermal_resistance=thermal_resistance or {})
     full = _Full(there, device.state.name, asked, operation, with_means, band, accuracy)
     if not tracking:
@@ -205,7 +205,7 @@ def _required(requirements: Sequence[Requirement | str], chip: Chip) -> tuple[Re
     return tuple(next(parsed) if isinstance(each, str) else each for each in requirements)
 
 
-def check(
+def check_tolerance_request(
     known: Uncertainty, required: Sequence[Requirement], samples: int, sobol_points: int, chip: Chip, *,
     source: str = "command line", names: tuple[str, str] = ("samples", "sobol_points"),
 ) -> None:
@@ -229,7 +229,7 @@ class _Full:
 
     chip: Chip
     state: str
-    asked: tuple[Quantity, ...]
+    asked: tuple[DrivenFigure, ...]
     operation: Operation
     registry: Registry | None
     band: tuple[float, float] | None
@@ -237,7 +237,7 @@ class _Full:
 
     def evaluation(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
         """The figures by label."""
-        return together([(mine, full_evaluation(
+        return merged_evaluations([(mine, full_evaluation(
             self.chip, self.state, values, figures=[each.figure.name for each in mine],
             operation=replace(self.operation, drive=mine[0].drive), registry=self.registry, band=self.band,
             gradient=gradient, accuracy=self.accuracy)) for mine in by_drive(self.asked)])
@@ -256,7 +256,8 @@ class _Full:
         return found.figures["f0"]
 
 
-def _bound(each: Requirement, asked: Sequence[Quantity], drive: Drive, nominal: Evaluation, chip: Chip) -> Bound:
+def _bound(each: Requirement, asked: Sequence[DrivenFigure], drive: Drive, nominal: Evaluation,
+           chip: Chip) -> RequiredRange:
     label = label_of(each, asked, drive)
     if label in nominal.missing or not math.isfinite(nominal.figures[label]):
         raise InputError(chip.file, f'requirement "{each.text}"', nominal.missing.get(label, "no such figure"),

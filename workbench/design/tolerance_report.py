@@ -16,8 +16,8 @@ from workbench.design.uncertainty import CUT, Input
 from workbench.design.yields import CONFIDENCE, RequirementYield, Share
 from workbench.files.writing import replacing
 from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
-from workbench.parameter_names import Kind, ParameterName
-from workbench.report.page import Table, number
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.report.page import TextTable, number_text
 
 #: Units in which changes are told where those of the figure itself are too large, and what one is in SI.
 OF_CHANGES = {"MHz": ("kHz", 1e3)}
@@ -28,15 +28,16 @@ def change_unit(figure: Figure) -> tuple[str, float]:
     return OF_CHANGES.get(figure.shown, (figure.shown, figure.factor))
 
 
-def shown(figure: Figure, value: float, digits: int = 4) -> str:
+def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
     """A figure (SI) with its unit."""
-    return f"{number(value / figure.factor, digits)} {figure.shown}".strip()
+    return f"{number_text(value / figure.factor, digits)} {figure.shown}".strip()
 
 
 def _unit(name: str) -> str:
     """SI unit of a number by its name."""
     parsed = ParameterName.parse(name)
-    return parsed.dimension_unit if parsed.kind is Kind.DIMENSION else UNITS.get(parsed.key.rpartition(".")[2], "")
+    return parsed.dimension_unit if parsed.kind is ParameterKind.DIMENSION else UNITS.get(parsed.key.rpartition(".")[2],
+                                                                                          "")
 
 
 def amount(name: str, value: float) -> str:
@@ -54,7 +55,7 @@ def law_in_words(each: Input) -> str:
     return f"standard uncertainty {amount(each.name, each.deviation)}"
 
 
-def figures_table(found: Tolerance) -> Table:
+def figures_table(found: Tolerance) -> TextTable:
     """Every figure as stated, its standard uncertainty to first order, and where 95 % of the samples lie."""
     sampled = found.outcomes
     rows = []
@@ -66,10 +67,10 @@ def figures_table(found: Tolerance) -> Table:
         middle = ""
         if sampled is not None and np.isfinite(sampled.column(each.label)).any():
             low, high = np.nanquantile(sampled.column(each.label), (0.025, 0.975)) / each.figure.factor
-            middle = f"{number(low, 5)} to {number(high, 5)} {each.figure.shown}".strip()
-        rows.append((each.label, shown(each.figure, nominal, 6), f"{number(spread, 3)} {unit}".strip()
+            middle = f"{number_text(low, 5)} to {number_text(high, 5)} {each.figure.shown}".strip()
+        rows.append((each.label, figure_with_unit(each.figure, nominal, 6), f"{number_text(spread, 3)} {unit}".strip()
                      if math.isfinite(spread) else "", middle))
-    return Table(("figure", "as stated", "standard uncertainty", "95 % of samples"), tuple(rows))
+    return TextTable(("figure", "as stated", "standard uncertainty", "95 % of samples"), tuple(rows))
 
 
 def _per_cent(value: float, *, signed: bool = False) -> str:
@@ -78,25 +79,26 @@ def _per_cent(value: float, *, signed: bool = False) -> str:
     return f"{rounded:+.1f} %" if signed else f"{rounded:.1f} %"
 
 
-def yields_table(found: Tolerance) -> Table:
+def yields_table(found: Tolerance) -> TextTable:
     """The yield of every requirement and of all together, sampled and linear."""
     assert found.yields is not None
     rows = []
     for each in (*found.yields.each, found.yields.together):
-        nominal = "" if each.bound is None else shown(each.bound.requirement.figure, each.bound.nominal)
+        nominal = "" if each.bound is None else figure_with_unit(each.bound.requirement.figure, each.bound.nominal)
         rows.append((each.name, nominal, _per_cent(each.sampled.value),
                      f"{100.0 * each.sampled.low:.1f} to {100.0 * each.sampled.high:.1f} %", _per_cent(each.linear),
                      f"{_per_cent(each.difference, signed=True)} (standard error {_per_cent(each.difference_error)})",
                      str(each.missing) if each.missing else ""))
-    return Table(("requirement", "as stated", "yield", f"{CONFIDENCE:.0%} interval", "linear estimate",
-                  "sampled less linear", "no figure"), tuple(rows))
+    return TextTable(("requirement", "as stated", "yield", f"{CONFIDENCE:.0%} interval", "linear estimate",
+                      "sampled less linear", "no figure"), tuple(rows))
 
 
-def tightening_table(found: Tolerance) -> Table:
+def tightening_table(found: Tolerance) -> TextTable:
     """A table of the yield that half of each uncertainty would add, where it is above twice its standard error."""
     assert found.yields is not None
     inputs = {each.name: each for each in found.uncertainty.inputs}
-    return Table(("halve the uncertainty of", "now", "adds to the yield", "standard error", "linear estimate"), tuple(
+    return TextTable(("halve the uncertainty of", "now", "adds to the yield", "standard error", "linear estimate"),
+                     tuple(
         (each.name, law_in_words(inputs[each.name]), _per_cent(each.gain, signed=True),
          _per_cent(each.error), _per_cent(each.linear, signed=True)) for each in found.yields.tightenings
         if each.is_clear))
@@ -112,7 +114,7 @@ def unclear_tightenings(found: Tolerance) -> str:
             f"{', '.join(names)}.")
 
 
-def sensitivities_table(found: Tolerance) -> Table:
+def sensitivities_table(found: Tolerance) -> TextTable:
     """How far each number moves each figure, by its standard uncertainty or by one per cent, largest first in the first
     figure."""
     known = found.sensitivities
@@ -125,20 +127,20 @@ def sensitivities_table(found: Tolerance) -> Table:
         told = amount(name, step) if known.stated[k] else f"{amount(name, step)} ({SHARE:.0%}, none stated)"
         rows.append((name, told, *(f"{changes[each.label][k]:+.3g}" if math.isfinite(changes[each.label][k]) else "none"
                                    for each in found.asked)))
-    return Table(("number", "grows by", *heads), tuple(rows))
+    return TextTable(("number", "grows by", *heads), tuple(rows))
 
 
-def inputs_table(found: Tolerance) -> Table:
+def inputs_table(found: Tolerance) -> TextTable:
     """What is uncertain, by how much, and who says so."""
     rows = []
     for each in found.uncertainty.inputs:
         unit = _unit(each.name)
         rows.append((each.name, f"{each.mean * shown_factor(unit):.6g} {shown_unit(unit)}".strip(), law_in_words(each),
                      each.law, each.origin))
-    return Table(("number", "mean", "uncertainty", "law", "stated by"), tuple(rows))
+    return TextTable(("number", "mean", "uncertainty", "law", "stated by"), tuple(rows))
 
 
-def sobol_table(found: Tolerance) -> Table:
+def sobol_table(found: Tolerance) -> TextTable:
     """First and total order indices of every figure, with the ends of their intervals."""
     assert found.sobol is not None
     indices, rows = found.sobol, []
@@ -149,7 +151,7 @@ def sobol_table(found: Tolerance) -> Table:
                      for values, low, high in ((indices.first, indices.first_low, indices.first_high),
                                                (indices.total, indices.total_low, indices.total_high))]
             rows.append((label, indices.names[column], *cells))
-    return Table(("figure", "number", "alone (first order)", "with all others (total)"), tuple(rows))
+    return TextTable(("figure", "number", "alone (first order)", "with all others (total)"), tuple(rows))
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from workbench.acoustics.traps import RASTER_POINTS
 from workbench.design.cavity import FORCE, POTENTIAL, SQUARE, CavityField
 from workbench.design.dual import Dual
-from workbench.design.legendre import derivatives, derived
-from workbench.particles import GRAVITY
-from workbench.traps import RASTER_POINTS
+from workbench.design.legendre import derivatives, legendre_polynomials
+from workbench.model.particles import GRAVITY
 
 Real = NDArray[np.float64]
 
@@ -30,7 +30,8 @@ FLAT = 1e-5
 OFF_AXIS = 1e-3
 #: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
 RULE = 24
-#: The part of a quarter wavelength above the trap over which focusing is timed (`workbench.traps.focus_time`).
+#: The part of a quarter wavelength above the trap over which focusing is timed
+#: (`workbench.acoustics.traps.focus_time`).
 FROM, TO = 0.9, 0.1
 
 
@@ -102,8 +103,9 @@ def find_trap(field: CavityField) -> FoundTrap:
                      moved(0, 2) / around.height**2.0)
 
 
-def focus_time(trap: FoundTrap, square_of_voltage: Dual) -> Dual:
-    """Seconds from 90 to 10 % of a quarter wavelength above the trap, as `workbench.traps.focus_time` has them.
+def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual) -> Dual:
+    """Seconds from 90 to 10 % of a quarter wavelength above the trap, as `workbench.acoustics.traps.focus_time` has
+    them.
 
     Raises:
         NoTrap: the way leaves the cavity, or the force does not lead down all of it.
@@ -154,14 +156,14 @@ def _on_lines(lines: int, count: int, *, even: bool) -> Real:
 
 def _along_xi(xi: float, field: CavityField) -> Real:
     """Polynomials in s and their first three derivatives by xi (4, n), s = 2 xi^2 - 1."""
-    by_s = derived(np.array([2.0 * xi**2 - 1.0]), field.coefficients.shape[1])[:, 0]
+    by_s = legendre_polynomials(np.array([2.0 * xi**2 - 1.0]), field.coefficients.shape[1])[:, 0]
     return np.stack([by_s[0], 4.0 * xi * by_s[1], 4.0 * by_s[1] + 16.0 * xi**2 * by_s[2],
                      48.0 * xi * by_s[2] + 64.0 * xi**3 * by_s[3]])
 
 
 def _along_eta(eta: Real, field: CavityField) -> Real:
     """Polynomials in t and their first three derivatives by eta (p,): (4, p, m), t = 2 eta - 1."""
-    return derived(2.0 * eta - 1.0, field.coefficients.shape[2]) * 2.0 ** np.arange(4)[:, None, None]
+    return legendre_polynomials(2.0 * eta - 1.0, field.coefficients.shape[2]) * 2.0 ** np.arange(4)[:, None, None]
 
 
 def _at_place(place: Real, field: CavityField) -> tuple[Real, Real]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.passivity import smallest_dissipation
 from workbench.files.errors import InputError
-from workbench.parameter_names import Kind, ParameterName, placed
+from workbench.model.numbers import ParameterKind, ParameterName, placed
 
 Real = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -38,7 +38,7 @@ ARITHMETIC = 1e-12
 
 @dataclass(frozen=True)
 class Input:
-    """One uncertain number (SI), called as in `workbench.parameter_names`.
+    """One uncertain number (SI), called as in `workbench.model.numbers`.
 
     ``deviation`` is its standard uncertainty, before the law is cut to ``low`` to ``high``; ``origin`` says where that
     comes from; ``tied`` are other names of the same length.
@@ -209,7 +209,7 @@ def limits(name: str, mean: float) -> tuple[float, float]:
     """Lowest and highest number (SI) that a coefficient may have in matter that exists: a modulus is above zero, a loss
     takes energy up. Coefficients that couple two motions may have either sign."""
     parsed = ParameterName.parse(name)
-    if parsed.kind is Kind.DIMENSION:
+    if parsed.kind is ParameterKind.DIMENSION:
         return -math.inf if parsed.is_shape else 0.0, math.inf
     coefficient = parsed.key.rpartition(".")[2]
     if coefficient in ("c12", "c13", "e31", "e33", "e15"):

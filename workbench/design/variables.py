@@ -18,7 +18,7 @@ GRAIN = 1e-9
 
 
 @dataclass(frozen=True)
-class Length:
+class LengthVariable:
     """A length from ``low`` to ``high`` (m); with a ``step`` (m) a multiple of it, counted from zero, as layers of a
     print are."""
 
@@ -69,7 +69,7 @@ class MaterialChoice:
         return self.region + MATERIAL
 
 
-Variable = Length | Stock | MaterialChoice
+Variable = LengthVariable | Stock | MaterialChoice
 
 
 @dataclass(frozen=True)

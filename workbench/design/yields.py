@@ -45,7 +45,7 @@ class Share:
         return f"{100.0 * self.value:.1f} % ({100.0 * self.low:.1f} to {100.0 * self.high:.1f} %)"
 
 
-def share(met: Bools) -> Share:
+def passed_share(met: Bools) -> Share:
     """The share of samples (n,) that passed."""
     from scipy.stats import binomtest
 
@@ -55,7 +55,7 @@ def share(met: Bools) -> Share:
 
 
 @dataclass(frozen=True)
-class Bound:
+class RequiredRange:
     """A requirement with its numbers: the figure called ``label`` from ``low`` to ``high`` (SI); ``nominal`` is that of
     the chip as stated."""
 
@@ -70,13 +70,13 @@ class Bound:
         return self.requirement.met(values, self.nominal)
 
 
-def bound(requirement: Requirement, label: str, nominal: float) -> Bound:
+def bound(requirement: Requirement, label: str, nominal: float) -> RequiredRange:
     """A requirement about a chip as stated of `nominal` figure (SI).
 
     Raises:
         InputError: see `workbench.design.requirement.Requirement.limits`.
     """
-    return Bound(requirement, label, *requirement.limits(nominal), nominal)
+    return RequiredRange(requirement, label, *requirement.limits(nominal), nominal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class RequirementYield:
     error ``difference_error``. ``missing`` counts samples without the figure, which fail.
     """
 
-    bound: Bound | None
+    bound: RequiredRange | None
     sampled: Share
     linear: float
     difference: float
@@ -138,7 +138,8 @@ class Yields:
 
 
 def yields(
-    bounds: Sequence[Bound], uncertainty: Uncertainty, points: Real, values: Mapping[str, Real], linear: LinearModel, *,
+    bounds: Sequence[RequiredRange], uncertainty: Uncertainty, points: Real, values: Mapping[str, Real],
+    linear: LinearModel, *,
     seed: int = 0,
 ) -> Yields:
     """Yields from samples.
@@ -176,8 +177,8 @@ class _Met:
         return self.model.astype(float) - self.linear
 
 
-def _compared(of: Bound | None, met: _Met) -> RequirementYield:
-    return RequirementYield(of, share(met.model), float(met.many.mean()), float(met.off.mean()),
+def _compared(of: RequiredRange | None, met: _Met) -> RequirementYield:
+    return RequirementYield(of, passed_share(met.model), float(met.many.mean()), float(met.off.mean()),
                             float(met.off.std() / math.sqrt(met.off.size)), int(met.missing.sum()))
 
 

@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.assignment import check_assignment
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.conclusion import Conclusion, conclude, mismatch, not_finished, share
+from workbench.diagnosis.conclusion import Conclusion, conclude, explained_share, mismatch, not_finished
 from workbench.diagnosis.decision import HINT
 from workbench.diagnosis.descent import LEVELS
-from workbench.diagnosis.device import Model, model
+from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.findings import Found, Settled
-from workbench.diagnosis.inference import Search
+from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.neighbourhoods import ROUGH
 from workbench.diagnosis.next_measurement import options
 from workbench.diagnosis.odds import Criteria
-from workbench.diagnosis.outcome import Diagnosis, Established, Left, Place, estimates
+from workbench.diagnosis.outcome import Diagnosis, Established, Left, SuspectPlace, estimates
 from workbench.diagnosis.state import DeviceState, StateFit, state_fit
 from workbench.diagnosis.workers import Workers
-from workbench.discretisation import ACCURACY, Discretisation
+from workbench.fem.solve import one_thread
 from workbench.fitting.seen import log_ratio
-from workbench.solve import one_thread
+from workbench.model.discretisation import ACCURACY, Discretisation
 
 Complex = NDArray[np.complex128]
 Progress = Callable[[str, float], None]
@@ -58,9 +58,9 @@ def diagnose(
     if jobs < 1 or (minutes is not None and not minutes > 0.0):
         raise ValueError(f"{jobs} jobs, minutes {minutes}: expected one job at least, and more than no time")
     with ExitStack() as stack:
-        workers = (stack.enter_context(Workers(jobs - 1, Search.of_campaign, (campaign, accuracy)))
+        workers = (stack.enter_context(Workers(jobs - 1, DiagnosisSearch.of_campaign, (campaign, accuracy)))
                    if jobs > 1 else None)
-        made = model(campaign, accuracy=accuracy)
+        made = device_model(campaign, accuracy=accuracy)
         return diagnose_model(made, progress=progress, workers=workers, minutes=minutes)
 
 
@@ -71,13 +71,13 @@ def diagnose_model(
 ) -> Diagnosis:
     """:func:`diagnose` of a model, on one thread: last digits depend on their number."""
     started = time.perf_counter()
-    search = Search(model, progress, until=None if minutes is None else started + 60.0 * minutes)
+    search = DiagnosisSearch(model, progress, until=None if minutes is None else started + 60.0 * minutes)
     stated = as_stated(search)
     check_assignment(model.campaign, stated[:len(model.campaign.fitted)])
     return appraised(model, search.run(workers), stated, criteria=search.criteria, started=started)
 
 
-def as_stated(search: Search) -> tuple[StateFit, ...]:
+def as_stated(search: DiagnosisSearch) -> tuple[StateFit, ...]:
     """All states as they are stated, those held out last."""
     model, x = search.model, search.models.centre
     fitted = search.models.bare()
@@ -115,7 +115,7 @@ def _of(
     settled = found.base if conclusion.chosen.explanation.hypothesis.is_outside else conclusion.chosen
     best = settled.explanation
     likelihood = Likelihood(model, model.fitted, settled.columns, settled.anything)
-    location, alive = located(settled, found), _alive(found, conclusion, criteria)
+    location, alive = suspect_places(settled, found), _alive(found, conclusion, criteria)
     further = options(likelihood, [(each.explanation, odds) for each, odds in alive], criteria.rival) if alive else []
     released = {name for effect in best.hypothesis.effects for name in effect.releases}
     return Diagnosis(
@@ -132,7 +132,7 @@ def established(model: Model, found: Found, best: Explanation) -> tuple[Establis
     of = {each.explanation.hypothesis.effects: each.explanation for each in found.final} | {effects: best}
     for count, effect in enumerate(effects, 1):
         so_far = of.get(effects[:count])
-        after = before if so_far is None else max(before, share(model, found.base.explanation, so_far))
+        after = before if so_far is None else max(before, explained_share(model, found.base.explanation, so_far))
         told = estimates(model, best, effect.names)
         limits = [(effect.admissible[each.name], each.value) for each in told if each.name in effect.admissible]
         inside = all(limit.lowest <= value <= limit.highest for limit, value in limits)
@@ -141,7 +141,7 @@ def established(model: Model, found: Found, best: Explanation) -> tuple[Establis
     return tuple(result)
 
 
-def located(settled: Settled, found: Found) -> tuple[Place, ...]:
+def suspect_places(settled: Settled, found: Found) -> tuple[SuspectPlace, ...]:
     """Regions that may have anything in them, and modes, beside an explanation, by their evidences, best first.
 
     Those that the search settled come before those that were weighed beside it.
@@ -155,10 +155,11 @@ def located(settled: Settled, found: Found) -> tuple[Place, ...]:
     return tuple(_place(each, worth - best.log_evidence) for each, worth in ordered)
 
 
-def _place(hypothesis: Hypothesis, gained: float) -> Place:
+def _place(hypothesis: Hypothesis, gained: float) -> SuspectPlace:
     modes = tuple(f"{m.frequency / 1e6:.4f} MHz, Q about {m.quality:.0f}" for m in hypothesis.modes)
-    return Place(hypothesis.region or "mode", "mode" if modes else "anything", math.sqrt(2.0 * max(gained, 0.0)), modes,
-                 gained)
+    return SuspectPlace(hypothesis.region or "mode", "mode" if modes else "anything", math.sqrt(2.0 * max(gained, 0.0)),
+                        modes,
+                        gained)
 
 
 def _fit(state: DeviceState, impedance: Complex) -> StateFit:
@@ -172,7 +173,7 @@ def _fits(model: Model, settled: Settled) -> tuple[StateFit, ...]:
     return tuple(_fit(state, impedance) for state, impedance in zip(states, impedances, strict=True))
 
 
-def _left(likelihood: Likelihood, best: Explanation, location: Sequence[Place], criteria: Criteria) -> Left:
+def _left(likelihood: Likelihood, best: Explanation, location: Sequence[SuspectPlace], criteria: Criteria) -> Left:
     count = 0.5 * likelihood.noise.size
     noise, allowed = (math.sqrt(float(np.sum(each**2)) / count)
                       for each in (likelihood.noise, best.accuracy * likelihood.columns))

@@ -92,7 +92,7 @@ class Belief:
         return place
 
 
-def smallest(recordings: Objective) -> Objective | None:
+def smallest_body(recordings: Objective) -> Objective | None:
     """Those recordings that are of the body of fewest unknowns; None if all are of one."""
     size = {predictor: predictor.operators.size for predictor in recordings.predictors}
     names = [each.name for each, predictor in zip(recordings.recordings, recordings.predictors, strict=True)

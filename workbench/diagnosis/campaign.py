@@ -53,15 +53,15 @@ from pathlib import Path
 from geometry.names import TRANSDUCER
 from geometry.stretch import tied
 from materials.registry import Registry, user_registry
-from workbench.brief import Brief
 from workbench.diagnosis.knowledge import Taken, read_knowledge
+from workbench.diagnosis.numbers import stated_number as stated_number
 from workbench.diagnosis.numbers import unit_of as unit_of
-from workbench.diagnosis.numbers import value_of as value_of
 from workbench.diagnosis.state import DeviceState as DeviceState
 from workbench.diagnosis.state import read_state
 from workbench.files.errors import InputError, nearest_names
-from workbench.files.tables import Table
-from workbench.parameter_names import ParameterName
+from workbench.files.tables import FileTable
+from workbench.model.numbers import ParameterName
+from workbench.results.brief import Brief
 
 #: What is known besides what the campaign names: what the files of chip and materials state, or nothing.
 STATED, NAMED = "stated", "named"
@@ -117,7 +117,7 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
             or two statements about one thing that contradict each other.
     """
     path = Path(path)
-    table = Table.read(path).only(("campaign", "states", "known", "between", "fixed", "model"))
+    table = FileTable.read(path).only(("campaign", "states", "known", "between", "fixed", "model"))
     source = table.source
     head = table.table("campaign", expected="a table [campaign]").only(("name", "materials", "known"))
     registry = user_registry([*materials, *_own_materials(head, path.parent)])
@@ -131,7 +131,7 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
                     found.correlations, found.taken, registry, _accuracy(table))
 
 
-def _own_materials(head: Table, folder: Path) -> Iterator[Path]:
+def _own_materials(head: FileTable, folder: Path) -> Iterator[Path]:
     """The folder of materials that a campaign brings along, if it does."""
     if "materials" in head:
         said = str(head.content["materials"])
@@ -140,7 +140,7 @@ def _own_materials(head: Table, folder: Path) -> Iterator[Path]:
         yield folder / said
 
 
-def _states(table: Table, folder: Path, registry: Registry) -> Iterator[DeviceState]:
+def _states(table: FileTable, folder: Path, registry: Registry) -> Iterator[DeviceState]:
     listed = table.table("states", expected="a table [states]")
     if not listed.content:
         raise table.error("states", "a table [states]")
@@ -153,7 +153,7 @@ def _states(table: Table, folder: Path, registry: Registry) -> Iterator[DeviceSt
         yield read_state(name, each, folder, registry)
 
 
-def _accuracy(table: Table) -> float | None:
+def _accuracy(table: FileTable) -> float | None:
     """The accuracy of the model, relative; None where nobody says."""
     model = table.table("model", expected="a table [model]").only(("accuracy",))
     found = model.optional_quantity("accuracy", "share")

@@ -18,7 +18,7 @@ from functools import partial
 from geometry.assumed import PRINTED
 from geometry.chip import Chip
 from geometry.dimension import SHAPES
-from geometry.names import CAVITY, LEVEL, TRANSDUCER, interface, outside, part, role_of
+from geometry.names import CAVITY, LEVEL, TRANSDUCER, interface, outside, part_name, role_of
 from geometry.shapes import possible
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.diagnosis.campaign import DeviceState
@@ -27,10 +27,10 @@ from workbench.diagnosis.hypothesis import (
     MISTAKEN_STIFFNESS,
     Device,
     Effect,
-    around,
     filled_with,
     is_liquid,
     is_polymer,
+    mistaken_range,
     neighbours,
     other_than_stated,
     with_terms,
@@ -38,7 +38,7 @@ from workbench.diagnosis.hypothesis import (
 from workbench.diagnosis.transducer import transducer
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import BENCH_ELEMENTS
-from workbench.parameter_names import BENCH, LOSS, ParameterName
+from workbench.model.numbers import BENCH, LOSS, ParameterName
 from workbench.physics import (
     absorption,
     anisotropy,
@@ -53,8 +53,8 @@ from workbench.physics import (
     thin_layer,
 )
 from workbench.physics.rim import LIMIT, WIDTHS, Rim
-from workbench.physics.solid import IsotropicSolid as SolidTerm
-from workbench.physics.term import Admissible, Free
+from workbench.physics.solid import ElasticSolid as SolidTerm
+from workbench.physics.term import Admissible, FreeParameter
 
 #: Losses a polymer can have.
 POLYMER = "from none to a rubber"
@@ -244,10 +244,10 @@ def _swollen(device: Device, material: IsotropicSolid, region: str) -> Effect:
     wet, shear = f"{material.name}, wet", material.shear_modulus.real
     regions = filled_with(device.filled[0], material.name)
     free = (
-        Free(f"{wet}.shear_modulus", 0.0, Admissible(
+        FreeParameter(f"{wet}.shear_modulus", 0.0, Admissible(
             -0.2 * shear, 0.0, "Pa", "swollen polymers soften: PLA by up to a fifth in water")),
-        Free(f"{wet}.shear_modulus{LOSS}", 0.0, Admissible(-0.1 * shear, 0.0, "Pa", POLYMER)),
-        Free(f"{wet}.density", 0.0, Admissible(
+        FreeParameter(f"{wet}.shear_modulus{LOSS}", 0.0, Admissible(-0.1 * shear, 0.0, "Pa", POLYMER)),
+        FreeParameter(f"{wet}.density", 0.0, Admissible(
             0.0, 0.1 * material.density, "kg/m^3", "from none to a tenth of the volume of a printed part filled")),
     )
     return with_terms(f"liquid taken up by {material.name}", region, "mass", "the solid is heavier and softer once the "
@@ -263,7 +263,7 @@ def top(device: Device) -> Iterator[Effect]:
 
 
 def _loaded(device: Device, region: str) -> Effect:
-    load = surface_load.SurfaceLoad(part(outside(region), LEVEL), region, f"load on the {region}")
+    load = surface_load.SurfaceLoad(part_name(outside(region), LEVEL), region, f"load on the {region}")
     return with_terms(load.name, region, "loss", "something lies on the chip, or presses on it", device.states,
                       lambda state: [load] if _highest(state) == region else [])
 
@@ -360,7 +360,7 @@ def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
                          states, lambda _: [open_bond.OpenBond(joint, material, inside, skin)])
 
 
-def solids(device: Device) -> Iterator[Effect]:
+def solid_hypotheses(device: Device) -> Iterator[Effect]:
     """Stiffness, loss and mass of every passive solid that are not as stated."""
     for material, regions in device.materials().values():
         if not isinstance(material, IsotropicSolid):
@@ -373,9 +373,9 @@ def solids(device: Device) -> Iterator[Effect]:
                                     "less", {f"{name}.{coefficient}{LOSS}": loss})
             yield other_than_stated(device, f"{coefficient} of {name}", region, "stiffness", "the solid is stiffer or "
                                     "softer than stated",
-                                    {f"{name}.{coefficient}": around(size, MISTAKEN_STIFFNESS, "Pa")})
+                                    {f"{name}.{coefficient}": mistaken_range(size, MISTAKEN_STIFFNESS, "Pa")})
         yield other_than_stated(device, f"density of {name}", region, "mass", "a wrong density",
-                                {f"{name}.density": around(material.density, MISTAKEN_DENSITY, "kg/m^3")})
+                                {f"{name}.density": mistaken_range(material.density, MISTAKEN_DENSITY, "kg/m^3")})
         if is_polymer(material):
             yield from _polymer(device, name, regions)
 
@@ -460,4 +460,5 @@ def bench(device: Device) -> Iterator[Effect]:
 
 
 SOURCES: tuple[Callable[[Device], Iterator[Effect]], ...] = (
-    cavity_fluid, meniscus, ports, soaked, top, couplant, bonds, joints, solids, lengths, shapes, transducer, bench)
+    cavity_fluid, meniscus, ports, soaked, top, couplant, bonds, joints, solid_hypotheses, lengths, shapes, transducer,
+    bench)

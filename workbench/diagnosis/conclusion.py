@@ -60,7 +60,7 @@ def evidence(model: Model, settled: Settled, base: Explanation, points: float = 
             away[name] = abs(float(found.x[i]) - model.parameters[i].start) / error if error > 0.0 else 0.0
     return Evidence(hypothesis.name, found.log_evidence / points, tuple(effect.name for effect in hypothesis.effects),
                     hypothesis.is_outside, away, settled.held_out / points, found.accuracy,
-                    share(model, base, found))
+                    explained_share(model, base, found))
 
 
 def interval(model: Model, found: Explanation, name: str) -> tuple[float, float, float]:
@@ -76,7 +76,7 @@ def mismatch(found: Explanation) -> float:
     return float(sum(np.sum(np.abs(log) ** 2) for log in found.residual.log_ratio))
 
 
-def share(model: Model, base: Explanation, found: Explanation) -> float:
+def explained_share(model: Model, base: Explanation, found: Explanation) -> float:
     """The share of the mismatch, beyond noise, that an explanation takes away from where nothing is wrong.
 
     That is of chi-square, of the recordings and of what is known: a part that known parameters only take up where they

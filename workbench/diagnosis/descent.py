@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from workbench.diagnosis.evidence import WrongEvidence
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.odds import CLOSE
-from workbench.fitting.search import NO_END, Optimum, Search
+from workbench.fitting.search import NO_END, FitSearch, Optimum
 
 Real = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ REFUSED: tuple[type[Exception], ...] = (*NO_END, WrongEvidence)
 ALIKE = 0.3
 
 
-def smoothed(likelihood: Likelihood, search: Search, x: Real, held: tuple[int, ...] = ()) -> Optimum:
+def smoothed(likelihood: Likelihood, search: FitSearch, x: Real, held: tuple[int, ...] = ()) -> Optimum:
     """The optimum at little weight that smoothed admittances lead to from x (p,).
 
     Parameters of the indices `held` move only after the others.

@@ -19,10 +19,8 @@ from workbench.design.uncertainty import limits
 from workbench.diagnosis.campaign import Campaign, DeviceState
 from workbench.diagnosis.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.diagnosis.hypothesis import Device, Effect
-from workbench.diagnosis.numbers import DeviceNumbers, unit_of, value_of
-from workbench.dimensions import flexible_within
-from workbench.discretisation import ACCURACY, Discretisation
-from workbench.fitting.objective import Objective, Recording
+from workbench.diagnosis.numbers import DeviceNumbers, stated_number, unit_of
+from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
     BENCH_ELEMENTS,
     Parameter,
@@ -31,11 +29,13 @@ from workbench.fitting.parameter import (
     ranges_of_dimensions,
     stretchable,
 )
-from workbench.moved_parts import Interpolation, joined
-from workbench.parameter_names import Kind, ParameterName
+from workbench.model.dimensions import flexible_within
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.moved_parts import Interpolation, joined_meshes
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.rim import FOUND, OfRim
 from workbench.physics.term import Term
-from workbench.problem import Problem, build, with_boundary_layers
 
 Real = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ class Model:
                 return known
         # Two are kept: a search looks at one place and goes to the next.
         self._made[:] = [*self._made[-1:],
-                         model(self.campaign, accuracy=self.accuracy, widths=wanted)]
+                         device_model(self.campaign, accuracy=self.accuracy, widths=wanted)]
         return self._made[-1]
 
     @cached_property
@@ -125,14 +125,14 @@ class Model:
         return [state.noise for state in self.campaign.fitted]
 
 
-def model(
+def device_model(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
     progress: Callable[[float], None] = lambda _share: None, widths: Mapping[str, float] | None = None,
 ) -> Model:
     """Mesh every state and put known physics and all hypotheses into its problem; see :class:`Model`.
 
     Raises:
-        InputError: as `workbench.problem.build`, or a layer that cannot have all sizes that are looked at.
+        InputError: as `workbench.model.problem.build`, or a layer that cannot have all sizes that are looked at.
         MeshError: a mesh could not be made, or folds where a size is at an end of its range.
     """
     device = Device(campaign.states, campaign.known, campaign.fixed, campaign.registry)
@@ -176,10 +176,10 @@ def model(
         flexed.append(flexible_within(problem, chips[-1], ranges, interpolation=HYPOTHETICAL,
                                       asides=asides[state.name]))
     # One mesh for states of one chip, so that they share what is solved on it.
-    meshes = {section: joined([each.mesh for each in flexed if each.mesh.section == section])
+    meshes = {section: joined_meshes([each.mesh for each in flexed if each.mesh.section == section])
               for section in {each.mesh.section: None for each in flexed}}
-    recordings = {state.name: Recording(state.name, replace(problem, mesh=meshes[problem.mesh.section]),
-                                        state.measured, chip)
+    recordings = {state.name: FitRecording(state.name, replace(problem, mesh=meshes[problem.mesh.section]),
+                                           state.measured, chip)
                   for state, problem, chip in zip(campaign.states, flexed, chips, strict=True)}
 
     # Models grow where they are told to (`Objective.cover`), not on the way.
@@ -208,12 +208,12 @@ def _radius(chip: Chip, region: str) -> float:
 
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
     """A parameter that may move within what is known of it, and further only where a hypothesis releases that."""
-    value, unit = value_of(name, campaign.states), unit_of(name, campaign.states)
+    value, unit = stated_number(name, campaign.states), unit_of(name, campaign.states)
     parsed = ParameterName.parse(name)
-    if parsed.kind is Kind.BENCH:
+    if parsed.kind is ParameterKind.BENCH:
         found = bench_parameter(name)
         return Parameter(found.name, 0.0, found.low, found.high, error, unit)
-    if parsed.kind is Kind.DIMENSION:
+    if parsed.kind is ParameterKind.DIMENSION:
         limit = (mistaken_length(name, value) if parsed.coefficient not in SHAPES else
                  mistaken_shape(next(s.chip for s in campaign.states if name in s.chip.dimensions()), name))
         low, high = min(limit.lowest, value - REACH * error), max(limit.highest, value + REACH * error)
@@ -252,13 +252,13 @@ def _offset(
     if relative:
         unit, error, value, start = "1", error / value, 1.0, 1.0
     lowest, highest = start - REACH * error, start + REACH * error
-    if parsed.kind is Kind.BENCH:
+    if parsed.kind is ParameterKind.BENCH:
         element = BENCH_ELEMENTS[parsed.coefficient]
         lowest, highest = max(lowest, element.low), min(highest, element.high)
     else:
         least, most = limits(parsed.shared, start)
         lowest, highest = max(lowest, LEAST * start if least == 0.0 < start else least), min(highest, most)
-    for each in (parsed.shared, *others) if parsed.kind is Kind.DIMENSION else ():
+    for each in (parsed.shared, *others) if parsed.kind is ParameterKind.DIMENSION else ():
         lowest, highest = stretchable([state.chip], each, lowest, highest)
     return Parameter(name, 0.0, lowest - start, highest - start, error, unit, (state.name,), relative=relative,
                      tied=others, offset=True)

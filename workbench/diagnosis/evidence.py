@@ -81,7 +81,7 @@ class Average:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearisedProblem:
     """A problem at x, linear in p parameters about it, with k directions of deviation.
 
     ``gram`` (p + 1 + k, p + 1 + k) inner products of the tangents, the residual and the deviations of unit scale, in
@@ -98,7 +98,7 @@ class Linearised:
 
     @classmethod
     def of(cls, tangents: Real, residual: Real, deviations: Real, *, precision: Real, offset: Real, widths: Real,
-           below: Real, above: Real) -> Linearised:
+           below: Real, above: Real) -> LinearisedProblem:
         """From tangents (m, p), residual (m,) and deviations (m, k)."""
         every = np.column_stack([tangents, residual, deviations])
         return cls(every.T @ every, precision, offset, widths, below, above)
@@ -236,7 +236,7 @@ def occam_factor(covariance: Real, widths: Real) -> float:
     return float(-np.sum(np.log(2.0 * np.pi * relative)))
 
 
-def over_scales(problem: Linearised, settings: Sequence[Real]) -> tuple[float, int, Average]:
+def over_scales(problem: LinearisedProblem, settings: Sequence[Real]) -> tuple[float, int, Average]:
     """ln of the mean evidence over the `settings` of the scales, the index of the best of these, and what it gives."""
     found = [problem.averaged(setting) for setting in settings]
     logs = np.array([each.log_evidence for each in found])

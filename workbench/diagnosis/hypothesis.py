@@ -8,12 +8,12 @@ from typing import Any
 
 from materials.kinds import Fluid, IsotropicSolid, Material
 from materials.registry import Registry
-from workbench.diagnosis.campaign import DeviceState, value_of
+from workbench.diagnosis.campaign import DeviceState, stated_number
 from workbench.fitting.parameter import Parameter
-from workbench.parameter_names import LOSS
+from workbench.model.numbers import LOSS
 from workbench.physics.rim import OfRim
 from workbench.physics.softening import DRIVE_SQUARED
-from workbench.physics.term import Admissible, Free, Term
+from workbench.physics.term import Admissible, FreeParameter, Term
 
 #: How far a real coefficient may lie from what is stated.
 MISTAKEN_STIFFNESS, MISTAKEN_DENSITY = 0.3, 0.15
@@ -116,7 +116,7 @@ def neighbours(state: DeviceState, region: str) -> tuple[str, str]:
 def with_terms(
     label: str, region: str, kind: str, about: str, states: Sequence[DeviceState],
     terms: Callable[[DeviceState], Iterable[Term]], values: Callable[[DeviceState], Mapping[str, float]] = lambda _: {},
-    *, free: tuple[Free, ...] | None = None,
+    *, free: tuple[FreeParameter, ...] | None = None,
 ) -> Effect:
     """The hypothesis that brings `terms` into `states`: nothing yet, all numbers where they are neutral.
 
@@ -144,13 +144,13 @@ def _stated(state: DeviceState, terms: Iterable[Term]) -> dict[str, float]:
     return {name: value for name, value in known.items() if name in needed}
 
 
-def as_parameter(free: Free) -> Parameter:
+def as_parameter(free: FreeParameter) -> Parameter:
     """A number as a parameter without a prior: anywhere within what is admissible, the neutral value included."""
     limit, start = free.admissible, free.neutral
     return Parameter(free.name, start, min(limit.lowest, start), max(limit.highest, start), None, limit.unit)
 
 
-def around(value: float, share: float, unit: str) -> Admissible:
+def mistaken_range(value: float, share: float, unit: str) -> Admissible:
     """What a stated value may be that was mistaken by up to a share of itself."""
     return Admissible((1.0 - share) * value, (1.0 + share) * value, unit,
                       f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")
@@ -163,7 +163,7 @@ def other_than_stated(
     """The hypothesis that numbers the model has already are not what is stated, or known, of them."""
     parameters = []
     for name, limit in limits.items():
-        start = 1.0 if relative else float(min(max(value_of(name, device.states), limit.lowest), limit.highest))
+        start = 1.0 if relative else float(min(max(stated_number(name, device.states), limit.lowest), limit.highest))
         if name not in device.known:
             parameters.append(Parameter(name, start, limit.lowest, limit.highest, None, limit.unit, relative=relative))
     return Effect(label, region, kind, about, tuple(parameters), tuple(n for n in limits if n in device.known), limits)

@@ -22,11 +22,11 @@ from scipy.interpolate import CubicSpline
 
 from geometry.names import whole
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
+from workbench.fem.operators import FullOperators
+from workbench.fem.solve import Solution
 from workbench.fitting.objective import Objective
-from workbench.fitting.predict import Prediction
-from workbench.operators import FullOperators
 from workbench.physics.term import OPERATORS, Integral
-from workbench.solve import Solution
+from workbench.reduced.predictor import Prediction
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.conclusion import share
+from workbench.diagnosis.conclusion import explained_share
 from workbench.diagnosis.descent import (
     LEVELS,
     Candidate,
@@ -26,7 +26,7 @@ from workbench.diagnosis.descent import (
     followed,
     smoothed,
 )
-from workbench.diagnosis.device import Model, model
+from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.findings import Begun, Found, NotTried, Settled, leading_of, promise, weakness
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
@@ -37,8 +37,8 @@ from workbench.diagnosis.refusal import EXPECTED, Refusal
 from workbench.diagnosis.starts import start, starts_of
 from workbench.diagnosis.sweep import corners, swept
 from workbench.diagnosis.workers import Workers
-from workbench.discretisation import Discretisation
 from workbench.fitting.search import NO_END
+from workbench.model.discretisation import Discretisation
 
 Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -71,7 +71,7 @@ HURRIED = {"rounds": 2, "limit": 8}
 
 
 @dataclass(eq=False)
-class Search:
+class DiagnosisSearch:
     """A search as it goes on; :meth:`run` is all of it, with workers that each have one of their own.
 
     It ends early, with what it has by then, where it is interrupted, or `until` (of `time.perf_counter`) has passed.
@@ -89,9 +89,9 @@ class Search:
     _workers: Workers | None = None
 
     @classmethod
-    def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation) -> Search:
+    def of_campaign(cls, campaign: Campaign, accuracy: float | Discretisation) -> DiagnosisSearch:
         """A search for a worker, with its first models."""
-        made = cls(model(campaign, accuracy=accuracy))
+        made = cls(device_model(campaign, accuracy=accuracy))
         _ = made.models.narrow
         return made
 
@@ -300,7 +300,7 @@ class Search:
 
     def takes_most(self, base: Settled, best: Settled) -> bool:
         """Whether an explanation takes away all but a trace of what the `base` leaves."""
-        return share(self.model, base.explanation, best.explanation) >= self.criteria.most
+        return explained_share(self.model, base.explanation, best.explanation) >= self.criteria.most
 
     def concluded(self, plain: Candidate, settled: dict[Candidate, Settled], candidates: Sequence[Candidate]) -> Found:
         """What was found, with what promises most beside the best that is one effect."""

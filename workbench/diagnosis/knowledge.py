@@ -18,8 +18,8 @@ from workbench.diagnosis.numbers import DIMENSIONS, SAME_NUMBER, DeviceNumbers, 
 from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
-from workbench.files.tables import Table
-from workbench.parameter_names import BENCH, STATE, STATE_END, Kind, ParameterName
+from workbench.files.tables import FileTable
+from workbench.model.numbers import BENCH, STATE, STATE_END, ParameterKind, ParameterName
 
 #: What any bench does between two recordings: how much, as a standard uncertainty in SI, and why. An instrument repeats
 #: a reading after its cables were moved to about 0.2 %; clips that are put on again have another contact resistance, by
@@ -79,7 +79,7 @@ class _Statement:
     field: str = ""
 
 
-def read_knowledge(campaign: Table, states: tuple[DeviceState, ...], *, from_files: bool = True) -> Knowledge:
+def read_knowledge(campaign: FileTable, states: tuple[DeviceState, ...], *, from_files: bool = True) -> Knowledge:
     """What the tables of a `campaign` say of its `states`, and the states' own files if `from_files`.
 
     Raises:
@@ -94,8 +94,8 @@ def read_knowledge(campaign: Table, states: tuple[DeviceState, ...], *, from_fil
                              f"this is not; [between] or [states.{states[0].name}.known] say of each how exact it is")
     own = [each for state in states for each in _of_state(campaign, state, numbers)]
     between = campaign.table("between", expected="a table [between]")
-    varying = list(_stated(Table(between.source, between.field, {k: v for k, v in between.content.items()
-                                                                 if k != DEFAULTS}), numbers,
+    varying = list(_stated(FileTable(between.source, between.field, {k: v for k, v in between.content.items()
+                                                                     if k != DEFAULTS}), numbers,
                            lambda name: [(state.name, (state,)) for state in numbers.having(name)]))
     for each in (*shared, *own, *varying):
         if each.name in fixed:
@@ -110,14 +110,14 @@ def read_knowledge(campaign: Table, states: tuple[DeviceState, ...], *, from_fil
     return _together(numbers, (*shared, *found, *own, *varying), fixed, correlations)
 
 
-def _of_state(campaign: Table, state: DeviceState, numbers: DeviceNumbers) -> Iterator[_Statement]:
+def _of_state(campaign: FileTable, state: DeviceState, numbers: DeviceNumbers) -> Iterator[_Statement]:
     """What [states.NAME.known] says the state adds, of numbers that it has."""
     table = campaign.table("states").table(state.name).table("known", expected=f"a table [states.{state.name}.known]")
     yield from _stated(table, numbers, lambda _: ((state.name, (state,)),), of=(state,))
 
 
 def _stated(
-    table: Table, numbers: DeviceNumbers, groups: Groups, *, of: Sequence[DeviceState] = ()
+    table: FileTable, numbers: DeviceNumbers, groups: Groups, *, of: Sequence[DeviceState] = ()
 ) -> Iterator[_Statement]:
     """The statements of a table of names and standard uncertainties about numbers that some states have, or those `of`.
 
@@ -149,21 +149,21 @@ def _stated(
 
 
 def _uncertainty(
-    table: Table, written: str, name: str, numbers: DeviceNumbers, states: Sequence[DeviceState]
+    table: FileTable, written: str, name: str, numbers: DeviceNumbers, states: Sequence[DeviceState]
 ) -> float:
     """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
     entry, unit = table.content[written], unit_of(name, numbers.states)
-    if entry == ASSUMED and ParameterName.parse(name).kind is Kind.DIMENSION:
+    if entry == ASSUMED and ParameterName.parse(name).kind is ParameterKind.DIMENSION:
         chip = next(state.chip for state in states if name in state.chip.dimensions())
         return assumed_uncertainty(name, chip.dimensions()[name].value).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
     # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
-    own = "share" if unit == "1" and ParameterName.parse(name).kind is Kind.BENCH else DIMENSIONS[unit]
+    own = "share" if unit == "1" and ParameterName.parse(name).kind is ParameterKind.BENCH else DIMENSIONS[unit]
     found = parse_quantity(entry, "dimensionless" if share else own, source=table.source, field=table.at(written))
     if share:
         having = numbers.having(name)
         size = abs(numbers.value(name, next(state for state in states if state in having)))
-        if ParameterName.parse(name).kind is Kind.BENCH and unit in ("1", "rad"):
+        if ParameterName.parse(name).kind is ParameterKind.BENCH and unit in ("1", "rad"):
             size = 1.0
         if size == 0.0:
             raise table.error(written, f"an uncertainty in {unit}: {name} is zero, so a percentage of it says nothing")
@@ -173,7 +173,7 @@ def _uncertainty(
     return found
 
 
-def _check_inexact(table: Table, written: str, name: str, numbers: DeviceNumbers) -> None:
+def _check_inexact(table: FileTable, written: str, name: str, numbers: DeviceNumbers) -> None:
     for state in numbers.states:
         lengths = state.chip.dimensions()
         for each in numbers.together(name):
@@ -181,7 +181,7 @@ def _check_inexact(table: Table, written: str, name: str, numbers: DeviceNumbers
                 raise table.error(written, f"nothing: {state.chip.file} states {each} as exact (a tolerance of 0)")
 
 
-def _fixed(table: Table, numbers: DeviceNumbers) -> Iterator[str]:
+def _fixed(table: FileTable, numbers: DeviceNumbers) -> Iterator[str]:
     states = numbers.states
     for written in table.only(("names",)).texts("names", (), expected="a list of names"):
         parsed, name = ParameterName.parse(written), numbers.named(written)
@@ -215,8 +215,8 @@ def _harvested(
                 continue
             key = (name, "" if numbers.is_one(name) else state.name)
             size = each.deviation
-            new = _Statement(*key, size, f"{each.origin}: tolerance"
-                             if ParameterName.parse(name).kind is Kind.DIMENSION else f"{each.origin}: uncertainty")
+            kind = "tolerance" if ParameterName.parse(name).kind is ParameterKind.DIMENSION else "uncertainty"
+            new = _Statement(*key, size, f"{each.origin}: {kind}")
             before = found.setdefault(key, new)
             if abs(before.uncertainty - size) > SAME_NUMBER * size and before.origin != new.origin:
                 raise InputError(state.chip.file, f"{each.name}.tolerance", f"{each.half_width:g} m",

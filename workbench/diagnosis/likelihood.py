@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.evidence import Average, Linearised, checked, over_scales
+from workbench.diagnosis.evidence import Average, LinearisedProblem, checked, over_scales
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns, patterns
 from workbench.diagnosis.modes import Mode, columns, strongest
@@ -32,9 +32,9 @@ from workbench.diagnosis.odds import ACCURACIES, INACCURATE, REGION_SIZES, TERM
 from workbench.diagnosis.state import DeviceState
 from workbench.fitting.covariance import Covariance, principal
 from workbench.fitting.objective import Objective, Residual
-from workbench.fitting.search import Optimum, Search
+from workbench.fitting.search import FitSearch, Optimum
 from workbench.fitting.uncertainty import correlation_length
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -98,7 +98,7 @@ class Local:
     ``counts`` of columns that deviate: of the parts, of what is outside the catalogue, of the term, and further ones.
     """
 
-    problem: Linearised
+    problem: LinearisedProblem
     settings: tuple[Scales, ...]
     counts: tuple[int, ...]
     data: Residual
@@ -278,13 +278,14 @@ class Likelihood:
         return [np.sqrt(state.noise[::step] ** 2 + level**2)
                 for state, step in zip(self.states, steps, strict=True)]
 
-    def search(self, hypothesis: Hypothesis) -> Search:
+    def search(self, hypothesis: Hypothesis) -> FitSearch:
         """The least-squares problem under a hypothesis, with noise alone."""
         free, released = self.model.free(hypothesis.effects)
-        return Search(self.objective, free=free, released=released)
+        return FitSearch(self.objective, free=free, released=released)
 
     def tempered(
-        self, search: Search, x: Real, level: float, *, smoothing: float = 0.0, accuracy: float = 0.0, limit: int = 8,
+        self, search: FitSearch, x: Real, level: float, *, smoothing: float = 0.0, accuracy: float = 0.0,
+        limit: int = 8,
         fixed: tuple[int, ...] = (),
     ) -> Optimum:
         """The least cost near x (p,) where points weigh less, by a further deviation `level`, on few of them.
@@ -305,7 +306,7 @@ class Likelihood:
         width = smoothing * float(np.mean(recordings[0].measured.frequency[[0, -1]]))
         return thin.minimise(x, spreads, smoothing=width, limit=limit, tolerance=0.01, fixed=fixed)
 
-    def descended(self, hypothesis: Hypothesis, search: Search, x: Real, level: float, limit: int) -> Weighed:
+    def descended(self, hypothesis: Hypothesis, search: FitSearch, x: Real, level: float, limit: int) -> Weighed:
         """The optimum near x (p,) where points weigh less, and the model is as accurate as it seems to be there."""
         def again(best: Weighed, strictness: float) -> Weighed:
             end = self.tempered(search, best.x, level, accuracy=strictness * best.accuracy, limit=limit)
@@ -315,7 +316,7 @@ class Likelihood:
                          lambda each: each.accuracy > level)
 
     def linearised(
-        self, hypothesis: Hypothesis, search: Search, x: Real, level: float = 0.0, further: Real | None = None
+        self, hypothesis: Hypothesis, search: FitSearch, x: Real, level: float = 0.0, further: Real | None = None
     ) -> Local:
         """The problem at x (p,); `further` columns (m, k) that deviate may be there, at a scale of nothing."""
         free = search.free
@@ -323,7 +324,7 @@ class Likelihood:
         parameters = [self.model.parameters[i] for i in free]
         deviations = list(self.deviations(hypothesis, data, x, level))
         deviations += [np.zeros((self.noise.size, 0)) if further is None else further]
-        problem = Linearised.of(
+        problem = LinearisedProblem.of(
             data.jacobian[:, free], data.vector, np.column_stack(deviations),
             precision=np.diag(search.precision[free] ** 2), offset=(x - search.centre)[free],
             widths=np.array([np.nan if search.precision[i] > 0.0 else p.high - p.low
@@ -414,7 +415,7 @@ class Likelihood:
         noise = np.sqrt(self.noise**2 + level**2)[:, None]
         outside = np.zeros((self.noise.size, 0))
         if hypothesis.region and self.anything is not None:
-            outside = reduced(self.anything.within(hypothesis.region) / noise, REGION_SIZES[-1])
+            outside = compressed_columns(self.anything.within(hypothesis.region) / noise, REGION_SIZES[-1])
         elif hypothesis.modes:
             outside = columns(self.measured, self.places, hypothesis.modes, self.noise.size) / noise
         return self.columns / noise, outside, self._term(hypothesis, data.jacobian, x)
@@ -449,7 +450,8 @@ class Likelihood:
         """
         assert self.anything is not None
         noise = np.sqrt(self.noise**2 + level**2)[:, None]
-        found = {replace(hypothesis, region=region): reduced(self.anything.within(region) / noise, REGION_SIZES[-1])
+        found = {replace(hypothesis, region=region): compressed_columns(self.anything.within(region) / noise,
+                                                                        REGION_SIZES[-1])
                  for region in dict.fromkeys(self.anything.regions)}
         if modes := self.strongest_modes(hypothesis, x, accuracy):
             found[replace(hypothesis, modes=modes)] = columns(
@@ -488,7 +490,7 @@ def _improved(
 NEGLIGIBLE = 0.03
 
 
-def reduced(columns: Real, size: float) -> Real:
+def compressed_columns(columns: Real, size: float) -> Real:
     """Fewer columns (m, k) of the same covariance, but for what is negligible at that size."""
     directions, lengths = principal(columns * size, NEGLIGIBLE)
     return np.asarray(directions * lengths / size)

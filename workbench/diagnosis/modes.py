@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -42,7 +42,7 @@ class Mode:
         return math.log(self.tried)
 
 
-def slopes(measured: Spectrum, centre: Real, quality: float) -> Complex:
+def mode_slopes(measured: Spectrum, centre: Real, quality: float) -> Complex:
     """d ln Z (n, k) of a recording by modes at the frequencies `centre` (k,), in units of its mean admittance."""
     frequency, impedance = measured.frequency[:, None], measured.impedance[:, None]
     width = 1j * frequency * centre / quality
@@ -54,7 +54,7 @@ def columns(recordings: Sequence[Spectrum], places: Sequence[slice], modes: Sequ
     found = np.zeros((size, 2 * len(modes)))
     for k, mode in enumerate(modes):
         for index in mode.recordings:
-            slope = slopes(recordings[index], np.array([mode.frequency]), mode.quality)[:, 0]
+            slope = mode_slopes(recordings[index], np.array([mode.frequency]), mode.quality)[:, 0]
             for part, turned in enumerate((slope, 1j * slope)):
                 found[places[index], 2 * k + part] = np.concatenate([turned.real, turned.imag])
     return found
@@ -85,7 +85,7 @@ def strongest(
             centre = centres(recordings[body[0]], quality)
             whole = np.zeros((noise.size, 2, centre.size))
             for index in body:
-                slope = slopes(recordings[index], centre, quality)
+                slope = mode_slopes(recordings[index], centre, quality)
                 for part, turned in enumerate((slope, 1j * slope)):
                     whole[places[index], part] = np.concatenate([turned.real, turned.imag])
             seen = np.moveaxis(project((whole / noise[:, None, None]).reshape(noise.size, -1)).reshape(

@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.diagnosis.belief import Belief, multimodal, smallest
+from workbench.diagnosis.belief import Belief, multimodal, smallest_body
 from workbench.diagnosis.descent import LEVELS, Candidate
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
 from workbench.fitting.objective import Objective
-from workbench.neighbourhood import TERMS
+from workbench.reduced.neighbourhood import TERMS
 
 Real = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Neighbourhoods:
     def belief(self) -> Belief:
         """Where the known numbers are, by the smallest body of several."""
         prior = Belief.prior(self.model)
-        first = smallest(self.model.fitted)
+        first = smallest_body(self.model.fitted)
         return prior if first is None else prior.given(
             Likelihood.bare(self.model, self.around(prior.x, prior, first)))
 

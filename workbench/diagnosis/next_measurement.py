@@ -25,7 +25,7 @@ from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Explanation, Likelihood
 from workbench.diagnosis.modes import columns
 from workbench.fitting.covariance import Covariance
-from workbench.parameter_names import BENCH
+from workbench.model.numbers import BENCH
 from workbench.physics.softening import DRIVE_SQUARED
 
 Real = NDArray[np.float64]
@@ -75,7 +75,7 @@ def options(likelihood: Likelihood, alive: Sequence[tuple[Explanation, float]], 
     return sorted(found, key=lambda option: (-option.share, option.times))
 
 
-def in_words(found: Sequence[Option], alive: Sequence[str], wanted: float) -> str:
+def next_measurement_text(found: Sequence[Option], alive: Sequence[str], wanted: float) -> str:
     """What to measure next, and what it is expected to tell; empty without options."""
     if not found:
         return ""

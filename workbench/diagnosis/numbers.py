@@ -12,7 +12,7 @@ from materials.kinds import Fluid
 from materials.versions import split_version
 from workbench.diagnosis.state import DeviceState
 from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
-from workbench.parameter_names import BENCH, Kind, ParameterName
+from workbench.model.numbers import BENCH, ParameterKind, ParameterName
 
 #: Which units an uncertainty may be written in, by the SI unit of what it is of.
 DIMENSIONS: Mapping[str, str] = {
@@ -28,10 +28,10 @@ SAME_NUMBER = 1e-9
 def unit_of(name: str, states: Sequence[DeviceState]) -> str:
     """SI unit of a parameter; empty if there is no such parameter."""
     parsed = ParameterName.parse(name)
-    if parsed.kind is Kind.BENCH:
+    if parsed.kind is ParameterKind.BENCH:
         element = BENCH_ELEMENTS.get(parsed.coefficient)
         return "" if element is None else element.unit
-    if parsed.kind is Kind.DIMENSION:
+    if parsed.kind is ParameterKind.DIMENSION:
         return parsed.dimension_unit if any(parsed.shared in s.chip.dimensions() for s in states) else ""
     materials = [m for s in states for m in s.materials.values()]
     if any(m.name == parsed.owner and parsed.coefficient in m.parameters() for m in materials):
@@ -39,7 +39,7 @@ def unit_of(name: str, states: Sequence[DeviceState]) -> str:
     return ""
 
 
-def value_of(name: str, states: Sequence[DeviceState]) -> float:
+def stated_number(name: str, states: Sequence[DeviceState]) -> float:
     """The value that the chip files and materials give a parameter, SI; zero for a bench element."""
     parsed = ParameterName.parse(name)
     for state in states:
@@ -92,7 +92,7 @@ class DeviceNumbers:
 
     def value(self, name: str, state: DeviceState) -> float:
         """What the files of a `state` that has it state of the number, SI; zero for a bench element."""
-        return value_of(next(each for each in self.together(name) if unit_of(each, [state])), [state])
+        return stated_number(next(each for each in self.together(name) if unit_of(each, [state])), [state])
 
     def is_one(self, name: str) -> bool:
         """Whether it is the same number in all states that have it: a fluid at two temperatures differs by a factor,
@@ -102,5 +102,5 @@ class DeviceNumbers:
         if any(isinstance(m, Fluid) and m.name == owner for s in having for m in s.materials.values()):
             return True
         values = [self.value(name, state) for state in having]
-        rounding = SAME_LENGTH if ParameterName.parse(name).kind is Kind.DIMENSION else 0.0
+        rounding = SAME_LENGTH if ParameterName.parse(name).kind is ParameterKind.DIMENSION else 0.0
         return max(values) - min(values) <= rounding + SAME_NUMBER * max(map(abs, values))

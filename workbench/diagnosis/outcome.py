@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from workbench.brief import Brief
 from workbench.diagnosis.advice import advice
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import Conclusion, interval
@@ -20,15 +19,16 @@ from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Scales
-from workbench.diagnosis.next_measurement import Option, in_words
+from workbench.diagnosis.next_measurement import Option, next_measurement_text
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.posterior import Posterior, posterior_of
 from workbench.diagnosis.ranking import Score
-from workbench.diagnosis.state import DeviceState, StateFit, spectrum_of
+from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
 from workbench.fitting.joint import refused_steps
 from workbench.fitting.parameter import shown_factor, shown_unit
-from workbench.notebook import Shown, Summary
-from workbench.parameter_names import Kind, ParameterName
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.results.brief import Brief
+from workbench.results.notebook import Shown, Summary
 
 if TYPE_CHECKING:
     import xarray
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 NAMED = 6
 
 
-class Estimate(NamedTuple):
+class FoundNumber(NamedTuple):
     """A parameter, SI: its ``value``, the ends of its 95 % interval, and what is ``stated``, or was where nothing is
     wrong; ``sigmas`` it left that by, in standard uncertainties of what is known of it (None if nothing is). A
     ``relative`` one is a factor of what each state has stated."""
@@ -74,7 +74,7 @@ class Established(Brief):
     noise, of what the known parameters leave, that it takes away."""
 
     effect: Effect
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[FoundNumber, ...]
     admissible: bool
     share: float
 
@@ -92,7 +92,7 @@ class Left:
     region: str
 
 
-class Place(NamedTuple):
+class SuspectPlace(NamedTuple):
     """A region, or modes, with anything in it: the log ``evidence`` it adds to what explains best, and in sigmas."""
 
     region: str
@@ -122,8 +122,8 @@ class Diagnosis(Shown):
     best: tuple[StateFit, ...]
     established: tuple[Established, ...]
     left: Left
-    location: tuple[Place, ...]
-    known: tuple[Estimate, ...]
+    location: tuple[SuspectPlace, ...]
+    known: tuple[FoundNumber, ...]
     scores: tuple[Score, ...]
     alive: tuple[str, ...]
     next_options: tuple[Option, ...]
@@ -165,7 +165,7 @@ class Diagnosis(Shown):
         return tuple((tuple(group), sum(each.share for each in group)) for group in groups.values())
 
     @property
-    def at_odds(self) -> tuple[Estimate, ...]:
+    def at_odds(self) -> tuple[FoundNumber, ...]:
         """The known parameters that left what is known of them, furthest first."""
         found = [each for each in self.known if abs(each.sigmas or 0.0) > self.criteria.at_odds]
         return tuple(sorted(found, key=lambda each: -abs(each.sigmas or 0.0)))
@@ -189,7 +189,7 @@ class Diagnosis(Shown):
     def states(self) -> tuple[DeviceState, ...]:
         return (*self.campaign.fitted, *self.campaign.held_out)
 
-    def estimates_of(self, settled: Settled) -> tuple[Estimate, ...]:
+    def estimates_of(self, settled: Settled) -> tuple[FoundNumber, ...]:
         """The parameters of an explanation's effects."""
         effects = settled.explanation.hypothesis.effects
         return estimates(self.model, settled.explanation, [name for each in effects for name in each.names])
@@ -315,7 +315,8 @@ class Diagnosis(Shown):
             return ""
         alive = {each.explanation.hypothesis.name: each.explanation.hypothesis.effects for each in self.found.final}
         told = advice((effect for name in self.alive for effect in alive.get(name, ())), self.states)
-        compared = in_words(self.next_options, [in_plain_words(name) for name in self.alive], self.criteria.rival)
+        compared = next_measurement_text(self.next_options, [in_plain_words(name) for name in self.alive],
+                                         self.criteria.rival)
         return " ".join(filter(None, (*told, compared)))
 
     def summary(self) -> Summary:
@@ -325,7 +326,7 @@ class Diagnosis(Shown):
         rows += [("finding", text) for text in self.findings]
         rows += [("next", self.next_measurement)] if self.next_measurement else []
         measured = {f"{state.name}, measured": state.measured for state in self.campaign.fitted}
-        fitted = {f"{state.name}, fitted": spectrum_of(fit, state)
+        fitted = {f"{state.name}, fitted": fitted_spectrum(fit, state)
                   for fit, state in zip(self.best, self.campaign.fitted, strict=False)}
         return Summary(f"Diagnosis: {self.campaign.name}", tuple(rows), {**measured, **fitted}, tuple(measured))
 
@@ -343,11 +344,11 @@ class Diagnosis(Shown):
                               {"verdict": self.verdict, "effects": ", ".join(each.name for each in self.effects)})
 
 
-def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[Estimate, ...]:
+def estimates(model: Model, found: Explanation, names: Sequence[str]) -> tuple[FoundNumber, ...]:
     """Parameters by their names, as an explanation has them."""
     of = {name: model.parameters[model.index(name)] for name in names}
-    return tuple(Estimate(name, *interval(model, found, name), p.unit, p.start, None if p.prior is None else
-                          (float(found.x[model.index(name)]) - p.start) / p.prior, p.relative and not p.offset)
+    return tuple(FoundNumber(name, *interval(model, found, name), p.unit, p.start, None if p.prior is None else
+                             (float(found.x[model.index(name)]) - p.start) / p.prior, p.relative and not p.offset)
                  for name, p in of.items())
 
 
@@ -368,7 +369,7 @@ def _of_what(name: str) -> str:
     """A parameter as it is read: what of which thing, and in which state."""
     parsed = ParameterName.parse(name)
     owner = in_plain_words(parsed.owner)
-    if parsed.kind in (Kind.DIMENSION, Kind.BENCH):
+    if parsed.kind in (ParameterKind.DIMENSION, ParameterKind.BENCH):
         owner = f"the {owner}"
     return " of ".join(filter(None, [in_plain_words(parsed.local.replace(".", " ")), owner])) + (
         f" in the state {parsed.state}" if parsed.state else "")

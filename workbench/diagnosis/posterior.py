@@ -32,7 +32,6 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr, ndtri
 
-from workbench.brief import Brief
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Local, Scales
@@ -40,7 +39,8 @@ from workbench.diagnosis.neighbourhoods import Neighbourhoods
 from workbench.diagnosis.starts import start
 from workbench.files.errors import nearest_names
 from workbench.fitting.constrained import STRICT
-from workbench.fitting.search import REFUSED, Search
+from workbench.fitting.search import REFUSED, FitSearch
+from workbench.results.brief import Brief
 
 Real = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ class Posterior(Brief):
         return cls(own, found.hypothesis, found.x, scales)
 
     @cached_property
-    def _search(self) -> Search:
+    def _search(self) -> FitSearch:
         return self.likelihood.search(self.hypothesis)
 
     @cached_property

@@ -11,10 +11,10 @@ import numpy as np
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.decision import NOT_FINISHED
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.outcome import Diagnosis, Estimate
+from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.diagnosis.state import StateFit, state_record
 from workbench.report.figures import measured_figures
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 #: Effects with known constants, and the constant of the cavity's fluid without which there is none.
 KNOWN_PHYSICS = {"viscous boundary layer": "shear_viscosity", "thermal boundary layer": "thermal_conductivity",
@@ -129,5 +129,5 @@ def _effects(found: Diagnosis) -> list[dict[str, Any]]:
              "share": e.share, "parameters": {p.name: _estimate(p) for p in e.estimates}} for e in found.established]
 
 
-def _estimate(found: Estimate) -> dict[str, Any]:
+def _estimate(found: FoundNumber) -> dict[str, Any]:
     return {"value": found.value, "low": found.low, "high": found.high, "unit": found.unit}

@@ -14,15 +14,15 @@ from geometry.chip import Chip, read_chip
 from geometry.names import CAVITY, TRANSDUCER
 from materials.kinds import Fluid, Material
 from materials.registry import Registry
-from workbench.comparison import compare
 from workbench.files.errors import InputError
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 from workbench.fitting.prepare import check_device, in_band
 from workbench.fitting.uncertainty import correlation_length
-from workbench.problem import FilledChip, fill
+from workbench.model.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.figures import measured_figures
-from workbench.spectrum import Origin, Spectrum
+from workbench.results.comparison import compare
+from workbench.results.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -90,21 +90,21 @@ def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> State
                     correlation_length(log / noise), impedance)
 
 
-def spectrum_of(fit: StateFit, state: DeviceState) -> Spectrum:
+def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
     """The spectrum of a state as it was fitted."""
     return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
 
 
 def state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
     """What is written of a state as it was fitted."""
-    spectrum = spectrum_of(fit, state)
+    spectrum = fitted_spectrum(fit, state)
     figures, _ = measured_figures(spectrum)
     return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
             "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
             "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
 
 
-def read_state(name: str, table: Table, folder: Path, registry: Registry) -> DeviceState:
+def read_state(name: str, table: FileTable, folder: Path, registry: Registry) -> DeviceState:
     """The state of that name from its table; paths are relative to `folder`.
 
     Raises:
@@ -145,18 +145,18 @@ def read_state(name: str, table: Table, folder: Path, registry: Registry) -> Dev
     return found
 
 
-def _path(table: Table, key: str, folder: Path) -> Path:
+def _path(table: FileTable, key: str, folder: Path) -> Path:
     return folder / table.text(key, expected=f"a {key}, as text")
 
 
-def _band(table: Table) -> tuple[float, float]:
+def _band(table: FileTable) -> tuple[float, float]:
     low, high = table.quantities("band", "frequency", expected="two frequencies")
     if not low < high:
         raise table.error("band", "a lower and a higher frequency")
     return low, high
 
 
-def _noise(measured: Spectrum, table: Table) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
+def _noise(measured: Spectrum, table: FileTable) -> tuple[np.ndarray[Any, np.dtype[np.float64]], bool]:
     """Relative standard deviation of every point, and whether anybody stated it."""
     stated = table.optional_quantity("noise", "share")
     if stated is not None and not stated > 0.0:

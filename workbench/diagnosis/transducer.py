@@ -12,12 +12,12 @@ from workbench.diagnosis.hypothesis import (
     MISTAKEN_STIFFNESS,
     Device,
     Effect,
-    around,
+    mistaken_range,
     other_than_stated,
     with_terms,
 )
 from workbench.fitting.parameter import UNITS, Parameter
-from workbench.parameter_names import LOSS
+from workbench.model.numbers import LOSS
 from workbench.physics import depoled, electrode_mass, partial_electrode, softening, surface_load
 from workbench.physics.rim import Rim
 from workbench.physics.term import Admissible
@@ -80,11 +80,11 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
     for coefficient in ("c11", "c33", "c44"):
         yield other_than_stated(device, f"loss of {coefficient} of the transducer", TRANSDUCER, "loss",
                                 "a further stiffness loss", _loss(material, coefficient, -1.0))
-        stiffness = around(complex(getattr(material, coefficient)).real, MISTAKEN_STIFFNESS, "Pa")
+        stiffness = mistaken_range(complex(getattr(material, coefficient)).real, MISTAKEN_STIFFNESS, "Pa")
         yield other_than_stated(device, f"{coefficient} of the transducer", TRANSDUCER, "stiffness",
                                 "a wrong stiffness", {f"{material.name}.{coefficient}": stiffness})
     yield other_than_stated(device, "density of the transducer", TRANSDUCER, "mass", "a wrong density",
-                            {f"{material.name}.density": around(material.density, MISTAKEN_DENSITY, "kg/m^3")})
+                            {f"{material.name}.density": mistaken_range(material.density, MISTAKEN_DENSITY, "kg/m^3")})
 
 
 def _gauge(material: str) -> Effect:

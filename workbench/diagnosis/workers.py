@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from threadpoolctl import threadpool_limits
 
-from workbench.interruption import shielded
+from workbench.jobs.interruption import shielded
 
 #: The name of a method, and what it is given.
 Task = tuple[str, tuple[Any, ...]]

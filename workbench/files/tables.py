@@ -32,7 +32,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Table:
+class FileTable:
     """A table of a file and its place there, from which keys are taken one by one.
 
     ``source`` is the file, ``field`` the dotted name of the table in it (empty: the whole file). Every method that
@@ -45,7 +45,7 @@ class Table:
     content: Mapping[str, Any]
 
     @classmethod
-    def read(cls, path: Path) -> Table:
+    def read(cls, path: Path) -> FileTable:
         """The table that a TOML file is.
 
         Raises:
@@ -54,7 +54,7 @@ class Table:
         return cls(str(path), "", read_toml(path))
 
     @classmethod
-    def of(cls, content: object, *, source: str, field: str, expected: str = "a table") -> Table:
+    def of(cls, content: object, *, source: str, field: str, expected: str = "a table") -> FileTable:
         """`content` as a table.
 
         Raises:
@@ -78,7 +78,7 @@ class Table:
         """The error that says what was `expected` in place of the value of `key`."""
         return InputError(self.source, self.at(key), self.content.get(key), expected, nearest)
 
-    def only(self, keys: Iterable[str]) -> Table:
+    def only(self, keys: Iterable[str]) -> FileTable:
         """The table itself, of whose keys all are in `keys`.
 
         Raises:
@@ -165,13 +165,13 @@ class Table:
         """One of the names in `known`."""
         return choose(self.content.get(key, default), known, source=self.source, field=self.at(key))
 
-    def table(self, key: str, *, expected: str = "a table") -> Table:
+    def table(self, key: str, *, expected: str = "a table") -> FileTable:
         """The table under a key; an empty one where there is no such key."""
-        return Table.of(self.content.get(key, {}), source=self.source, field=self.at(key), expected=expected)
+        return FileTable.of(self.content.get(key, {}), source=self.source, field=self.at(key), expected=expected)
 
-    def tables(self, key: str, *, expected: str) -> tuple[Table, ...]:
+    def tables(self, key: str, *, expected: str) -> tuple[FileTable, ...]:
         """The tables listed under a key; none where there is no such key."""
         rows = self.content.get(key, [])
         if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
             raise self.error(key, expected)
-        return tuple(Table(self.source, f"{self.at(key)}[{index}]", row) for index, row in enumerate(rows))
+        return tuple(FileTable(self.source, f"{self.at(key)}[{index}]", row) for index, row in enumerate(rows))

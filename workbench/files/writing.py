@@ -91,8 +91,8 @@ def remedy(error: OSError, output: Path | None = None) -> str:
 
 
 def writable_folder(path: Path, *, source: str, field: str, room: float = 0.0) -> Path:
-    """The folder for results, made if need be, with `room` (bytes) on its disk. Until :func:`settled` it holds a file
-    (:data:`MARK`) that says that it is not complete: whatever ends the program, nobody takes half of it for all.
+    """The folder for results, made if need be, with `room` (bytes) on its disk. Until :func:`settle_folder` it holds a
+    file (:data:`MARK`) that says that it is not complete: whatever ends the program, nobody takes half of it for all.
 
     Raises:
         InputError: a file is in the way, it cannot be made or written to, or the disk is too full.
@@ -118,7 +118,7 @@ def writable_folder(path: Path, *, source: str, field: str, room: float = 0.0) -
     return path
 
 
-def settled(path: Path, *, complete: bool) -> None:
+def settle_folder(path: Path, *, complete: bool) -> None:
     """Remove the mark that :func:`writable_folder` set in a folder: if the results are `complete`, or if nothing was
     written since."""
     mark = path / MARK

@@ -14,8 +14,8 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.fitting.constrained import Inequality
 from workbench.fitting.parameter import Parameter
-from workbench.parameter_names import LOSS
-from workbench.problem import Problem
+from workbench.model.numbers import LOSS
+from workbench.model.problem import Problem
 
 Real = NDArray[np.float64]
 

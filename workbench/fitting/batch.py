@@ -45,13 +45,13 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.discretisation import ACCURACY, Discretisation
 from workbench.files.errors import InputError, choose
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
-from workbench.interruption import shielded
-from workbench.parameter_names import Kind, ParameterName
+from workbench.jobs.interruption import shielded
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.numbers import ParameterKind, ParameterName
 
 Real = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ _RECORDING_KEYS = ("name", "file", "chip", "kind", "state", "material", "region"
 
 
 @dataclass(frozen=True)
-class Member:
+class BatchMember:
     """One recording to be fitted; see the module for the fields, `prepare.prepare` for their meaning."""
 
     name: str
@@ -96,7 +96,7 @@ class Job:
     """What is fitted at once: one recording, or several that share parameters."""
 
     name: str
-    members: tuple[Member, ...]
+    members: tuple[BatchMember, ...]
     own: tuple[str, ...] = ()
     save: str | None = None
 
@@ -128,10 +128,10 @@ def read_batch(path: Path) -> Batch:
     Raises:
         InputError: the file is not as the module says; file, field, value and remedy.
     """
-    table = Table.read(path).only(("batch", "recordings", "joint"))
+    table = FileTable.read(path).only(("batch", "recordings", "joint"))
     head = table.table("batch", expected="a table [batch]").only(("name",))
     name = head.text("name") if "name" in head else path.stem
-    members: dict[str, Member] = {}
+    members: dict[str, BatchMember] = {}
     saves: dict[str, str | None] = {}
     for row in table.tables("recordings", expected="tables [[recordings]]"):
         member = _member(row.only(_RECORDING_KEYS), path.parent)
@@ -162,7 +162,7 @@ def read_batch(path: Path) -> Batch:
     return Batch(name, tuple(jobs))
 
 
-def _member(row: Table, folder: Path) -> Member:
+def _member(row: FileTable, folder: Path) -> BatchMember:
     band: tuple[float | None, float | None] = (None, None)
     if "band" in row:
         low, high = row.quantities("band", "frequency",
@@ -171,7 +171,7 @@ def _member(row: Table, folder: Path) -> Member:
             raise row.error("band", "two rising frequencies")
         band = low, high
     correction = row.optional_text("correction")
-    return Member(
+    return BatchMember(
         _name(row), _path(row, "file", folder), _path(row, "chip", folder), row.choice("kind", KINDS),
         row.optional_text("state"), row.optional_text("material"), row.optional_text("region"),
         row.texts("free", (DEFAULT,)), band, _path(row, "columns", folder) if "columns" in row else None,
@@ -179,14 +179,14 @@ def _member(row: Table, folder: Path) -> Member:
     )
 
 
-def _path(row: Table, key: str, folder: Path) -> Path:
+def _path(row: FileTable, key: str, folder: Path) -> Path:
     found = folder / row.text(key)
     if not found.is_file():
         raise InputError(row.source, row.at(key), str(found), "an existing file")
     return found
 
 
-def _name(row: Table) -> str:
+def _name(row: FileTable) -> str:
     found = row.text("name")
     if _NAME.fullmatch(found) is None:
         raise row.error("name", "letters, digits, blanks and . + - _, as it names a folder")
@@ -279,7 +279,7 @@ def _end(running: Mapping[str, tuple[subprocess.Popen[str], IO[str]]]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class BatchColumn:
     """One parameter over the devices.
 
     ``values``, ``low`` and ``high`` (d,) in ``unit``; ``mean``, ``deviation`` (standard, of the sample, NaN for one),
@@ -298,7 +298,7 @@ class Column:
     outliers: tuple[str, ...]
 
 
-def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
+def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[BatchColumn, ...]:
     """What the fits of several devices have in common: by parameter, for those that two devices or more have.
 
     Args:
@@ -337,14 +337,14 @@ def summarise(records: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
 def _short(name: str) -> str:
     """The name of a parameter without its material: c33 of one disc beside c33 of another."""
     parsed = ParameterName.parse(name)
-    return parsed.local if parsed.kind is Kind.MATERIAL else name
+    return parsed.local if parsed.kind is ParameterKind.MATERIAL else name
 
 
-def _column(name: str, unit: str, rows: Mapping[str, tuple[float, ...]]) -> Column:
+def _column(name: str, unit: str, rows: Mapping[str, tuple[float, ...]]) -> BatchColumn:
     table = np.array(list(rows.values()))
     values, devices = table[:, 0], tuple(rows)
     mean = float(values.mean())
-    return Column(
+    return BatchColumn(
         name, unit, devices, values, table[:, 1], table[:, 2], mean, float(values.std(ddof=1)),
         100.0 * float(np.ptp(values)) / abs(mean) if mean else float("nan"),
         tuple(device for device, out in zip(devices, outlying(values), strict=True) if out))
@@ -364,7 +364,7 @@ def outlying(values: Real) -> NDArray[np.bool_]:
 
 
 def summary_record(
-    name: str, columns: Sequence[Column], records: Mapping[str, Mapping[str, Any]], failed: Mapping[str, str]
+    name: str, columns: Sequence[BatchColumn], records: Mapping[str, Mapping[str, Any]], failed: Mapping[str, str]
 ) -> dict[str, Any]:
     """The summary for a JSON file, SI units beside the numbers."""
     return {

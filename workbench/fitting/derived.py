@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from materials import conversions
 from workbench.fitting.parameter import POLYMER_FOUR
 from workbench.fitting.uncertainty import DEVIATIONS
-from workbench.parameter_names import part
+from workbench.model.numbers import real_part
 
 Real = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ QUANTITIES: Mapping[str, tuple[str, bool]] = {
 }
 
 
-def quantities(moduli: Real, density: float, frequency: float) -> Real:
+def moduli_quantities(moduli: Real, density: float, frequency: float) -> Real:
     """The quantities of :data:`QUANTITIES` from K', K'', G', G'' (Pa, e^{-i w t}), kg/m^3 and Hz."""
     bulk, shear = complex(moduli[0], moduli[1]), complex(moduli[2], moduli[3])
     young, poisson = conversions.young_and_poisson(bulk, shear)
@@ -57,7 +57,7 @@ def quantities(moduli: Real, density: float, frequency: float) -> Real:
                      *decibels])
 
 
-def derived(
+def derived_moduli(
     moduli: Mapping[str, float], covariance: Real, *, density: float, frequency: float, density_error: float = 0.0
 ) -> tuple[Derived, ...]:
     """The quantities that follow from the moduli of an isotropic solid, with linearly propagated intervals.
@@ -71,9 +71,9 @@ def derived(
     at = np.array([moduli[name] for name in POLYMER_FOUR])
     # A loss may be zero: it is stepped by a share of its modulus.
     sizes = np.abs([at[0], at[0], at[2], at[2]])
-    values = quantities(at, density, frequency)
-    slopes = _slopes(lambda x: quantities(x, density, frequency), at, STEP * sizes)
-    by_density = _slopes(lambda x: quantities(at, float(x[0]), frequency), np.array([density]),
+    values = moduli_quantities(at, density, frequency)
+    slopes = _slopes(lambda x: moduli_quantities(x, density, frequency), at, STEP * sizes)
+    by_density = _slopes(lambda x: moduli_quantities(at, float(x[0]), frequency), np.array([density]),
                          np.array([STEP * density]))[:, 0]
     variance = np.einsum("qi,ij,qj->q", slopes, covariance, slopes) + (by_density * density_error) ** 2
     errors = np.sqrt(np.maximum(variance, 0.0))
@@ -102,7 +102,7 @@ def moduli_of(
             chosen[row, column] = 1.0
             moduli[short] = float(values[column])
         else:
-            moduli[short] = part(fixed, name)
+            moduli[short] = real_part(fixed, name)
     return moduli, chosen @ covariance @ chosen.T
 
 

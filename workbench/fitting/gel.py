@@ -12,16 +12,16 @@ import numpy as np
 
 from geometry.chip import Chip
 from materials.registry import Registry
-from workbench.comparison import Comparison, compare
-from workbench.discretisation import ACCURACY, Discretisation
+from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.fitting.prepare import Prepared
 from workbench.fitting.seen import CLOCK, through_bench
-from workbench.operators import assemble
-from workbench.parameter_names import placed
-from workbench.problem import build, fill
-from workbench.reduction import reduce
-from workbench.spectrum import Origin, Spectrum
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.numbers import placed
+from workbench.model.problem import build, fill
+from workbench.reduced.reduction import reduce
+from workbench.results.comparison import Comparison, compare
+from workbench.results.spectrum import Origin, Spectrum
 
 COUPLANT = "couplant"
 

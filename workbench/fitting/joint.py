@@ -23,8 +23,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.brief import Brief
-from workbench.comparison import Comparison, compare
 from workbench.fitting import uncertainty
 from workbench.fitting.multistart import (
     PRIOR_SAMPLES,
@@ -36,11 +34,13 @@ from workbench.fitting.multistart import (
     prior_samples,
     where_they_ended,
 )
-from workbench.fitting.objective import Objective, Recording
+from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
-from workbench.fitting.search import SEARCHED_POINTS, Optimum, Search
+from workbench.fitting.search import SEARCHED_POINTS, FitSearch, Optimum
 from workbench.fitting.uncertainty import BandLeftOut, Direction, Noise, ParameterEstimate
-from workbench.spectrum import Origin, Spectrum
+from workbench.results.brief import Brief
+from workbench.results.comparison import Comparison, compare
+from workbench.results.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -100,11 +100,11 @@ class FitResult(Brief):
         return np.asarray(self.covariance / np.outer(deviation, deviation))
 
 
-def fit(
-    recordings: Sequence[Recording],
+def fit_parameters(
+    recordings: Sequence[FitRecording],
     parameters: Sequence[Parameter],
     *,
-    coarse: Sequence[Recording] | None = None,
+    coarse: Sequence[FitRecording] | None = None,
     starts: Mapping[str, Real] | None = None,
     tries: int = 32,
     seed: int = 0,
@@ -134,7 +134,7 @@ def fit(
     _check(recordings, parameters)
     show = progress or (lambda _text, _fraction: None)
     searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
-    scout = Search(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
+    scout = FitSearch(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
     before = _start_spectra(scout, recordings)
     begins = [("start", scout.centre), *(starts or {}).items()]
     stages = len(begins) * len(scout.widths())
@@ -149,7 +149,7 @@ def fit(
     ends = [trial.end for trial in found if trial.end is not None]
     if not ends:
         raise FitError("no start could be predicted: " + found[0].reason)
-    search = Search(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
+    search = FitSearch(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
 
     def refine(x: Real) -> Refined:
         show("refining", 0.6)
@@ -164,7 +164,7 @@ def fit(
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
                                                  coarser=None if coarse is None else scout.objective)
     left_out = uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
-    check = uncertainty.check(search.objective, minimum.x)
+    check = uncertainty.reduced_model_error(search.objective, minimum.x)
     matches = _matches(recordings, before, minimum, noise)
     listed = listed_starts(found, best, scout, noise)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
@@ -179,13 +179,13 @@ def fit(
     )
 
 
-def _start_spectra(scout: Search, recordings: Sequence[Recording]) -> list[NDArray[np.complex128]]:
+def _start_spectra(scout: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
     """The impedance of every recording's start, as it would be recorded, on the mesh of the search."""
     return [uncertainty.unrefined(scout.objective, scout.centre, index, recording.measured.frequency, COARSE)
             for index, recording in enumerate(recordings)]
 
 
-def reweighted_descent(search: Search, x: Real) -> tuple[Optimum, tuple[Noise, ...]]:
+def reweighted_descent(search: FitSearch, x: Real) -> tuple[Optimum, tuple[Noise, ...]]:
     """The minimum near x with every recording weighted by the noise its own residual shows.
 
     The spectra's own uncertainties are scaled as a whole, or a constant relative deviation is found.
@@ -211,7 +211,7 @@ def reweighted_descent(search: Search, x: Real) -> tuple[Optimum, tuple[Noise, .
     return minimum, noise
 
 
-def _check(recordings: Sequence[Recording], parameters: Sequence[Parameter]) -> None:
+def _check(recordings: Sequence[FitRecording], parameters: Sequence[Parameter]) -> None:
     points = sum(r.measured.frequency.size for r in recordings)
     if not parameters:
         raise FitError("there is nothing to fit: no parameter is free")
@@ -221,7 +221,8 @@ def _check(recordings: Sequence[Recording], parameters: Sequence[Parameter]) -> 
 
 
 def _matches(
-    recordings: Sequence[Recording], before: Sequence[NDArray[np.complex128]], minimum: Optimum, noise: Sequence[Noise]
+    recordings: Sequence[FitRecording], before: Sequence[NDArray[np.complex128]], minimum: Optimum,
+    noise: Sequence[Noise]
 ) -> tuple[Match, ...]:
     data = minimum.residual.data
     result = []

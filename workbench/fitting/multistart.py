@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.fitting.search import EXPLORATION, NO_END, WIDTHS, Descent, Optimum, Search
+from workbench.fitting.search import EXPLORATION, NO_END, WIDTHS, FitSearch, Optimum, SmoothedDescent
 from workbench.fitting.uncertainty import Noise
 
 Real = NDArray[np.float64]
@@ -71,7 +71,7 @@ class Trial:
 
     label: str
     begin: Real
-    end: Descent | None
+    end: SmoothedDescent | None
     reason: str = ""
 
 
@@ -105,7 +105,7 @@ Refine = Callable[[Real], Refined]
 
 
 def descent_from(
-    search: Search, label: str, begin: Real, progress: Callable[[], None], rival: Descent | None = None
+    search: FitSearch, label: str, begin: Real, progress: Callable[[], None], rival: SmoothedDescent | None = None
 ) -> Trial:
     """The descent from `begin` (p,), moved to where it is admissible.
 
@@ -120,9 +120,9 @@ def descent_from(
 
 
 def multistart(
-    search: Search, refine: Refine, best: Descent, samples: Sequence[tuple[str, Real]], tries: int,
+    search: FitSearch, refine: Refine, best: SmoothedDescent, samples: Sequence[tuple[str, Real]], tries: int,
     progress: Callable[[str], None],
-) -> tuple[Descent, Refined, list[Trial]]:
+) -> tuple[SmoothedDescent, Refined, list[Trial]]:
     """The best end reached from offsets of `best` and from the `samples`, refined, and every descent, at most `tries`.
 
     Ends are looked for on the mesh of `search`; those that cost about as little as the best or less are refined, and
@@ -151,7 +151,7 @@ def multistart(
 
 
 def _from_film_to_film(
-    search: Search, refine: Refine, best: Refined, tries: int, progress: Callable[[str], None]
+    search: FitSearch, refine: Refine, best: Refined, tries: int, progress: Callable[[str], None]
 ) -> Refined:
     """The best that films moved to their next optima lead to on the mesh asked for, from there on as long as it helps,
     with at most so many `tries`.
@@ -173,17 +173,17 @@ def _from_film_to_film(
     return best
 
 
-def _close(search: Search, one: Real, other: Real) -> bool:
+def _close(search: FitSearch, one: Real, other: Real) -> bool:
     """Whether two ends (p,) differ by less than :data:`SAME_SHARE` of what is known before, in every parameter."""
     return bool(np.all(np.abs(one - other) <= SAME_SHARE * search.scale))
 
 
-def offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
+def offsets(search: FitSearch, x: Real) -> list[tuple[str, Real]]:
     """Starts one and two optima from x (p,) by label, nearest first: films alone, then overtones."""
     return [*film_offsets(search, x), *overtone_offsets(search, x)]
 
 
-def film_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
+def film_offsets(search: FitSearch, x: Real) -> list[tuple[str, Real]]:
     """Starts with a film one and two optima from x (p,) by label, nearest first."""
     result = []
     films = [i for i, p in enumerate(search.parameters) if p.is_film]
@@ -195,7 +195,7 @@ def film_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
     return result
 
 
-def overtone_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
+def overtone_offsets(search: FitSearch, x: Real) -> list[tuple[str, Real]]:
     """Starts one and two overtones from x (p,) by label, nearest first."""
     groups = [[i for i, p in enumerate(search.parameters) if not p.is_loss and p.parsed.coefficient in names]
               for names in OVERTONE_GROUPS]
@@ -213,7 +213,7 @@ def overtone_offsets(search: Search, x: Real) -> list[tuple[str, Real]]:
     return result
 
 
-def prior_samples(search: Search, count: int, seed: int) -> list[tuple[str, Real]]:
+def prior_samples(search: FitSearch, count: int, seed: int) -> list[tuple[str, Real]]:
     """Starts sampled from the prior, by label; losses, whose prior is wide, within a factor of two of the start."""
     random = np.random.default_rng(seed)
     loss = np.array([p.is_loss for p in search.parameters])
@@ -226,7 +226,7 @@ def prior_samples(search: Search, count: int, seed: int) -> list[tuple[str, Real
 
 
 def listed_starts(
-    found: Sequence[Trial], best: Optimum, search: Search, noise: Sequence[Noise]
+    found: Sequence[Trial], best: Optimum, search: FitSearch, noise: Sequence[Noise]
 ) -> tuple[Start, ...]:
     """Every start with where it ended, seen from the best end."""
     jacobian = best.residual.jacobian

@@ -23,21 +23,21 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.stretch import tied
-from workbench.dimensions import flexible_within
 from workbench.fitting.parameter import Parameter, ranges_of_dimensions
-from workbench.fitting.predict import Prediction, Predictor
 from workbench.fitting.seen import CLOCK, log_ratio, lorentzian, through_bench
-from workbench.neighbourhood import TERMS, Neighbourhood, neighbourhood
-from workbench.parameter_names import LOSS, Kind, ParameterName, part, placed
-from workbench.problem import Problem
-from workbench.spectrum import Spectrum
+from workbench.model.dimensions import flexible_within
+from workbench.model.numbers import LOSS, ParameterKind, ParameterName, placed, real_part
+from workbench.model.problem import Problem
+from workbench.reduced.neighbourhood import TERMS, Neighbourhood, neighbourhood
+from workbench.reduced.predictor import Prediction, Predictor
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class FitRecording:
     """A measured spectrum and the problem that is to explain it; the chip where its dimensions may be moved."""
 
     name: str
@@ -49,7 +49,7 @@ class Recording:
         """Every how many-th of its points leaves about so many of them."""
         return max(1, round(self.measured.frequency.size / points))
 
-    def thinned(self, points: int) -> Recording:
+    def thinned(self, points: int) -> FitRecording:
         """The recording with at most about so many of its points, evenly; itself where it has no more."""
         measured, every = self.measured, self.step(points)
         if every == 1:
@@ -93,7 +93,7 @@ class Objective:
     """
 
     def __init__(
-        self, recordings: Sequence[Recording], parameters: Sequence[Parameter], *, tolerance: float
+        self, recordings: Sequence[FitRecording], parameters: Sequence[Parameter], *, tolerance: float
     ) -> None:
         self.parameters = tuple(parameters)
         names = [r.name for r in recordings]
@@ -165,7 +165,7 @@ class Objective:
         for predictor, indices in self._sharing().items():
             there = {key: value for index in indices for key, value in self.settings(y, index)[0].items()}
             brought = {key for index in indices for i, p, key in self._moved[index]
-                       if i in only and p.prior is None and p.parsed.kind is Kind.TERM}
+                       if i in only and p.prior is None and p.parsed.kind is ParameterKind.TERM}
             made[predictor] = predictor.of_acting(self._values(x, indices[0]), there, brought)
         other.predictors = tuple(made[predictor] for predictor in self.predictors)
         return other
@@ -324,7 +324,7 @@ class Objective:
         """The same :meth:`apart`, of at most about so many points of each recording."""
         return self._apart([recording.thinned(points) for recording in self.recordings])
 
-    def _apart(self, recordings: Sequence[Recording]) -> Objective:
+    def _apart(self, recordings: Sequence[FitRecording]) -> Objective:
         other = copy.copy(self)
         other.recordings = tuple(recordings)
         # What recordings share they go on sharing.
@@ -344,9 +344,9 @@ class Objective:
         problem = self.recordings[index].problem
         result = {name: complex(problem.values[name]) for name in self.moved[index]}
         for column, p, key in self._moved[index]:
-            number = float(x[column]) * (part(problem.values, p.name) if p.relative else 1.0)
+            number = float(x[column]) * (real_part(problem.values, p.name) if p.relative else 1.0)
             where = key + LOSS if p.is_loss else key
-            result = placed(result, {where: number + (part(result, where) if p.offset else 0.0)})
+            result = placed(result, {where: number + (real_part(result, where) if p.offset else 0.0)})
         bench: dict[str, float] = {}
         for column, p in self._bench[index]:
             # What is ideal is zero, so what all recordings have and an offset of one add up.
@@ -382,7 +382,7 @@ class Objective:
         for column, p, key in moved:
             slope = slopes[:, keys.index(key)] * self._scale(x, index, key)
             # The imaginary part moves theta along i, and the spectrum is the conjugate of the solution.
-            factor = part(problem.values, p.name) if p.relative else 1.0
+            factor = real_part(problem.values, p.name) if p.relative else 1.0
             gradient[:, column] = device * factor * (-1j * slope if p.is_loss else slope)
         for column, key, power in scaled:
             by_number = power * np.conj(values[key]) / (1.0 + float(x[column]))
@@ -421,7 +421,7 @@ class Objective:
 
 
 def _shared(
-    recordings: Sequence[Recording], moved: Sequence[tuple[str, ...]], tolerance: float
+    recordings: Sequence[FitRecording], moved: Sequence[tuple[str, ...]], tolerance: float
 ) -> tuple[Predictor, ...]:
     """One predictor of every recording, the same for all of one problem, with tangents by all that is `moved` in any.
 
@@ -437,7 +437,7 @@ def _shared(
     return tuple(found[key] for key in alike)
 
 
-def _with_lengths(recording: Recording, parameters: Sequence[Parameter], known: dict[Any, Problem]) -> Recording:
+def _with_lengths(recording: FitRecording, parameters: Sequence[Parameter], known: dict[Any, Problem]) -> FitRecording:
     """The recording with those lengths of its chip among the values of its problem that parameters move.
 
     Problems of one mesh and one model go on sharing these; `known` holds those made so far.
@@ -462,7 +462,7 @@ def _keys(moved: Sequence[tuple[int, Parameter, str]], scaled: Sequence[tuple[in
     return tuple(dict.fromkeys([*(key for _, _, key in moved), *(key for _, key, _ in scaled)]))
 
 
-def _moves(parameter: Parameter, recording: Recording) -> str | None:
+def _moves(parameter: Parameter, recording: FitRecording) -> str | None:
     """The value of a recording's problem that a parameter moves, None if there is none."""
     values = recording.problem.values
     if parameter.is_bench:

@@ -1,6 +1,6 @@
 """What a fit may move: real numbers with a start, bounds and what was known of them before.
 
-Their names are those of `workbench.parameter_names`.
+Their names are those of `workbench.model.numbers`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from geometry.stretch import movable, tied
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError, nearest_names
-from workbench.parameter_names import BENCH, LOSS, Kind, ParameterName
-from workbench.problem import Problem
+from workbench.model.numbers import BENCH, LOSS, ParameterKind, ParameterName
+from workbench.model.problem import Problem
 
 #: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
 #: sheets of one class of ceramic differ from each other (the entries pic255, pzt5a, pzt5h of the registry do so).
@@ -120,15 +120,15 @@ class Parameter:
 
     @property
     def is_bench(self) -> bool:
-        return self.parsed.kind is Kind.BENCH
+        return self.parsed.kind is ParameterKind.BENCH
 
     @property
     def is_material(self) -> bool:
-        return self.parsed.kind is Kind.MATERIAL
+        return self.parsed.kind is ParameterKind.MATERIAL
 
     @property
     def is_dimension(self) -> bool:
-        return self.parsed.kind is Kind.DIMENSION
+        return self.parsed.kind is ParameterKind.DIMENSION
 
     @property
     def is_film(self) -> bool:
@@ -305,7 +305,7 @@ def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
         InputError: no such element.
     """
     parsed = ParameterName.parse(name)
-    element = parsed.coefficient if parsed.kind is Kind.BENCH else name
+    element = parsed.coefficient if parsed.kind is ParameterKind.BENCH else name
     if element not in BENCH_ELEMENTS:
         raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
                          nearest_names(element, BENCH_ELEMENTS))
@@ -324,9 +324,9 @@ def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequen
     result: list[Parameter] = []
     for name in names:
         parsed = ParameterName.parse(name)
-        if parsed.kind is Kind.BENCH:
+        if parsed.kind is ParameterKind.BENCH:
             found = bench_parameter(name)
-        elif parsed.kind is Kind.MATERIAL:
+        elif parsed.kind is ParameterKind.MATERIAL:
             if parsed.owner not in {m.name for m in problem.materials.values()}:
                 raise InputError("fit", "free", name, "a coefficient of one of "
                                  + ", ".join(sorted({m.name for m in problem.materials.values()})))

@@ -19,10 +19,8 @@ from geometry.chip import Chip
 from geometry.names import TRANSDUCER
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
-from workbench.brief import Brief
-from workbench.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.files.errors import InputError, choose
-from workbench.fitting.objective import Recording
+from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import (
     POLYMER_FOUR,
     TRANSDUCER_TEN,
@@ -33,10 +31,12 @@ from workbench.fitting.parameter import (
     parameters,
     shared_gain,
 )
-from workbench.merit import Antiresonance, Figures, NoResonance, figures, fit_resonance
-from workbench.parameter_names import Kind, ParameterName
-from workbench.problem import build, fill
-from workbench.spectrum import Spectrum
+from workbench.model.discretisation import ACCURACY, Discretisation, discretisation
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.problem import build, fill
+from workbench.results.brief import Brief
+from workbench.results.merit import Antiresonance, Figures, NoResonance, figures, fit_resonance
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 
@@ -73,8 +73,8 @@ class Prepared(Brief):
     chip: Chip
     state: str
     material: Material
-    recordings: tuple[Recording, ...]
-    coarse: tuple[Recording, ...]
+    recordings: tuple[FitRecording, ...]
+    coarse: tuple[FitRecording, ...]
     parameters: tuple[Parameter, ...]
 
 
@@ -141,8 +141,8 @@ def prepare(
     moved = parameters(fine, chip, freed.name, wanted)
     if part.shared_uncertainty and not any(p.is_bench and p.parsed.coefficient == "gain" for p in moved):
         moved = (*moved, shared_gain(part.shared_uncertainty))
-    return Prepared(kind, chip, state, freed, (Recording(name, fine, part, chip),),
-                    (Recording(name, coarse, part, chip),), moved)
+    return Prepared(kind, chip, state, freed, (FitRecording(name, fine, part, chip),),
+                    (FitRecording(name, coarse, part, chip),), moved)
 
 
 def free_region(chip: Chip, state: str, kind: str, region: str | None) -> str:
@@ -210,7 +210,7 @@ def material_starts(prepared: Prepared, registry: Registry, names: Sequence[str]
     return result
 
 
-def together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> Prepared:
+def prepare_together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> Prepared:
     """Several recordings fitted at once: what has the same name is shared, what is named in `own` is each its own.
 
     Bench elements are always each recording's own. `own` names dimensions or bench elements, on top of what every
@@ -226,7 +226,7 @@ def together(group: Sequence[Prepared], *, own: Sequence[str] = ()) -> Prepared:
     found: dict[tuple[str, tuple[str, ...]], Parameter] = {}
     for prepared in group:
         label = (prepared.recordings[0].name,)
-        extra = [bench_parameter(name) if ParameterName.parse(name).kind is Kind.BENCH
+        extra = [bench_parameter(name) if ParameterName.parse(name).kind is ParameterKind.BENCH
                  else dimension_parameter(prepared.chip, name) for name in own]
         for parameter in (*prepared.parameters, *extra):
             separate = parameter.is_bench or parameter.name in own

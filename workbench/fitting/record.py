@@ -18,24 +18,24 @@ import numpy as np
 
 from geometry.chip import Chip
 from materials.fit import Correlation, Fit
-from materials.fit import Recording as FitRecording
+from materials.fit import RecordingSource as FitRecording
 from materials.kinds import IsotropicSolid, Material
 from materials.saving import fitted
 from materials.value import Value
-from workbench.comparison import compare
-from workbench.fitting.derived import Derived, derived, moduli_of
+from workbench.fem.operators import assemble
+from workbench.fitting.derived import Derived, derived_moduli, moduli_of
 from workbench.fitting.joint import FitResult, Match
 from workbench.fitting.multistart import NOISY, Start
-from workbench.fitting.paper import PaperFit
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import Prepared
 from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
-from workbench.merit import NoResonance, figures
-from workbench.operators import assemble
-from workbench.parameter_names import LOSS, ParameterName, placed
-from workbench.reduction import reduce
+from workbench.model.numbers import LOSS, ParameterName, placed
+from workbench.reduced.reduction import reduce
 from workbench.report.figures import figures_record, measured_figures
-from workbench.spectrum import Origin, Spectrum
+from workbench.reproduction.fits import PaperFit
+from workbench.results.comparison import compare
+from workbench.results.merit import NoResonance, figures
+from workbench.results.spectrum import Origin, Spectrum
 
 #: A fit that leaves more than this many times the noise that a recording states has not explained it; nor has one that
 #: leaves more than this rms of |ln(Z_fit / Z_measured)| where none is stated. Real discs leave 1.2 to 1.5 %;
@@ -154,7 +154,8 @@ def derived_quantities(result: FitResult, prepared: Prepared) -> tuple[Derived, 
     if f"{material.name}.density" in names:
         estimate = result.estimates[names.index(f"{material.name}.density")]
         density, error = estimate.value, estimate.standard_error
-    return derived(moduli, covariance, density=density, frequency=reference_frequency(result), density_error=error)
+    return derived_moduli(moduli, covariance, density=density, frequency=reference_frequency(result),
+                          density_error=error)
 
 
 def reference_frequency(result: FitResult) -> float:

@@ -20,15 +20,15 @@ import numpy as np
 from geometry.chip import Chip
 from materials.kinds import Material
 from materials.registry import Registry, user_folder, user_registry
-from materials.saving import save
-from workbench.discretisation import ACCURACY, Discretisation
+from materials.saving import save_fit
 from workbench.fitting import joint
 from workbench.fitting.joint import FitResult
 from workbench.fitting.prepare import DEFAULT, Prepared, material_starts, prepare
 from workbench.fitting.record import Source, file_digest, refusals, registry_entry
-from workbench.notebook import Shown, Summary
+from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.readers import Reading
-from workbench.spectrum import Spectrum
+from workbench.results.notebook import Shown, Summary
+from workbench.results.spectrum import Spectrum
 
 if TYPE_CHECKING:
     import xarray
@@ -96,7 +96,7 @@ class MaterialFit(Shown):
         """
         if self.reasons_against and not force:
             raise NotAccepted(self.reasons_against)
-        return save(self.material, name, folder=user_folder() if folder is None else Path(folder))
+        return save_fit(self.material, name, folder=user_folder() if folder is None else Path(folder))
 
     def summary(self) -> Summary:
         """Values with their intervals and what speaks against the fit, for a notebook."""
@@ -168,8 +168,8 @@ def fit(
     name = Path(measured.origin.source).stem or "recording"
     prepared = prepare(chip, registry, kind=kind, name=name, measured=measured, state=state, material=material,
                        region=region, free=free, band=band, accuracy=accuracy)
-    result = joint.fit(prepared.recordings, prepared.parameters, coarse=prepared.coarse,
-                       starts=material_starts(prepared, registry, starts), tries=tries, progress=progress)
+    result = joint.fit_parameters(prepared.recordings, prepared.parameters, coarse=prepared.coarse,
+                                  starts=material_starts(prepared, registry, starts), tries=tries, progress=progress)
     return MaterialFit(result, prepared, _source(measured, chip, findings))
 
 

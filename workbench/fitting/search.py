@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
+from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError
 from workbench.fitting.admissible import inequalities
 from workbench.fitting.constrained import Inequality, Minimum, interior, minimise
 from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import Objective, Residual
-from workbench.reduction import NotEnriched
-from workbench.solve import NotConverged
+from workbench.reduced.reduction import NotEnriched
 
 Real = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ Optimum = Minimum[Weighted]
 
 
 @dataclass(frozen=True, eq=False)
-class Descent(Optimum):
+class SmoothedDescent(Optimum):
     """The end of a descent through the smoothed problems.
 
     ``costs`` by the number of the width, as far as the descent went; ``ended`` is whether that was to no smoothing.
@@ -67,7 +67,7 @@ class Descent(Optimum):
     ended: bool
 
 
-class Search:
+class FitSearch:
     """The least-squares problem of one objective: bounds, prior and inequalities around it.
 
     Only the parameters of the indices `free` move, all by default; the priors of those in `released` are left out.
@@ -94,19 +94,19 @@ class Search:
         #: What deviates beside the noise of the points, if anything.
         self.covariance: Covariance | None = None
 
-    def on(self, objective: Objective) -> Search:
+    def on(self, objective: Objective) -> FitSearch:
         """The same problem with its objective predicted in another way."""
         other = copy.copy(self)
         other.objective = objective
         return other
 
-    def under(self, covariance: Covariance | None) -> Search:
+    def under(self, covariance: Covariance | None) -> FitSearch:
         """The same problem with deviations that go together."""
         other = copy.copy(self)
         other.covariance = covariance
         return other
 
-    def thinned(self) -> Search:
+    def thinned(self) -> FitSearch:
         """The same problem with at most about :data:`SEARCHED_POINTS` of each recording's points."""
         return self.on(self.objective.thinned(SEARCHED_POINTS))
 
@@ -163,8 +163,8 @@ class Search:
         return [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
 
     def descend(
-        self, x: Real, progress: Callable[[], None], *, first: int = 0, rival: Descent | None = None
-    ) -> Descent:
+        self, x: Real, progress: Callable[[], None], *, first: int = 0, rival: SmoothedDescent | None = None
+    ) -> SmoothedDescent:
         """From a start through the smoothed problems, from number `first` on, to the recordings themselves.
 
         What the smoothed spectra cannot see is held by the prior. The descent is given up once it is
@@ -184,8 +184,9 @@ class Search:
             ended = width == 0.0
             if not ended and rival is not None and found.cost > WORSE * rival.costs.get(number, np.inf):
                 break
-        return Descent(x, found.residual, found.cost, found.converged, steps, found.reason, found.refusals, costs,
-                       ended)
+        return SmoothedDescent(x, found.residual, found.cost, found.converged, steps, found.reason, found.refusals,
+                               costs,
+                               ended)
 
     def widths(self) -> list[float]:
         """Half widths (Hz) of the smoothed problems: those that a recording's points can show, then none."""

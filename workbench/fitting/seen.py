@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.parameter_names import BENCH
+from workbench.model.numbers import BENCH
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]

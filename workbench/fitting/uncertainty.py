@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
-from workbench.brief import Brief
-from workbench.comparison import Comparison
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter
-from workbench.fitting.search import REFUSED, Optimum, Search, Weighted
+from workbench.fitting.search import REFUSED, FitSearch, Optimum, Weighted
 from workbench.fitting.seen import CLOCK, log_ratio, through_bench
-from workbench.spectrum import Spectrum
+from workbench.results.brief import Brief
+from workbench.results.comparison import Comparison
+from workbench.results.spectrum import Spectrum
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -150,7 +150,7 @@ def correlation_length(residual: Complex) -> float:
 
 
 def estimate_uncertainty(
-    search: Search,
+    search: FitSearch,
     minimum: Optimum,
     noise: Sequence[Noise],
     *,
@@ -206,14 +206,14 @@ def estimate_uncertainty(
     return FitUncertainty(tuple(estimates), whole, undetermined, tuple(statements))
 
 
-def _inverse(information: Real, search: Search) -> Real:
+def _inverse(information: Real, search: FitSearch) -> Real:
     """Covariance (p, p) of data and prior together; what has no prior is known to a fifth of its admitted range."""
     # Inverted in units of the scales: in SI the entries span forty orders of magnitude.
     scale = np.outer(search.scale, search.scale)
     return np.asarray(np.linalg.inv(information * scale + np.eye(search.scale.size)) * scale)
 
 
-def _around(search: Search, x: Real, covariance: Real) -> list[Real]:
+def _around(search: FitSearch, x: Real, covariance: Real) -> list[Real]:
     """The minimum x (p,), and points about it within which intervals and held-out bands are searched."""
     values, vectors = np.linalg.eigh(covariance / np.outer(search.scale, search.scale))
     around = [x]
@@ -223,7 +223,7 @@ def _around(search: Search, x: Real, covariance: Real) -> list[Real]:
     return around
 
 
-def _mesh_error(search: Search, coarser: Objective, x: Real, deviation: Sequence[Real]) -> Real:
+def _mesh_error(search: FitSearch, coarser: Objective, x: Real, deviation: Sequence[Real]) -> Real:
     """Estimated weighted error (2 n,) of the predictions for the mesh of `search`, from that of `coarser`."""
     objective = search.objective
     result = []
@@ -247,7 +247,7 @@ def unrefined(coarser: Objective, x: Real, index: int, frequency: Real, toleranc
     return through_bench(prediction.impedance, prediction.solution.omega, bench)[0]
 
 
-def deviations(search: Search, noise: Sequence[Noise]) -> list[Real]:
+def deviations(search: FitSearch, noise: Sequence[Noise]) -> list[Real]:
     """The relative deviation (n,) of every point, inflated so that the squares count independent data."""
     result = []
     for recording, level in zip(search.objective.recordings, noise, strict=True):
@@ -256,7 +256,7 @@ def deviations(search: Search, noise: Sequence[Noise]) -> list[Real]:
     return result
 
 
-def _bound(search: Search, x: Real, index: int) -> str:
+def _bound(search: FitSearch, x: Real, index: int) -> str:
     """The bound or inequality that holds a parameter where it is."""
     parameter = search.parameters[index]
     width = parameter.high - parameter.low
@@ -271,7 +271,7 @@ def _bound(search: Search, x: Real, index: int) -> str:
 
 
 def _not_quadratic(
-    search: Search, x: Real, here: Weighted, covariance: Real, index: int, deviation: Sequence[Real]
+    search: FitSearch, x: Real, here: Weighted, covariance: Real, index: int, deviation: Sequence[Real]
 ) -> bool:
     """Whether the cost at the ends of the quadratic's interval, the others following, is not the quadratic's.
 
@@ -294,7 +294,7 @@ def _not_quadratic(
 
 
 def profile(
-    search: Search, minimum: Optimum, index: int, error: float, deviation: Sequence[Real]
+    search: FitSearch, minimum: Optimum, index: int, error: float, deviation: Sequence[Real]
 ) -> tuple[float, float]:
     """The 95 % interval of one parameter with all others refitted at every value (profile likelihood).
 
@@ -341,7 +341,7 @@ def profile(
     return ends[0], ends[1]
 
 
-def _undetermined(search: Search, x: Real, information: Real) -> tuple[Direction, ...]:
+def _undetermined(search: FitSearch, x: Real, information: Real) -> tuple[Direction, ...]:
     """Eigenvectors of the data's information in units of the priors along which less is learned than was known."""
     scale = search.scale
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
@@ -369,7 +369,7 @@ _SYMMETRIES: dict[str, dict[str, float]] = {
 }
 
 
-def _symmetry(search: Search, x: Real, direction: Real) -> str:
+def _symmetry(search: FitSearch, x: Real, direction: Real) -> str:
     """The exact symmetry that a direction of parameter space is, by its relative changes."""
     if any(len(r.problem.materials) > 1 for r in search.objective.recordings):
         return ""
@@ -394,7 +394,7 @@ def _quantity(parameter: Parameter) -> str:
     return last
 
 
-def leave_bands_out(search: Search, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
+def leave_bands_out(search: FitSearch, minimum: Optimum, noise: Sequence[Noise], parts: int) -> tuple[BandLeftOut, ...]:
     """Fit without each of `parts` equal parts of every recording's band in turn, and predict the part left out."""
     result = []
     base = deviations(search, noise)
@@ -415,7 +415,7 @@ def leave_bands_out(search: Search, minimum: Optimum, noise: Sequence[Noise], pa
     return tuple(result)
 
 
-def check(objective: Objective, x: Real, *, count: int = 3) -> tuple[float, float]:
+def reduced_model_error(objective: Objective, x: Real, *, count: int = 3) -> tuple[float, float]:
     """The largest relative difference of the reduced model from full solves, and where (Hz).
 
     At the smallest and largest |Z| of every recording, where errors are largest, and where the estimate is worst.
@@ -458,7 +458,8 @@ def residual_findings(name: str, after: Comparison, noise: Noise) -> list[str]:
     return result
 
 
-def _statements(search: Search, estimates: Sequence[ParameterEstimate], undetermined: Sequence[Direction]) -> list[str]:
+def _statements(search: FitSearch, estimates: Sequence[ParameterEstimate],
+                undetermined: Sequence[Direction]) -> list[str]:
     result = []
     for found in estimates:
         if found.at_bound:

@@ -13,7 +13,7 @@ from math import pi
 
 import numpy as np
 
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 #: What is connected: impedance (ohm, e^{+j w t}) at a frequency (Hz).
 Device = Callable[[float], complex]

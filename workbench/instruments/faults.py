@@ -14,7 +14,7 @@ from workbench.instruments.simulated_oscilloscope import SimulatedOscilloscope
 GENERATOR, OSCILLOSCOPE = "generator", "oscilloscope"
 
 
-class Kind(StrEnum):
+class FaultKind(StrEnum):
     """What may go wrong. The first ones can happen to both instruments, the others to the one they name."""
 
     SILENCE = "silence"  # done, but not answered
@@ -41,11 +41,12 @@ class Kind(StrEnum):
 
 #: The kinds that can happen to each instrument.
 KINDS = {
-    GENERATOR: tuple(kind for kind in Kind if kind not in (
-        Kind.CLIPPED, Kind.HIDDEN, Kind.TRUNCATED_CURVE, Kind.WRONG_COUNT, Kind.HEADERS, Kind.NO_TRIGGER,
-        Kind.IGNORED_RUN)),
-    OSCILLOSCOPE: tuple(kind for kind in Kind if kind not in (
-        Kind.WRONG_FREQUENCY, Kind.IGNORED_FREQUENCY, Kind.IGNORED_AMPLITUDE)),
+    GENERATOR: tuple(kind for kind in FaultKind if kind not in (
+        FaultKind.CLIPPED, FaultKind.HIDDEN, FaultKind.TRUNCATED_CURVE, FaultKind.WRONG_COUNT, FaultKind.HEADERS,
+        FaultKind.NO_TRIGGER,
+        FaultKind.IGNORED_RUN)),
+    OSCILLOSCOPE: tuple(kind for kind in FaultKind if kind not in (
+        FaultKind.WRONG_FREQUENCY, FaultKind.IGNORED_FREQUENCY, FaultKind.IGNORED_AMPLITUDE)),
 }
 
 #: What another instrument says, by the one that should be there.
@@ -58,7 +59,7 @@ class Fault:
     (the first command since the bench was opened has number 0). ``seconds`` is how long a disconnection lasts."""
 
     instrument: str
-    kind: Kind
+    kind: FaultKind
     at: int = 0
     count: int = 1
     seconds: float = 0.3
@@ -74,23 +75,23 @@ class Fault:
                              "least 1 and above 0")
 
 
-def fits(kind: Kind, line: bytes) -> bool:
+def fits(kind: FaultKind, line: bytes) -> bool:
     """Whether a fault can strike this command."""
     query = line in (b"a", b"cf") or line.endswith(b"?")
     match kind:
-        case Kind.WRONG_INSTRUMENT:
+        case FaultKind.WRONG_INSTRUMENT:
             return line in (b"a", b"*IDN?")
-        case Kind.WRONG_FREQUENCY:
+        case FaultKind.WRONG_FREQUENCY:
             return line == b"cf"
-        case Kind.IGNORED_FREQUENCY:
+        case FaultKind.IGNORED_FREQUENCY:
             return line.startswith(b"bf")
-        case Kind.IGNORED_AMPLITUDE:
+        case FaultKind.IGNORED_AMPLITUDE:
             return line.startswith(b"ba")
-        case Kind.CLIPPED | Kind.NO_TRIGGER | Kind.IGNORED_RUN:
+        case FaultKind.CLIPPED | FaultKind.NO_TRIGGER | FaultKind.IGNORED_RUN:
             return line == b"ACQUIRE:STATE RUN"
-        case Kind.HIDDEN | Kind.TRUNCATED_CURVE | Kind.WRONG_COUNT:
+        case FaultKind.HIDDEN | FaultKind.TRUNCATED_CURVE | FaultKind.WRONG_COUNT:
             return line == b"CURVE?"
-        case Kind.DEAFNESS | Kind.RESTART | Kind.DISCONNECT | Kind.HEADERS:
+        case FaultKind.DEAFNESS | FaultKind.RESTART | FaultKind.DISCONNECT | FaultKind.HEADERS:
             return True
         case _:
             return query
@@ -135,56 +136,56 @@ class FaultyInstrument:
 
     def _strike(self, fault: Fault, line: bytes) -> bytes:
         match fault.kind:
-            case Kind.DEAFNESS | Kind.IGNORED_FREQUENCY | Kind.IGNORED_AMPLITUDE | Kind.IGNORED_RUN:
+            case FaultKind.DEAFNESS | FaultKind.IGNORED_FREQUENCY | FaultKind.IGNORED_AMPLITUDE | FaultKind.IGNORED_RUN:
                 return b""
-            case Kind.DISCONNECT:
+            case FaultKind.DISCONNECT:
                 self._disconnect(fault.seconds)
                 return b""
-            case Kind.RESTART:
+            case FaultKind.RESTART:
                 self._instrument.restart()
                 return self._instrument.respond(line)
-            case Kind.CLIPPED | Kind.NO_TRIGGER | Kind.HIDDEN | Kind.HEADERS:
+            case FaultKind.CLIPPED | FaultKind.NO_TRIGGER | FaultKind.HIDDEN | FaultKind.HEADERS:
                 self._disturb(fault.kind)
                 return self._instrument.respond(line)
             case _:
                 return self._spoil(fault.kind, line, self._instrument.respond(line))
 
-    def _disturb(self, kind: Kind) -> None:
+    def _disturb(self, kind: FaultKind) -> None:
         """Do to the oscilloscope what a hand, or the signal, does."""
         oscilloscope = self._instrument
         if not isinstance(oscilloscope, SimulatedOscilloscope):
             raise TypeError(f"fault {kind!r} at an instrument that is no oscilloscope")
         match kind:
-            case Kind.CLIPPED:
+            case FaultKind.CLIPPED:
                 oscilloscope.surge = 4.0
-            case Kind.NO_TRIGGER:
+            case FaultKind.NO_TRIGGER:
                 oscilloscope.blind = True
-            case Kind.HIDDEN:
+            case FaultKind.HIDDEN:
                 oscilloscope.hide(oscilloscope.source())
             case _:
                 oscilloscope.respond(b"HEADER ON")
 
-    def _spoil(self, kind: Kind, line: bytes, answer: bytes) -> bytes:
+    def _spoil(self, kind: FaultKind, line: bytes, answer: bytes) -> bytes:
         """The answer as it comes, the instrument having done what it was told."""
         match kind:
-            case Kind.SILENCE:
+            case FaultKind.SILENCE:
                 return b""
-            case Kind.GARBAGE:
+            case FaultKind.GARBAGE:
                 return self._random.bytes(max(len(answer) - 1, 1)).replace(b"\n", b"?") + b"\n"
-            case Kind.NOISE:
+            case FaultKind.NOISE:
                 return self._random.bytes(4) + answer
-            case Kind.PARTIAL | Kind.TRUNCATED_CURVE:
+            case FaultKind.PARTIAL | FaultKind.TRUNCATED_CURVE:
                 return answer[: len(answer) // 2]
-            case Kind.LATE:
+            case FaultKind.LATE:
                 self._held += answer
                 return b""
-            case Kind.ECHO:
+            case FaultKind.ECHO:
                 return line + b"\n" + answer
-            case Kind.WRONG_INSTRUMENT:
+            case FaultKind.WRONG_INSTRUMENT:
                 return STRANGERS[self._name]
-            case Kind.WRONG_FREQUENCY:
+            case FaultKind.WRONG_FREQUENCY:
                 return b"cf%010d\n" % (int(answer[2:]) + 100 if answer[2:].strip().isdigit() else 0)
-            case Kind.WRONG_COUNT:
+            case FaultKind.WRONG_COUNT:
                 return answer.replace(b"#42500", b"#42400", 1)
             case _:
                 raise ValueError(f"fault {kind!r} does nothing to an answer")

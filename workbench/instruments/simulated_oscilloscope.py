@@ -94,7 +94,7 @@ class Record:
 
 
 @dataclass
-class State:
+class OscilloscopeState:
     """What the instrument holds."""
 
     values: dict[str, str | float]
@@ -127,7 +127,7 @@ class SimulatedOscilloscope:
 
     def restart(self) -> None:
         """As after switching off and on."""
-        self._state = State({item.name: item.initial for item in ITEMS})
+        self._state = OscilloscopeState({item.name: item.initial for item in ITEMS})
         self._forced = False
         self._blinded = False
 

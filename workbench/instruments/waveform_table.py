@@ -55,7 +55,7 @@ _STEP = re.compile(r"\btInc\s*=\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(\w+)", re.IG
 
 
 @dataclass(frozen=True)
-class Column:
+class WaveformColumn:
     """A column from 0 and the unit that the file gives it ("" for none); ``envelope`` if it holds extremes."""
 
     place: int
@@ -72,8 +72,8 @@ class WaveformTable:
     """
 
     maker: str
-    channels: Mapping[int, tuple[Column, ...]]
-    time: Column | None
+    channels: Mapping[int, tuple[WaveformColumn, ...]]
+    time: WaveformColumn | None
     start: float | None
     step: float | None
     first: int
@@ -173,11 +173,11 @@ def _by_step(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable 
     start, step = _START.search(lines[index]), _STEP.search(lines[index])
     if start is None or step is None or start[2].lower() not in _TIMES or step[2].lower() not in _TIMES:
         return None
-    channels: dict[int, tuple[Column, ...]] = {}
+    channels: dict[int, tuple[WaveformColumn, ...]] = {}
     for place, cell in enumerate(_cells(lines[index], delimiter)):
         named = _channel(cell)
         if named:
-            channels[named[0]] = (*channels.get(named[0], ()), Column(place, named[1], named[2]))
+            channels[named[0]] = (*channels.get(named[0], ()), WaveformColumn(place, named[1], named[2]))
     if not channels:
         return None
     return WaveformTable("an oscilloscope's CSV (Rigol)", channels, None, float(start[1]) * _TIMES[start[2].lower()],
@@ -193,7 +193,7 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
         return None
     keysight = cells[0].lower() == "x-axis"
     units, first = _units_below(lines, index, delimiter)
-    channels: dict[int, tuple[Column, ...]] = {}
+    channels: dict[int, tuple[WaveformColumn, ...]] = {}
     stated = {}
     for place, cell in enumerate(cells[1:], start=1):
         if _TIME.fullmatch(cell):
@@ -204,7 +204,7 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
         named = (int(cell), "", False) if keysight and re.fullmatch("[1-8]", cell) else _channel(cell)
         if named:
             below = units[place] if place < len(units) else ""
-            channels[named[0]] = (*channels.get(named[0], ()), Column(place, named[1] or below, named[2]))
+            channels[named[0]] = (*channels.get(named[0], ()), WaveformColumn(place, named[1] or below, named[2]))
     if not channels:
         return None
     settings = _settings(lines[:index], delimiter)
@@ -222,13 +222,13 @@ def _by_headings(lines: Sequence[str], index: int, delimiter: str) -> WaveformTa
     if vertical:
         # One for every column of samples, in their order.
         channels = {number: tuple(
-            Column(each.place, each.unit or vertical[min(each.place, len(vertical)) - 1], each.envelope)
+            WaveformColumn(each.place, each.unit or vertical[min(each.place, len(vertical)) - 1], each.envelope)
             for each in columns) for number, columns in channels.items()}
     maker = ("an oscilloscope's CSV (Tektronix)" if "point format" in settings or "firmware version" in settings
              else "an oscilloscope's CSV (Keysight)" if keysight
              else "an oscilloscope's CSV (Rigol)" if cells[0].lower() == "x" or "X(" in lines[index].upper()
              else "an oscilloscope's CSV")
-    return WaveformTable(maker, channels, Column(0, unit), None, None, first, delimiter, settings)
+    return WaveformTable(maker, channels, WaveformColumn(0, unit), None, None, first, delimiter, settings)
 
 
 def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTable | None:
@@ -249,8 +249,9 @@ def _by_source(lines: Sequence[str], index: int, delimiter: str) -> WaveformTabl
     channels = {}
     for place, number in enumerate(found, start=1):
         unit = cells[place] if cells[place].lower() != "value" else vertical.get(str(number), "V")
-        channels[number] = (Column(place, unit),)
-    return WaveformTable("an oscilloscope's CSV (Siglent)", channels, Column(0, cells[0]), None, None, index + 1,
+        channels[number] = (WaveformColumn(place, unit),)
+    return WaveformTable("an oscilloscope's CSV (Siglent)", channels, WaveformColumn(0, cells[0]), None, None,
+                         index + 1,
                          delimiter, settings)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
 #: What a liquid can absorb.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -29,7 +29,7 @@ class BulkAbsorption(Term):
     region: str
     material: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.material, ADMISSIBLE, {"diffusivity_of_sound": 0.0})
 
     def integrals(self) -> tuple[Integral, ...]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
 _PRINT = ("five times the 4 % that 2 % of speed between along and across the layers make, the largest found in prints "
           "of PLA, ABS and a resin (Anisotropic behavior of ultrasonic waves in 3D printed materials); layers can bond "
@@ -40,7 +40,7 @@ class TransverseIsotropy(Term):
     region: str
     material: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.material, ADMISSIBLE, {"axial_excess": 0.0, "shear_excess": 0.0})
 
     def fixed(self) -> Mapping[str, float]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, Values, free_of
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, Values, free_of
 
 Complex = NDArray[np.complex128]
 
@@ -49,7 +49,7 @@ class WoodBubbles(Term):
     material: str
     bubbles: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.bubbles, ADMISSIBLE, {"void_fraction": 0.0})
 
     def fixed(self) -> Mapping[str, float]:
@@ -81,7 +81,7 @@ class ResonantBubbles(Term):
     material: str
     bubbles: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.bubbles, ADMISSIBLE, {"void_fraction": 0.0, "radius": 4e-6})
 
     def fixed(self) -> Mapping[str, float]:

@@ -17,7 +17,7 @@ from workbench.physics.term import (
     Admissible,
     Dispersion,
     DispersiveLaw,
-    Free,
+    FreeParameter,
     Integral,
     Monomial,
     Product,
@@ -72,7 +72,7 @@ class CouplantShear(Term):
     below: str
     above: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.material, ADMISSIBLE, {"gel_viscosity_root": 0.0})
 
     def fixed(self) -> Mapping[str, float]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.physics.rim import SHARE, Rim
-from workbench.physics.term import Admissible, Free, Integral, Product, Term
+from workbench.physics.term import Admissible, FreeParameter, Integral, Product, Term
 
 #: What the permittivity of a rim without poling can be.
 EXCESS = Admissible(
@@ -36,7 +36,7 @@ class DepoledRim(Term):
     material: str
     rim: Rim
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 
     def fixed(self) -> Mapping[str, float]:

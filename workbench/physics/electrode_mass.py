@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
 #: Density of silver, kg/m^3 (CRC Handbook of Chemistry and Physics, 97th edition, section 4).
 SILVER_DENSITY = 10490.0
@@ -53,7 +53,7 @@ class ElectrodeMass(Term):
     ground: str
     transducer: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         # Grains of silver between those that hold together and those that do not.
         return free_of("electrodes", ADMISSIBLE,
                        {"surface_density": 0.0, "specific_stiffness": 0.4 * SILVER_STIFFNESS})

@@ -8,7 +8,7 @@ from workbench.physics.term import Condition, Term
 
 
 @dataclass(frozen=True)
-class Electrodes(Term):
+class ElectrodePotential(Term):
     """phi = 0 on the grounded electrode; phi = V, one unknown, on the live one.
 
     The charge of the live electrode is the work conjugate of V, that is the flux of the whole

@@ -8,7 +8,7 @@ from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 
 @dataclass(frozen=True)
-class Fluid(Term):
+class AcousticFluid(Term):
     """Compressible fluid at rest in a region: Helmholtz equation divided by rho w^2.
 
         (1 / (rho w^2)) grad(p) . grad(q) - (1 / (rho c^2)) p q

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Formula, Free, Integral, Product, Term, free_of
+from workbench.physics.term import Admissible, Formula, FreeParameter, Integral, Product, Term, free_of
 
 ADMISSIBLE: Mapping[str, Admissible] = {
     "temperature_offset": Admissible(
@@ -29,7 +29,7 @@ class FluidTemperature(Term):
     region: str
     material: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.material, ADMISSIBLE, {"temperature_offset": 0.0})
 
     def integrals(self) -> tuple[Integral, ...]:

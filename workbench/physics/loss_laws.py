@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Dispersion, Free, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, Dispersion, FreeParameter, Integral, Monomial, Product, Term, free_of
 
 _LOSS = ("from none to the largest loss factor of the polymers of Acevedo-Espinosa et al. (RP-UEIS), 0.26 of their "
          "epoxy in shear, at the moduli of their PLA, 0.93 and 3.57 GPa, and 1 MHz")
@@ -83,7 +83,7 @@ class FractionalLoss(Term):
     region: str
     material: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.material, ADMISSIBLE, {"shear_fractional_loss": 0.0, "loss_exponent": 0.3})
 
     def fixed(self) -> Mapping[str, float]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from workbench.physics.rim import SHARE, Rim, hindered
-from workbench.physics.term import Free, Integral, Product, Term
+from workbench.physics.term import FreeParameter, Integral, Product, Term
 
 #: A layer with so much of its stiffness and mass holds a ring about half as well as the whole layer does: on rings of
 #: 0.1 to 0.3 mm this finds the edge to 0.005 of the radius; with one (patches that are wide beside the layer) it comes
@@ -39,7 +39,7 @@ class MissingFluid(Term):
     gas: str
     rim: Rim
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from workbench.physics.rim import SHARE, Rim, hindered
-from workbench.physics.term import Free, Integral, Term, isotropic_solid, times
+from workbench.physics.term import FreeParameter, Integral, Term, isotropic_solid, times
 
 #: Share of the layer's stiffness and mass that stays where it is open, so that there is an equation for what is in the
 #: gap. Of epoxy's 6 GPa air, gamma p_0 = 1.4e5 Pa, would leave 2e-5; ten times as much as here changes nothing.
@@ -45,7 +45,7 @@ class OpenBond(Term):
     rim: Rim
     skin: float = 0.0
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.physics.rim import SHARE, Rim, hindered
-from workbench.physics.term import Free, Integral, Product, Term
+from workbench.physics.term import FreeParameter, Integral, Product, Term
 
 #: Share of the transducer's thickness, below the electrode, that cuts it off: thin beside a ring that shows.
 SKIN = 0.01
@@ -40,7 +40,7 @@ class PartialElectrode(Term):
     rim: Rim
     upper: bool
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return self.rim.free()
 
     def integrals(self) -> tuple[Integral, ...]:

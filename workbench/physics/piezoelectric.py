@@ -9,7 +9,7 @@ from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 
 @dataclass(frozen=True)
-class Piezoelectric(Term):
+class PiezoelectricSolid(Term):
     """Transversely isotropic piezoelectric solid in a region.
 
         eps(v) : C : eps(u) - rho w^2 u.v + eps(v) e^T grad(phi) + grad(psi) e eps(u) - grad(psi) . epsilon grad(phi)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Dispersion, Free, Integral, Product, Term, free_of
+from workbench.physics.term import Admissible, Dispersion, FreeParameter, Integral, Product, Term, free_of
 
 Complex = NDArray[np.complex128]
 
@@ -52,7 +52,7 @@ class PortNecks(Term):
     material: str
     name: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.name, ADMISSIBLE, {"share": 0.0, "length": 5e-4, "resistance": 3e5})
 
     def fixed(self) -> Mapping[str, float]:

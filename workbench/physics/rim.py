@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
-from workbench.physics.term import Admissible, ConstantLaw, Formula, Free
+from workbench.physics.term import Admissible, ConstantLaw, Formula, FreeParameter
 
 #: Widths up to the edges of the rings, relative to the layer's radius: rings are narrow beside what they add to. Meshes
 #: have a line of nodes at each (`geometry.mesh_size.MeshSize.radii`): where the gel of a chip of 3 mm ends within an
@@ -60,10 +60,11 @@ class Rim:
         """The full name of the width."""
         return f"{self.name}.width"
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         """The width, zero where nothing is affected."""
-        return (Free(self.number, 0.0, Admissible(0.0, self.limit, "1", "of the radius: from nowhere to what would be "
-                                                  "seen at once")),)
+        return (FreeParameter(self.number, 0.0,
+                              Admissible(0.0, self.limit, "1", "of the radius: from nowhere to what would be "
+                                                           "seen at once")),)
 
     @cached_property
     def edges(self) -> tuple[float, ...]:

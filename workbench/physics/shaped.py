@@ -2,7 +2,7 @@
 
 A shape moves points x0 of the section to x0 + a d(x0), a its size. What a part of the section contributes is a smooth
 function of the sizes of the shapes that move it, and is interpolated in them: matrices at the nodes of a
-:class:`Grid`, coefficients its Lagrange polynomials.
+:class:`InterpolationGrid`, coefficients its Lagrange polynomials.
 
 Thicknesses and radii stay exact. In a part that is stretched by s along r and by l along z, the points have got to
 
@@ -41,7 +41,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Length:
+class MovableLength:
     """A length of the chip: what it is on the mesh (m) and the parameter that moves it, "" if none does."""
 
     nominal: float
@@ -55,8 +55,8 @@ class Length:
 class Ratio:
     """What is between two lengths of the chip, relative to what it is on the mesh."""
 
-    outer: Length
-    inner: Length = Length(0.0)
+    outer: MovableLength
+    inner: MovableLength = MovableLength(0.0)
 
     def at(self, values: Values) -> tuple[float, dict[str, float]]:
         """Its value, and its derivatives by parameters."""
@@ -66,7 +66,7 @@ class Ratio:
         return (self.outer.at(values) - self.inner.at(values)) / nominal, slopes
 
 
-class Scale(Enum):
+class ShapeScale(Enum):
     """What of a size forms are polynomials in, or nearly so."""
 
     #: Points move in proportion to the size itself.
@@ -79,15 +79,21 @@ class Scale(Enum):
 
     def of(self, size: float) -> float:
         """What a size (m or rad) is on this scale."""
-        return math.log(size) if self is Scale.LOGARITHM else math.tan(size) if self is Scale.TANGENT else size
+        if self is ShapeScale.LOGARITHM:
+            return math.log(size)
+        return math.tan(size) if self is ShapeScale.TANGENT else size
 
     def size(self, value: float) -> float:
         """The size (m or rad) that is `value` on this scale."""
-        return math.exp(value) if self is Scale.LOGARITHM else math.atan(value) if self is Scale.TANGENT else value
+        if self is ShapeScale.LOGARITHM:
+            return math.exp(value)
+        return math.atan(value) if self is ShapeScale.TANGENT else value
 
     def slope(self, size: float) -> float:
         """The derivative of :meth:`of` by the size."""
-        return 1.0 / size if self is Scale.LOGARITHM else 1.0 + math.tan(size) ** 2 if self is Scale.TANGENT else 1.0
+        if self is ShapeScale.LOGARITHM:
+            return 1.0 / size
+        return 1.0 + math.tan(size) ** 2 if self is ShapeScale.TANGENT else 1.0
 
 
 @dataclass(frozen=True)
@@ -95,8 +101,8 @@ class Amplitude:
     """The size of a shape as a part of the section sees it: ``size`` (m or rad) on its ``scale``, times the ratio
     ``grown`` and over the ratio ``stretched``."""
 
-    size: Length
-    scale: Scale = Scale.PROPORTIONAL
+    size: MovableLength
+    scale: ShapeScale = ShapeScale.PROPORTIONAL
     grown: Ratio | None = None
     stretched: Ratio | None = None
 
@@ -121,7 +127,7 @@ class Amplitude:
 
 
 @dataclass(frozen=True)
-class Grid:
+class InterpolationGrid:
     """Nodes of a polynomial interpolation in several variables within ``bounds``, the first of which is ``start``.
 
     The polynomials are the products of powers b of the variables with sum(b / degrees) <= 1; variables of degree 0 stay
@@ -170,7 +176,7 @@ class Grid:
 
 
 @lru_cache(maxsize=4096)
-def _polynomials(grid: Grid, point: tuple[float, ...]) -> tuple[Real, Real]:
+def _polynomials(grid: InterpolationGrid, point: tuple[float, ...]) -> tuple[Real, Real]:
     powers, inverse = np.array(_powers(grid.degrees)), _from_nodes(grid)
     tables = []
     for k, value in enumerate(point):
@@ -202,7 +208,7 @@ def _powers(degrees: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
 
 
 @lru_cache(maxsize=1024)
-def _from_nodes(grid: Grid) -> Real:
+def _from_nodes(grid: InterpolationGrid) -> Real:
     """What brings products of Newton's polynomials (n,) into the Lagrange polynomials of the nodes: (n, n)."""
     powers = np.array(_powers(grid.degrees))
     values = np.ones((len(powers), len(powers)))
@@ -239,10 +245,10 @@ class _OfLengths(WithoutFrequency):
 
 
 @dataclass(frozen=True)
-class Node(_OfLengths):
+class GridPolynomial(_OfLengths):
     """The Lagrange polynomial of one node of a grid in some amplitudes."""
 
-    grid: Grid
+    grid: InterpolationGrid
     amplitudes: tuple[Amplitude, ...]
     number: int
 
@@ -276,7 +282,7 @@ class Node(_OfLengths):
 class Receding(_OfLengths):
     """R0 - l r0 (m): what the radius of a side that stands is beyond its image stretched by the ratio l."""
 
-    radius: Length
+    radius: MovableLength
     stretched: Ratio
 
     @cached_property
@@ -299,11 +305,11 @@ class Moves:
     """
 
     amplitudes: tuple[Amplitude, ...]
-    grid: Grid
+    grid: InterpolationGrid
     variants: tuple[str, ...]
-    side: Length | None = None
+    side: MovableLength | None = None
 
-    def nodes(self) -> Iterator[tuple[str, Node | None]]:
+    def nodes(self) -> Iterator[tuple[str, GridPolynomial | None]]:
         """The coordinates and the coefficient of every node; no coefficient where there is one node."""
         for number, variant in enumerate(self.variants):
-            yield variant, Node(self.grid, self.amplitudes, number) if len(self.variants) > 1 else None
+            yield variant, GridPolynomial(self.grid, self.amplitudes, number) if len(self.variants) > 1 else None

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
 #: Relative change of c33 per squared volt (amplitude) at the electrodes.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -34,7 +34,7 @@ class Softening(Term):
     region: str
     material: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.material, ADMISSIBLE, {"softening": 0.0, "drive_loss": 0.0})
 
     def integrals(self) -> tuple[Integral, ...]:

@@ -25,7 +25,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from workbench.physics.shaped import Length, Moves, Ratio, Receding
+from workbench.physics.shaped import MovableLength, Moves, Ratio, Receding
 from workbench.physics.term import (
     OPERATORS,
     Coefficient,
@@ -51,15 +51,16 @@ Sorted = Iterator[tuple[Kind, Product]]
 
 
 @dataclass(frozen=True)
-class Column:
+class RadialInterval:
     """What lies between two radii, `ratios` the nodes of k = outer / inner - 1; none where it begins at the axis."""
 
-    inner: Length
-    outer: Length
+    inner: MovableLength
+    outer: MovableLength
     ratios: tuple[float, ...] = ()
 
     @classmethod
-    def between(cls, inner: Length, outer: Length, ranges: Mapping[str, tuple[float, float]]) -> Column:
+    def between(cls, inner: MovableLength, outer: MovableLength,
+                ranges: Mapping[str, tuple[float, float]]) -> RadialInterval:
         """The column for radii within `ranges` (m), by parameter."""
         if inner.nominal == 0.0:
             return cls(inner, outer)
@@ -81,14 +82,14 @@ class Column:
         else:
             width = self.outer.nominal - self.inner.nominal
             for number, ratio in enumerate(self.ratios):
-                yield Radial(1, width / ratio - self.inner.nominal), Node(self, number)
+                yield Radial(1, width / ratio - self.inner.nominal), RadialPolynomial(self, number)
 
 
 @dataclass(frozen=True)
-class Rim:
+class MovingRim:
     """Facets along z at a radius that moves."""
 
-    radius: Length
+    radius: MovableLength
 
     def radial(self, kind: tuple[int, int]) -> Iterator[tuple[Radial | None, Constant]]:
         power = 1 - kind[1]
@@ -111,7 +112,7 @@ def nodes(low: float, high: float) -> tuple[float, ...]:
 class _OfColumn(WithoutFrequency):
     """A coefficient that follows the two radii of a column."""
 
-    column: Column
+    column: RadialInterval
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
@@ -134,7 +135,7 @@ class _OfColumn(WithoutFrequency):
 class Stretch(_OfColumn):
     """s to some power."""
 
-    column: Column
+    column: RadialInterval
     power: int
 
     def at(self, inner: float, outer: float) -> tuple[float, float, float]:
@@ -148,7 +149,7 @@ class Stretch(_OfColumn):
 class Shift(_OfColumn):
     """(A - s a) s to some power."""
 
-    column: Column
+    column: RadialInterval
     power: int
 
     def at(self, inner: float, outer: float) -> tuple[float, float, float]:
@@ -160,10 +161,10 @@ class Shift(_OfColumn):
 
 
 @dataclass(frozen=True)
-class Node(_OfColumn):
+class RadialPolynomial(_OfColumn):
     """The Lagrange polynomial in k of one node of a column."""
 
-    column: Column
+    column: RadialInterval
     number: int
 
     def at(self, inner: float, outer: float) -> tuple[float, float, float]:
@@ -185,7 +186,7 @@ def _lagrange(nodes: tuple[float, ...], x: float) -> tuple[tuple[float, ...], tu
 
 
 @dataclass(frozen=True)
-class Part:
+class StretchedPart:
     """A part of a place: its name on the mesh, the layer whose thickness and the column whose radii it follows, and how
     shapes move it.
 
@@ -194,7 +195,7 @@ class Part:
 
     name: str
     layer: str = ""
-    across: Column | Rim | None = None
+    across: RadialInterval | MovingRim | None = None
     moves: Moves | None = None
 
 
@@ -208,7 +209,7 @@ class Stretched(Term):
     """
 
     term: Term
-    parts: tuple[tuple[str, tuple[Part, ...]], ...]
+    parts: tuple[tuple[str, tuple[StretchedPart, ...]], ...]
     nominal: tuple[tuple[str, float], ...]
 
     @property
@@ -230,7 +231,7 @@ class Stretched(Term):
         return tuple(result)
 
 
-def _stretched(integral: Integral, part: Part, nominal: Mapping[str, float]) -> list[Integral]:
+def _stretched(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> list[Integral]:
     """The integrals that one becomes on a part of its place."""
     found: dict[tuple[Radial | None, tuple[Constant, ...]], list[Product]] = {}
     for radial, factors, product in (_moved_facets if part.moves and integral.on_boundary else _scaled)(
@@ -251,7 +252,7 @@ def _stretched(integral: Integral, part: Part, nominal: Mapping[str, float]) -> 
 Measured = Iterator[tuple[Radial | None, tuple[Constant, ...], Product]]
 
 
-def _scaled(integral: Integral, part: Part, nominal: Mapping[str, float]) -> Measured:
+def _scaled(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> Measured:
     """What an integral over cells, or over facets that only stretch, falls into."""
     for (along_z, along_r, divided), product in _by_kinds(integral.products, radially=part.across is not None):
         high = _power(part.layer, 1 - along_z, nominal)
@@ -262,7 +263,7 @@ def _scaled(integral: Integral, part: Part, nominal: Mapping[str, float]) -> Mea
                 yield radial, (*high, across), product
 
 
-def _moved_facets(integral: Integral, part: Part, nominal: Mapping[str, float]) -> Measured:
+def _moved_facets(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> Measured:
     """The same over facets that shapes move: all lengths along them scale alike, and operators are not taken apart."""
     assert part.moves is not None
     side = part.moves.side
@@ -270,10 +271,10 @@ def _moved_facets(integral: Integral, part: Part, nominal: Mapping[str, float]) 
         slopes = sum(any(kind.startswith("d_") for _, kind, _ in OPERATORS[name])
                      for name in (product.row, product.column))
         if side is not None:
-            stretched = Ratio(Length(nominal[part.layer], f"{part.layer}.thickness"))
+            stretched = Ratio(MovableLength(nominal[part.layer], f"{part.layer}.thickness"))
             yield None, _power(part.layer, 2 - slopes, nominal), product
             yield Radial(0, 0.0), (*_power(part.layer, 1 - slopes, nominal), Receding(side, stretched)), product
-        elif isinstance(part.across, Column):
+        elif isinstance(part.across, RadialInterval):
             for radial, across in part.across.radial((slopes, 0)):
                 yield radial, (across,), product
         else:

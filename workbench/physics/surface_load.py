@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term
 
 #: Real part of a passive load, along the normal and along the surface. From dry air at 25 degC, 1.184 kg/m^3 times
 #: 346.1 m/s, to a heavily loaded backing; an imaginary part may be anything of that size.
@@ -36,10 +36,10 @@ class SurfaceLoad(Term):
     solid: str
     name: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         # The air around a chip is no load.
         limit = replace(ADMISSIBLE["normal_impedance"], lowest=0.0)
-        return (Free(f"{self.name}.normal_impedance", 0.0, limit),)
+        return (FreeParameter(f"{self.name}.normal_impedance", 0.0, limit),)
 
     def fixed(self) -> Mapping[str, float]:
         return {f"{self.name}.tangential_impedance": 0.0}

@@ -298,7 +298,7 @@ class Admissible:
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameter:
     """A number that a term brings in and a recording may determine, by its full name, and what it can be.
 
     ``neutral`` is its value in a model without the effect. Of several numbers of a term it is enough that one makes it
@@ -310,9 +310,9 @@ class Free:
     admissible: Admissible
 
 
-def free_of(owner: str, limits: Mapping[str, Admissible], neutral: Mapping[str, float]) -> tuple[Free, ...]:
+def free_of(owner: str, limits: Mapping[str, Admissible], neutral: Mapping[str, float]) -> tuple[FreeParameter, ...]:
     """The numbers ``<owner>.<key>`` for the keys of `neutral`, each within what `limits` has under its key."""
-    return tuple(Free(f"{owner}.{key}", value, limits[key]) for key, value in neutral.items())
+    return tuple(FreeParameter(f"{owner}.{key}", value, limits[key]) for key, value in neutral.items())
 
 
 @dataclass(frozen=True)
@@ -402,7 +402,7 @@ class Term:
         """Its essential conditions."""
         return ()
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         """What a recording may determine of it, where it stands for something that may be missing from a model."""
         return ()
 

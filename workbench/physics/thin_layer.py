@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, ConstantLaw, Formula, Free, Integral, Product, Term, free_of
+from workbench.physics.term import Admissible, ConstantLaw, Formula, FreeParameter, Integral, Product, Term, free_of
 
 _SPRING = (
     "from a perfect bond to a hundred times the compliance of 0.1 mm of the epoxy of Acevedo-Espinosa et al. "
@@ -49,7 +49,7 @@ class ImperfectBond(Term):
     name: str
     upper: bool
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.name, ADMISSIBLE, dict.fromkeys(ADMISSIBLE, 0.0))
 
     def integrals(self) -> tuple[Integral, ...]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from workbench.physics.term import Admissible, Free, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
 #: Real parts, averaged over the wall.
 ADMISSIBLE: Mapping[str, Admissible] = {
@@ -39,7 +39,7 @@ class WallAdmittance(Term):
     fluid: str
     name: str
 
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         return free_of(self.name, ADMISSIBLE, dict.fromkeys(ADMISSIBLE, 0.0))
 
     def integrals(self) -> tuple[Integral, ...]:

@@ -17,20 +17,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from workbench.files.errors import InputError, choose
-from workbench.notebook import Shown, Summary
 from workbench.readers import columns as _columns
 from workbench.readers import e4990a, headed, hp4294a, instruments, labone, touchstone, workbench_csv
 from workbench.readers.columns import READ_AS, ColumnMap, read_column_map
 from workbench.readers.findings import Finding, examine
-from workbench.readers.quantities import Quantity
+from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded
-from workbench.readers.text import RecordingText, load, refuse_waveform
-from workbench.spectrum import Spectrum, corrected
+from workbench.readers.text import RecordingText, load_text, refuse_waveform
+from workbench.results.notebook import Shown, Summary
+from workbench.results.spectrum import Spectrum, corrected
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Quantity", "Reading", "detect", "read_column_map",
+__all__ = ["FORMATS", "READ_AS", "ColumnMap", "Finding", "Reading", "RecordedQuantity", "detect", "read_column_map",
            "read_recording"]
 
 
@@ -44,16 +44,17 @@ class Format:
 
 
 FORMATS: Mapping[str, Format] = {
-    "workbench": Format("the workbench's own CSV", workbench_csv.recognises, workbench_csv.parse),
-    "e4990a": Format("Keysight/Agilent E4990A CSV", e4990a.recognises, e4990a.parse),
-    "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises, hp4294a.parse),
-    "touchstone": Format("Touchstone .s1p, .s2p, .ts", touchstone.recognises, touchstone.parse),
-    "labone": Format("Zurich Instruments LabOne sweep", labone.recognises, labone.parse),
-    **{name: Format(f"{instrument.name} table", instruments.recogniser(name), instruments.parser(name))
+    "workbench": Format("the workbench's own CSV", workbench_csv.recognises_workbench_csv,
+                        workbench_csv.parse_workbench_csv),
+    "e4990a": Format("Keysight/Agilent E4990A CSV", e4990a.recognises_e4990a, e4990a.parse_e4990a),
+    "4294a": Format("HP/Agilent 4294A ASCII", hp4294a.recognises_hp4294a, hp4294a.parse_hp4294a),
+    "touchstone": Format("Touchstone .s1p, .s2p, .ts", touchstone.recognises_touchstone, touchstone.parse_touchstone),
+    "labone": Format("Zurich Instruments LabOne sweep", labone.recognises_labone, labone.parse_labone),
+    **{name: Format(f"{instrument.name} table", instruments.recogniser(name), instruments.instrument_parser(name))
        for name, instrument in instruments.INSTRUMENTS.items()},
     "lines": Format("a table with one quantity a line", labone.recognises_lines, labone.parse_lines),
     # The last, since it takes whatever has three columns of numbers.
-    "table": Format("a table whose headings say what its columns are", headed.recognises, headed.parse),
+    "table": Format("a table whose headings say what its columns are", headed.recognises_headed, headed.parse_headed),
 }
 
 #: Findings of the reading itself, which a correction of the spectrum leaves as they are.
@@ -96,7 +97,7 @@ def detect(path: Path | str) -> str:
     Raises:
         InputError: the file is missing, empty, binary, an oscilloscope waveform, or of no known format.
     """
-    return _detect(load(Path(path)))
+    return _detect(load_text(Path(path)))
 
 
 def read_recording(
@@ -117,10 +118,10 @@ def read_recording(
         raise ValueError("give columns or format, not both")
     if isinstance(columns, str | Path):
         columns = read_column_map(Path(columns))
-    text = load(Path(path))
+    text = load_text(Path(path))
     refuse_waveform(text)
     if columns is not None:
-        found = _columns.parse(text, columns)
+        found = _columns.parse_columns(text, columns)
     else:
         name = _detect(text) if format is None else choose(format, FORMATS, source=text.path, field="format")
         found = FORMATS[name].parse(text)

@@ -18,23 +18,23 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
-from workbench.files.tables import Table
+from workbench.files.tables import FileTable
 from workbench.readers.findings import Finding
 from workbench.readers.headings import understand
-from workbench.readers.quantities import Quantity
+from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import ONE_FREQUENCY, Recorded, in_order
 from workbench.readers.text import (
     COMMENTS,
     RecordingText,
     RowCells,
+    cell_number,
     cells,
     complex_parts,
     is_number,
-    load,
-    number,
+    load_text,
     row_cells,
 )
-from workbench.spectrum import Origin
+from workbench.results.spectrum import Origin
 
 #: The setting of an origin that says what the columns of a table were taken for.
 READ_AS = "read as"
@@ -67,7 +67,7 @@ class ColumnMap:
     frequency: str | int
     first: str | int
     second: str | int | None
-    quantity: Quantity
+    quantity: RecordedQuantity
     frequency_unit: str = "Hz"
     delimiter: str = ","
     decimal: str = "."
@@ -132,23 +132,23 @@ def read_column_map(path: Path | str) -> ColumnMap:
     Raises:
         InputError: a missing or unknown key, or a value that ColumnMap or Quantity refuse.
     """
-    table = Table.read(Path(path))
-    quantity = Table.of(table.content.get("quantity"), source=table.source, field="quantity",
-                        expected="a table with kind, form and unit")
-    for each, kind in ((table, ColumnMap), (quantity, Quantity)):
+    table = FileTable.read(Path(path))
+    quantity = FileTable.of(table.content.get("quantity"), source=table.source, field="quantity",
+                            expected="a table with kind, form and unit")
+    for each, kind in ((table, ColumnMap), (quantity, RecordedQuantity)):
         each.only([f.name for f in fields(kind)])
         for required in (f.name for f in fields(kind) if f.default is MISSING):
             # Whether there is a second column depends on the form.
             if required not in each and required != "second":
                 raise each.error(required, "to be given")
     try:
-        return ColumnMap(**{"second": None, **table.content, "quantity": Quantity(**quantity.content)})
+        return ColumnMap(**{"second": None, **table.content, "quantity": RecordedQuantity(**quantity.content)})
     except (TypeError, ValueError) as error:
         expected = f"a map such as\n\n{map_text(*EXAMPLE, {})}\n"
         raise InputError(str(path), "column map", str(error), expected) from error
 
 
-def parse(text: RecordingText, columns: ColumnMap) -> Recorded:
+def parse_columns(text: RecordingText, columns: ColumnMap) -> Recorded:
     """Read the file.
 
     Columns given by heading: the heading line is the first that holds all of them (a leading %, # or ! is
@@ -176,9 +176,9 @@ def parse(text: RecordingText, columns: ColumnMap) -> Recorded:
     if columns.second_file:
         values.append(_second(text, columns, values[0]))
         other = Path(text.path).parent / columns.second_file
-        notes["second file"] = f"{columns.second_file}, sha256 {load(other).sha256}"
+        notes["second file"] = f"{columns.second_file}, sha256 {load_text(other).sha256}"
     return recorded(text, table.rows, columns, values=values, column=table.places[0] + 1,
-                    read_as=f"by a column map, {in_words(columns)}", settings=notes)
+                    read_as=f"by a column map, {column_map_text(columns)}", settings=notes)
 
 
 def uncommented(line: str) -> str:
@@ -215,7 +215,7 @@ def recorded(
     return in_order(text, frequency, impedance, lines=rows.lines, column=column, origin=origin, findings=found)
 
 
-def in_words(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
+def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
     """What every column of a map is taken for, with its unit and sign; `notes` by column say why."""
     quantity = columns.quantity
     symbol = SYMBOLS.get(quantity.kind, "")
@@ -333,7 +333,7 @@ class _Table:
 
 def _second(text: RecordingText, columns: ColumnMap, frequency: NDArray[np.float64]) -> NDArray[np.float64]:
     """The second column (n,), from its own file, at the `frequency` (n,) of the first."""
-    other = load(Path(text.path).parent / columns.second_file)
+    other = load_text(Path(text.path).parent / columns.second_file)
     assert columns.second is not None  # held by ColumnMap
     table = _Table.find(other, columns, columns.frequency_of_second, [columns.second])
     own, values = table.column(table.places[0]), table.column(table.places[1])
@@ -397,5 +397,5 @@ def _refuse_columns(
     if max(places) >= len(split[start]):
         raise text.error(start + 1, None, f"{len(split[start])} columns", f"at least {max(places) + 1} columns")
     place = next(place for place in places if not is_number(split[start][place], columns.decimal))
-    number(text, start + 1, place + 1, cell=split[start][place], decimal=columns.decimal)
+    cell_number(text, start + 1, place + 1, cell=split[start][place], decimal=columns.decimal)
     raise AssertionError(split[start])  # number() raises

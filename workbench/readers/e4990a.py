@@ -15,29 +15,29 @@ import numpy as np
 from workbench.files.errors import InputError
 from workbench.readers import headed
 from workbench.readers.findings import Finding
-from workbench.readers.quantities import Quantity
+from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cells, numbers
-from workbench.spectrum import Origin
+from workbench.results.spectrum import Origin
 
 #: Column names in lower case, and what the pair means.
-PAIRS: Mapping[tuple[str, str], Quantity] = {
-    ("|z|(ohm)-data", "theta-z(deg)-data"): Quantity("impedance", "polar", "ohm", "deg"),
-    ("|z|(ohm)-data", "theta-z(rad)-data"): Quantity("impedance", "polar", "ohm", "rad"),
-    ("r(ohm)-data", "x(ohm)-data"): Quantity("impedance", "rectangular", "ohm"),
-    ("|y|(s)-data", "theta-y(deg)-data"): Quantity("admittance", "polar", "S", "deg"),
-    ("|y|(s)-data", "theta-y(rad)-data"): Quantity("admittance", "polar", "S", "rad"),
-    ("g(s)-data", "b(s)-data"): Quantity("admittance", "rectangular", "S"),
+PAIRS: Mapping[tuple[str, str], RecordedQuantity] = {
+    ("|z|(ohm)-data", "theta-z(deg)-data"): RecordedQuantity("impedance", "polar", "ohm", "deg"),
+    ("|z|(ohm)-data", "theta-z(rad)-data"): RecordedQuantity("impedance", "polar", "ohm", "rad"),
+    ("r(ohm)-data", "x(ohm)-data"): RecordedQuantity("impedance", "rectangular", "ohm"),
+    ("|y|(s)-data", "theta-y(deg)-data"): RecordedQuantity("admittance", "polar", "S", "deg"),
+    ("|y|(s)-data", "theta-y(rad)-data"): RecordedQuantity("admittance", "polar", "S", "rad"),
+    ("g(s)-data", "b(s)-data"): RecordedQuantity("admittance", "rectangular", "S"),
 }
 
 
-def recognises(text: RecordingText) -> bool:
+def recognises_e4990a(text: RecordingText) -> bool:
     head = text.lines[:10]
     return any(line.startswith("!") and "E4990A" in line for line in head) or any(
         line.startswith("BEGIN CH") for line in head)
 
 
-def parse(text: RecordingText) -> Recorded:
+def parse_e4990a(text: RecordingText) -> Recorded:
     """Read the file.
 
     Columns that :data:`PAIRS` does not list (equivalent circuits, a spreadsheet's copy) are read by their headings. Of
@@ -107,5 +107,5 @@ def _block(text: RecordingText, stripped: Sequence[str], begin: int) -> Recorded
 def _by_headings(text: RecordingText, begin: int, end: int, instrument: str, date: str) -> Recorded:
     """The channel between two line indices, as a table; the lines keep their numbers."""
     alone = replace(text, lines=tuple(line if begin < index < end else "" for index, line in enumerate(text.lines)))
-    found = headed.parse(alone, instrument=instrument)
+    found = headed.parse_headed(alone, instrument=instrument)
     return replace(found, spectrum=replace(found.spectrum, origin=replace(found.spectrum.origin, date=date)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum
 
 #: Lowest and highest impedance and lowest frequency that bench analysers of this kind reach (E4990A data sheet:
 #: 20 Hz; 25 milliohm to 40 megohm), with a margin: outside, a unit has probably been misread.

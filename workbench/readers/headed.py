@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
-from workbench.readers.columns import ColumnMap, in_words, recorded
+from workbench.readers.columns import ColumnMap, column_map_text, recorded
 from workbench.readers.findings import PLAUSIBLE_HZ, examine
 from workbench.readers.headings import Heading, understand
-from workbench.readers.layouts import Body, Layout, body_of, find_layout, handle, named
+from workbench.readers.layouts import Body, TableLayout, body_of, column_name, find_layout, handle
 from workbench.readers.pairs import Pair, agree, find_pairs, reference_of
 from workbench.readers.proposals import proposal
 from workbench.readers.sweep import Recorded
@@ -30,12 +30,12 @@ OPTION = "--columns MAP.toml"
 HIGHEST_HZ = 120e6
 
 
-def recognises(text: RecordingText) -> bool:
+def recognises_headed(text: RecordingText) -> bool:
     """Whether the file holds a table of columns, understood or not."""
     return find_layout(text) is not None
 
 
-def parse(text: RecordingText, *, instrument: str = "") -> Recorded:
+def parse_headed(text: RecordingText, *, instrument: str = "") -> Recorded:
     """Read the file; the origin's setting ``columns.READ_AS`` says what each column was taken for, and why.
 
     Raises:
@@ -66,7 +66,7 @@ def parse(text: RecordingText, *, instrument: str = "") -> Recorded:
     unit, note = _frequency_unit(known[place], body.values[:, place])
     pairs = find_pairs(layout, known, body, reference_of(text, layout))
     if not unit:
-        raise refused(f"{named(layout, place)}: {note}", next(iter(pairs), None),
+        raise refused(f"{column_name(layout, place)}: {note}", next(iter(pairs), None),
                       {"frequency_unit": "UNCLEAR: Hz, kHz, MHz or GHz"})
     clear = [pair for pair in pairs if not pair.doubts]
     hertz = body.values[:, place] * UNITS["frequency"][unit]
@@ -83,13 +83,14 @@ def parse(text: RecordingText, *, instrument: str = "") -> Recorded:
         # Foster's theorem speaks against the sign, and the sign of Z'' is a matter of taste.
         other = replace(pair, quantity=replace(pair.quantity, negated=not pair.quantity.negated),
                         doubts={"negated": "UNCLEAR: true if the column is minus the imaginary part"})
-        raise refused(f"{named(layout, pair.second)} as it is written would be the reactance of nothing passive: is "
-                      "it of the other sign?", other)
+        raise refused(f"{column_name(layout, pair.second)} as it is written would be the reactance of nothing passive: "
+                      "is it of the other sign?", other)
     return found
 
 
 def _read(
-    text: RecordingText, layout: Layout, body: Body, pair: Pair, *, frequency: tuple[int, str, str], instrument: str
+    text: RecordingText, layout: TableLayout, body: Body, pair: Pair, *, frequency: tuple[int, str, str],
+    instrument: str
 ) -> Recorded:
     """The spectrum in a pair of columns; `frequency` is its column (from 0), its unit and how that was found."""
     place, unit, note = frequency
@@ -101,8 +102,8 @@ def _read(
     notes = {handle(layout, one): why for one, why in {place: note, **pair.notes}.items() if why}
     called = {handle(layout, one): f'heading "{layout.headings[one]}"' for one in places
               if isinstance(handle(layout, one), int)}
-    read_as = in_words(columns, {name: ", ".join(filter(None, (called.get(name), notes.get(name))))
-                                 for name in {**called, **notes}})
+    read_as = column_map_text(columns, {name: ", ".join(filter(None, (called.get(name), notes.get(name))))
+                                        for name in {**called, **notes}})
     rest = [f'"{heading}"' for other, heading in enumerate(layout.headings) if other not in places and heading]
     read_as += f"; not used: {', '.join(rest)}" if rest else ""
     values = [body.rows.column(text, place, width=layout.width, decimal=body.decimal)]
@@ -129,19 +130,19 @@ def _frequency_unit(heading: Heading | None, values: NDArray[np.float64]) -> tup
     return "", f"a frequency without a unit, and up to {highest:g} it may be in {' or '.join(possible) or 'none'}"
 
 
-def _lacking(layout: Layout, known: Sequence[Heading | None]) -> str:
+def _lacking(layout: TableLayout, known: Sequence[Heading | None]) -> str:
     """Which halves of a pair are there, and that the others are not."""
     names = {"magnitude": "a magnitude", "whole": "a magnitude", "phase": "a phase", "real": "a real part",
              "imaginary": "an imaginary part"}
-    there = [f"{named(layout, place)} is {names[heading.part]}" + ("" if heading.kind or heading.part == "phase"
+    there = [f"{column_name(layout, place)} is {names[heading.part]}" + ("" if heading.kind or heading.part == "phase"
              else " of nothing that is named") for place, heading in enumerate(known)
              if heading and heading.part in names]
-    there += [f"{named(layout, place)} is {heading.kind} of an equivalent circuit" for place, heading
+    there += [f"{column_name(layout, place)} is {heading.kind} of an equivalent circuit" for place, heading
               in enumerate(known) if heading and heading.part == "element"]
-    there += [f"{named(layout, place)} is a ratio or loss without a phase, from which no impedance follows: save S11 "
-              "as real and imaginary part" for place, heading in enumerate(known)
+    there += [f"{column_name(layout, place)} is a ratio or loss without a phase, from which no impedance follows: save "
+              "S11 as real and imaginary part" for place, heading in enumerate(known)
               if heading and heading.part == "scalar"]
-    strangers = [named(layout, place) for place, heading in enumerate(known) if heading is None]
+    strangers = [column_name(layout, place) for place, heading in enumerate(known) if heading is None]
     return "; ".join([*there, *([f"not understood: {', '.join(strangers)}"] if strangers else []),
                       "no two columns together are one magnitude and phase, one real and imaginary part, or one "
                       "circuit, of an impedance or admittance"])

@@ -13,29 +13,29 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.readers.quantities import Quantity
+from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded, in_order
-from workbench.readers.text import RecordingText, Rows, cells, numbers
-from workbench.spectrum import Origin
+from workbench.readers.text import NumberRows, RecordingText, cells, numbers
+from workbench.results.spectrum import Origin
 
-PARAMETERS: Mapping[str, Quantity] = {
-    "IMPEDANCE MAG PHASE (DEG)": Quantity("impedance", "polar", "ohm", "deg"),
-    "IMPEDANCE MAG PHASE (RAD)": Quantity("impedance", "polar", "ohm", "rad"),
-    "IMPEDANCE REAL IMAG": Quantity("impedance", "rectangular", "ohm"),
-    "ADMITTANCE MAG PHASE (DEG)": Quantity("admittance", "polar", "S", "deg"),
-    "ADMITTANCE MAG PHASE (RAD)": Quantity("admittance", "polar", "S", "rad"),
-    "ADMITTANCE REAL IMAG": Quantity("admittance", "rectangular", "S"),
+PARAMETERS: Mapping[str, RecordedQuantity] = {
+    "IMPEDANCE MAG PHASE (DEG)": RecordedQuantity("impedance", "polar", "ohm", "deg"),
+    "IMPEDANCE MAG PHASE (RAD)": RecordedQuantity("impedance", "polar", "ohm", "rad"),
+    "IMPEDANCE REAL IMAG": RecordedQuantity("impedance", "rectangular", "ohm"),
+    "ADMITTANCE MAG PHASE (DEG)": RecordedQuantity("admittance", "polar", "S", "deg"),
+    "ADMITTANCE MAG PHASE (RAD)": RecordedQuantity("admittance", "polar", "S", "rad"),
+    "ADMITTANCE REAL IMAG": RecordedQuantity("admittance", "rectangular", "S"),
 }
 
 _COLUMNS = ("Frequency", "Data Trace Real", "Data Trace Imag")
 _MEMORY_COLUMNS = ("Memory Trace Real", "Memory Trace Imag")
 
 
-def recognises(text: RecordingText) -> bool:
+def recognises_hp4294a(text: RecordingText) -> bool:
     return text.lines[0].lstrip('"').startswith("4294A")
 
 
-def parse(text: RecordingText) -> Recorded:
+def parse_hp4294a(text: RecordingText) -> Recorded:
     """Read the file.
 
     Raises:
@@ -86,7 +86,7 @@ def _required(text: RecordingText, header: Mapping[str, tuple[str, int]], key: s
     return header[key]
 
 
-def _trace(text: RecordingText, name: str, declared: int) -> Rows:
+def _trace(text: RecordingText, name: str, declared: int) -> NumberRows:
     """The table of trace `name`, data columns only, checked against the number of points in the header."""
     bare = [line.strip().strip('"').strip() for line in text.lines]
     if f"TRACE: {name}" not in bare:
@@ -108,10 +108,10 @@ def _trace(text: RecordingText, name: str, declared: int) -> Rows:
         raise text.error(block[-1][0] if block else header + 1, None, f"{len(block)} rows in trace {name}",
                          f"the {declared} points the header declares")
     rows = numbers(text, block, delimiter="\t", columns=len(names))
-    return Rows(rows.values[:, :3], rows.lines)
+    return NumberRows(rows.values[:, :3], rows.lines)
 
 
-def _real(text: RecordingText, rows: Rows) -> NDArray[np.float64]:
+def _real(text: RecordingText, rows: NumberRows) -> NDArray[np.float64]:
     """The trace's values; an imaginary part would mean a trace this reader does not know."""
     wrong = rows.values[:, 2] != 0.0
     if np.any(wrong):

@@ -42,12 +42,12 @@ def recogniser(name: str) -> Callable[[RecordingText], bool]:
 
     def recognises(text: RecordingText) -> bool:
         named = any(re.search(instrument.sign, line) for line in text.lines[:instrument.lines])
-        return named and headed.recognises(text)
+        return named and headed.recognises_headed(text)
 
     return recognises
 
 
-def parser(name: str) -> Callable[[RecordingText], Recorded]:
+def instrument_parser(name: str) -> Callable[[RecordingText], Recorded]:
     """What reads a file of the instrument `name`, a key of :data:`INSTRUMENTS`."""
     instrument = INSTRUMENTS[name]
 
@@ -63,6 +63,6 @@ def parser(name: str) -> Callable[[RecordingText], Recorded]:
                 raise InputError(text.path, "table", text.lines[0][:80], f"a line like {instrument.above!r} above the "
                                  f"table of a {instrument.name} file")
             text = replace(text, lines=tuple("" if index <= above else line for index, line in enumerate(text.lines)))
-        return headed.parse(text, instrument=instrument.name)
+        return headed.parse_headed(text, instrument=instrument.name)
 
     return parse

@@ -19,21 +19,21 @@ from workbench.readers import headed
 from workbench.readers.columns import READ_AS
 from workbench.readers.findings import Finding
 from workbench.readers.headings import understand
-from workbench.readers.quantities import Quantity
+from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cells, complex_parts, is_number
-from workbench.spectrum import Origin
+from workbench.results.spectrum import Origin
 
 #: The pairs of fields that are an impedance, and what they are.
-PAIRS: Mapping[tuple[str, str], Quantity] = {
-    ("realz", "imagz"): Quantity("impedance", "rectangular", "ohm"),
-    ("absz", "phasez"): Quantity("impedance", "polar", "ohm", "rad"),
+PAIRS: Mapping[tuple[str, str], RecordedQuantity] = {
+    ("realz", "imagz"): RecordedQuantity("impedance", "rectangular", "ohm"),
+    ("absz", "phasez"): RecordedQuantity("impedance", "polar", "ohm", "rad"),
 }
 #: Sweeps of one file that differ by less (rms, of |Z|) are repetitions. Doubled, a drift of 2 % goes unmentioned.
 REPEATED = 0.01
 
 
-def recognises(text: RecordingText) -> bool:
+def recognises_labone(text: RecordingText) -> bool:
     return _delimiter(text) != ""
 
 
@@ -43,7 +43,7 @@ def _delimiter(text: RecordingText) -> str:
     return next((mark for mark in ";,\t" if head.startswith(f"chunk{mark}timestamp{mark}size{mark}fieldname")), "")
 
 
-def parse(text: RecordingText) -> Recorded:
+def parse_labone(text: RecordingText) -> Recorded:
     """Read the first sweep of the file; a finding says how others differ from it.
 
     Raises:
@@ -136,7 +136,7 @@ def parse_lines(text: RecordingText) -> Recorded:
         raise text.error(1, None, text.lines[0][:80], "lines that are each a heading and numbers, one of them "
                          "a frequency")
     try:
-        found = headed.parse(turned)
+        found = headed.parse_headed(turned)
     except InputError as error:
         # Its column map is for the table as it was turned, which is no file.
         raise InputError(text.path, error.field, error.value, error.expected.split(". Look through")[0]

@@ -22,7 +22,7 @@ _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Where a table is: its ``headings`` (none: no line of them), their ``line`` (index), the index ``start`` of its
     first row, its ``delimiter`` and number of columns; ``plain`` if the headings are cells of that one line."""
 
@@ -45,10 +45,10 @@ class Body:
     decimal: str
 
 
-def find_layout(text: RecordingText) -> Layout | None:
+def find_layout(text: RecordingText) -> TableLayout | None:
     """The first table of three columns or more, by its headings or, if none are understood, by its numbers."""
     numbered = _numbers(text)
-    headed: Layout | None = None
+    headed: TableLayout | None = None
     for index, line in enumerate(text.lines[:SEARCHED if numbered is None else numbered.start]):
         if not line.strip():
             continue
@@ -59,13 +59,13 @@ def find_layout(text: RecordingText) -> Layout | None:
     return headed or numbered
 
 
-def _headings(text: RecordingText, index: int) -> Layout | None:
+def _headings(text: RecordingText, index: int) -> TableLayout | None:
     """The layout that the line `index` gives if it is understood as headings; of several delimiters, the best."""
     line = uncommented(text.lines[index]).strip().strip('"') if text.lines[index].count('"') == 2 else uncommented(
         text.lines[index])
     below = next((row for row in text.lines[index + 1:] if row.strip() and not row.startswith(COMMENTS)
                   and row.strip()[:1] in "+-.0123456789("), "")
-    best: tuple[int, Layout] | None = None
+    best: tuple[int, TableLayout] | None = None
     for delimiter in _DELIMITERS:
         for plain, names in ((True, cells(line, delimiter)), (False, re.split(r"\s{2,}", line.strip()))):
             # Blanks stand in sentences too, of which a word or two may be understood.
@@ -79,11 +79,12 @@ def _headings(text: RecordingText, index: int) -> Layout | None:
             # Where several will do, the one that leaves fewest cells unexplained.
             score = 2 * count - len(names)
             if best is None or score > best[0]:
-                best = score, _with_units(text, Layout(tuple(names), index, index + 1, delimiter, len(names), plain))
+                best = score, _with_units(text, TableLayout(tuple(names), index, index + 1, delimiter, len(names),
+                                                            plain))
     return None if best is None else best[1]
 
 
-def _with_units(text: RecordingText, layout: Layout) -> Layout:
+def _with_units(text: RecordingText, layout: TableLayout) -> TableLayout:
     """The layout, with the units that a line below the headings gives."""
     if layout.start >= len(text.lines):
         return layout
@@ -104,7 +105,7 @@ def _takes(name: str, unit: str) -> bool:
     return bare is not None and whole is not None and not bare.unit and not whole.strange_unit
 
 
-def _numbers(text: RecordingText) -> Layout | None:
+def _numbers(text: RecordingText) -> TableLayout | None:
     """The layout of the first two rows of three numbers or more, with what stands above them as headings.
 
     A complex number is two; of a table of two columns more is not known.
@@ -120,8 +121,8 @@ def _numbers(text: RecordingText) -> Layout | None:
                 if above is not None:
                     names = cells(uncommented(text.lines[above]), delimiter)
                     if len(names) == len(row) and not all(map(is_cell, names)):
-                        return Layout(tuple(names), above, index, delimiter, len(row), plain=True)
-                return Layout((), index, index, delimiter, len(row), plain=False)
+                        return TableLayout(tuple(names), above, index, delimiter, len(row), plain=True)
+                return TableLayout((), index, index, delimiter, len(row), plain=False)
     return None
 
 
@@ -129,7 +130,7 @@ def is_cell(cell: str) -> bool:
     return _CELL.fullmatch(cell) is not None or complex_parts(cell) is not None
 
 
-def _decimal(text: RecordingText, layout: Layout) -> str:
+def _decimal(text: RecordingText, layout: TableLayout) -> str:
     """"," if the rows have decimal commas.
 
     Raises:
@@ -154,7 +155,7 @@ def _decimal(text: RecordingText, layout: Layout) -> str:
     return "." if commas is None else ","
 
 
-def body_of(text: RecordingText, layout: Layout, frequency: int) -> Body:
+def body_of(text: RecordingText, layout: TableLayout, frequency: int) -> Body:
     """The rows of a table; `frequency` is the column (from 0) that every row has a number in.
 
     Raises:
@@ -174,11 +175,11 @@ def body_of(text: RecordingText, layout: Layout, frequency: int) -> Body:
     return Body(rows, values, complexes, decimal)
 
 
-def named(layout: Layout, place: int) -> str:
+def column_name(layout: TableLayout, place: int) -> str:
     return f'column {place + 1} "{layout.headings[place]}"'
 
 
-def handle(layout: Layout, place: int) -> str | int:
+def handle(layout: TableLayout, place: int) -> str | int:
     """What a column map calls a column: its heading where that is found and tells it apart, otherwise its number."""
     if layout.plain and layout.headings.count(layout.headings[place]) == 1 and layout.headings[place]:
         return layout.headings[place]

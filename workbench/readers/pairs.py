@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.readers.headings import SYMBOLS, Heading, is_series
-from workbench.readers.layouts import Body, Layout, named
+from workbench.readers.layouts import Body, TableLayout, column_name
 from workbench.readers.quantities import (
     CIRCUITS,
     CONFIGURATIONS,
@@ -18,7 +18,7 @@ from workbench.readers.quantities import (
     MAGNITUDE_UNITS,
     PHASE_UNITS,
     REFERENCE_OHM,
-    Quantity,
+    RecordedQuantity,
 )
 from workbench.readers.text import RecordingText
 
@@ -47,31 +47,32 @@ class Pair:
 
     first: int
     second: int
-    quantity: Quantity
+    quantity: RecordedQuantity
     doubts: Mapping[str, str]
     notes: Mapping[int, str]
     primed: bool = False
 
 
 def find_pairs(
-    layout: Layout, known: Sequence[Heading | None], body: Body, reference: float | None
+    layout: TableLayout, known: Sequence[Heading | None], body: Body, reference: float | None
 ) -> list[Pair]:
     """Every two columns that may hold the impedance, those of the first columns first; pairs of elements of an
     equivalent circuit only where there is no other."""
     found = []
     for kind in SYMBOLS:
-        for place in columns_of(known, "whole", kind):
+        for place in quantity_columns(known, "whole", kind):
             if place in body.complexes:
                 found.append(_whole(layout, known, kind, place, reference))
-        real, imaginary = columns_of(known, "real", kind), columns_of(known, "imaginary", kind)
+        real, imaginary = quantity_columns(known, "real", kind), quantity_columns(known, "imaginary", kind)
         if len(real) == len(imaginary) == 1:
             found.append(_pair(layout, known, body, kind, "rectangular", (real[0], imaginary[0]), reference))
         # A bare Z beside a phase is the magnitude, and a phase that does not say of what is that of what is there.
-        magnitude = columns_of(known, "magnitude", kind) or [
-            place for place in columns_of(known, "whole", kind) if place not in body.complexes]
-        alone = not any(columns_of(known, "magnitude", other) or columns_of(known, "whole", other) for other in SYMBOLS
+        magnitude = quantity_columns(known, "magnitude", kind) or [
+            place for place in quantity_columns(known, "whole", kind) if place not in body.complexes]
+        alone = not any(quantity_columns(known, "magnitude", other)
+                        or quantity_columns(known, "whole", other) for other in SYMBOLS
                         if other != kind)
-        phase = columns_of(known, "phase", kind) or (columns_of(known, "phase", "") if alone else [])
+        phase = quantity_columns(known, "phase", kind) or (quantity_columns(known, "phase", "") if alone else [])
         if len(magnitude) == len(phase) == 1:
             found.append(_pair(layout, known, body, kind, "polar", (magnitude[0], phase[0]), reference))
     found = [_at_one_port(layout, known, body, pair) for pair in found]
@@ -80,13 +81,13 @@ def find_pairs(
     return sorted(found, key=lambda pair: (min(pair.first, pair.second), pair.first))
 
 
-def reference_of(text: RecordingText, layout: Layout) -> float | None:
+def reference_of(text: RecordingText, layout: TableLayout) -> float | None:
     """The reference resistance (ohm) that the lines above a table state."""
     found = [match for line in text.lines[:layout.start] for match in _REFERENCE.findall(line)]
     return float(found[0]) if found and float(found[0]) > 0.0 else None
 
 
-def columns_of(known: Sequence[Heading | None], part: str, kind: str) -> list[int]:
+def quantity_columns(known: Sequence[Heading | None], part: str, kind: str) -> list[int]:
     """The columns of that part of that quantity, at port 1 where it has ports."""
     return [place for place, heading in enumerate(known)
             if heading and (heading.part, heading.kind) == (part, kind) and (heading.port == 1
@@ -106,7 +107,7 @@ def stated_ports(kind: str, reference: float | None) -> tuple[dict[str, object],
 
 
 def _whole(
-    layout: Layout, known: Sequence[Heading | None], kind: str, place: int, reference: float | None
+    layout: TableLayout, known: Sequence[Heading | None], kind: str, place: int, reference: float | None
 ) -> Pair:
     """A column of complex numbers with its unit."""
     heading = known[place]
@@ -116,46 +117,47 @@ def _whole(
     notes, doubts = {place: note} if note else {}, {}
     if heading.strange_unit or heading.unit == "dB":
         doubts["unit"] = f"UNCLEAR: {', '.join(MAGNITUDE_UNITS[kind])}"
-        notes[place] = f"{named(layout, place)}: its unit {(heading.strange_unit or 'dB')!r} is not known"
+        notes[place] = f"{column_name(layout, place)}: its unit {(heading.strange_unit or 'dB')!r} is not known"
     elif not heading.unit and kind in ("impedance", "admittance"):
         notes[place] = f"no unit given, hence {usual}"
     unit = heading.unit if heading.unit in MAGNITUDE_UNITS[kind] else usual
-    return _unless_through(layout, Pair(place, place, Quantity(kind, "complex", unit, **more), doubts,  # type: ignore[arg-type]
-                                        notes))
+    quantity = RecordedQuantity(kind, "complex", unit, **more)  # type: ignore[arg-type]
+    return _unless_through(layout, Pair(place, place, quantity, doubts, notes))
 
 
-def _unless_through(layout: Layout, pair: Pair) -> Pair:
+def _unless_through(layout: TableLayout, pair: Pair) -> Pair:
     """The pair, with the doubt that a transmission always leaves."""
     if pair.quantity.kind != "transmission":
         return pair
-    why = f"{named(layout, pair.first)}: a transmission does not say how the device is connected"
+    why = f"{column_name(layout, pair.first)}: a transmission does not say how the device is connected"
     return replace(pair, doubts={**pair.doubts, "configuration": "UNCLEAR: shunt (from the line to ground) or series"},
                    notes={**pair.notes, pair.first: why})
 
 
-def _at_one_port(layout: Layout, known: Sequence[Heading | None], body: Body, pair: Pair) -> Pair:
+def _at_one_port(layout: TableLayout, known: Sequence[Heading | None], body: Body, pair: Pair) -> Pair:
     """The pair; a reflection beside a transmission that is not small is one of a device between two ports."""
     if pair.quantity.kind != "reflection":
         return pair
     for part in ("magnitude", "real", "imaginary", "whole"):
-        for place in columns_of(known, part, "transmission"):
+        for place in quantity_columns(known, part, "transmission"):
             heading = known[place]
             assert heading is not None
             values = np.abs(body.values[:, place])
             size = 10.0 ** (body.values[:, place] / 20.0) if heading.unit == "dB" else values
             if place not in body.complexes and np.nanmax(size, initial=0.0) > THROUGH:
-                why = (f"{named(layout, place)} is not small: the reflection at port 1 is that of a device at this "
-                       "port alone, and a device between the ports is known by its transmission and its connection")
+                why = (f"{column_name(layout, place)} is not small: the reflection at port 1 is that of a device at "
+                       "this port alone, and a device between the ports is known by its transmission and its "
+                       "connection")
                 return replace(pair, doubts={**pair.doubts, "kind": "UNCLEAR: reflection if the device is at port 1 "
                                              "alone"}, notes={**pair.notes, pair.first: why})
     return pair
 
 
-def _circuits(layout: Layout, known: Sequence[Heading | None], body: Body) -> list[Pair]:
+def _circuits(layout: TableLayout, known: Sequence[Heading | None], body: Body) -> list[Pair]:
     """Pairs of columns that are elements of an equivalent circuit."""
     places: dict[str, list[int]] = {
-        "Rs": columns_of(known, "real", "impedance"), "X": columns_of(known, "imaginary", "impedance"),
-        "G": columns_of(known, "real", "admittance"), "B": columns_of(known, "imaginary", "admittance")}
+        "Rs": quantity_columns(known, "real", "impedance"), "X": quantity_columns(known, "imaginary", "impedance"),
+        "G": quantity_columns(known, "real", "admittance"), "B": quantity_columns(known, "imaginary", "admittance")}
     # The sign of a column that is minus a reactance is no part of a circuit.
     places = {symbol: [p for p in found if (heading := known[p]) is not None and not heading.negated]
               for symbol, found in places.items()}
@@ -177,7 +179,8 @@ def _circuits(layout: Layout, known: Sequence[Heading | None], body: Body) -> li
 
 
 def _circuit(
-    layout: Layout, known: Sequence[Heading | None], body: Body, circuit: str, places: tuple[int, int], *, doubted: bool
+    layout: TableLayout, known: Sequence[Heading | None], body: Body, circuit: str, places: tuple[int, int], *,
+    doubted: bool,
 ) -> Pair:
     """A pair of elements with their units."""
     doubts: dict[str, str] = {}
@@ -192,27 +195,29 @@ def _circuit(
             np.isfinite(body.values[:, place])) else 0.0
         if heading.strange_unit or (heading.unit and heading.unit not in allowed):
             doubts[key] = f"UNCLEAR: {', '.join(allowed)}"
-            notes[place] = f"{named(layout, place)}: its unit {heading.strange_unit or heading.unit!r} is not known"
+            strange = heading.strange_unit or heading.unit
+            notes[place] = f"{column_name(layout, place)}: its unit {strange!r} is not known"
         elif not heading.unit and size > LARGEST_ELEMENT.get(symbol[0], np.inf):
             doubts[key] = f"UNCLEAR: {', '.join(allowed)}"
-            notes[place] = f"{named(layout, place)}: no unit, and {size:g} {usual} is too much"
+            notes[place] = f"{column_name(layout, place)}: no unit, and {size:g} {usual} is too much"
         elif not heading.unit and symbol[0] not in "DQ":
             notes[place] = f"no unit given, hence {usual}"
         units.append(heading.unit if heading.unit in allowed else usual)
     if doubted:
         doubts["form"] = "UNCLEAR: of a parallel (p) or a series circuit (s), as the meter was set"
-        notes[places[0]] = f"{named(layout, places[0])}: series or parallel is not said"
+        notes[places[0]] = f"{column_name(layout, places[0])}: series or parallel is not said"
     forward = places[0] < places[1]
     form = circuit if forward else "-".join(reversed(circuit.split("-")))
     one, two = (0, 1) if forward else (1, 0)
     if not forward:
         swapped = {"unit": "second_unit", "second_unit": "unit"}
         doubts = {swapped.get(key, key): text for key, text in doubts.items()}
-    return Pair(places[one], places[two], Quantity("circuit", form, units[one], second_unit=units[two]), doubts, notes)
+    quantity = RecordedQuantity("circuit", form, units[one], second_unit=units[two])
+    return Pair(places[one], places[two], quantity, doubts, notes)
 
 
 def _pair(
-    layout: Layout, known: Sequence[Heading | None], body: Body, kind: str, form: str, places: tuple[int, int],
+    layout: TableLayout, known: Sequence[Heading | None], body: Body, kind: str, form: str, places: tuple[int, int],
     reference: float | None,
 ) -> Pair:
     """Two columns with their units, as far as these are clear."""
@@ -228,7 +233,7 @@ def _pair(
 
     def doubt(key: str, place: int, comment: str, why: str) -> None:
         doubts[key] = f"UNCLEAR: {comment}"
-        notes[place] = f"{named(layout, place)}: {why}"
+        notes[place] = f"{column_name(layout, place)}: {why}"
 
     for place, heading in zip(places, (one, two), strict=True):
         if heading.strange_unit:
@@ -240,7 +245,7 @@ def _pair(
     smallest = float(np.nanmin(body.values[:, places[0]], initial=np.inf))
     if form == "rectangular":
         if one.unit != two.unit and "unit" not in doubts:
-            doubt("unit", places[1], choice, f"its unit is not that of {named(layout, places[0])}")
+            doubt("unit", places[1], choice, f"its unit is not that of {column_name(layout, places[0])}")
         elif not two.unit and not two.strange_unit and not more:
             notes[places[1]] = f"no unit given, hence {usual}"
     else:
@@ -261,8 +266,8 @@ def _pair(
             doubt("form", places[0], "polar or rectangular", "taken for a magnitude, and has values below zero")
     if stated and places[0] not in notes:
         notes[places[0]] = stated
-    quantity = Quantity(kind, form, unit if unit in (*MAGNITUDE_UNITS[kind], "dB") else usual, phase_unit,
-                        negated=two.negated, **more)  # type: ignore[arg-type]
+    quantity = RecordedQuantity(kind, form, unit if unit in (*MAGNITUDE_UNITS[kind], "dB") else usual, phase_unit,
+                                negated=two.negated, **more)  # type: ignore[arg-type]
     return _unless_through(layout, Pair(*places, quantity, doubts, notes, two.primed))
 
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from workbench.readers.columns import ColumnMap, contradiction, map_text
 from workbench.readers.headings import SYMBOLS, Heading, hint, is_series
-from workbench.readers.layouts import Body, Layout, handle
+from workbench.readers.layouts import Body, TableLayout, handle
 from workbench.readers.pairs import Pair, stated_ports
-from workbench.readers.quantities import CIRCUITS, ELEMENT_UNITS, MAGNITUDE_UNITS, PHASE_UNITS, Quantity
+from workbench.readers.quantities import CIRCUITS, ELEMENT_UNITS, MAGNITUDE_UNITS, PHASE_UNITS, RecordedQuantity
 
 #: Units of what is no half of an impedance: voltage, current, power, time, temperature.
 _FOREIGN = re.compile(r"(?:[(/\[]|\bin |_)\s*(?:[munpkM]|μ|µ)?(?:V|A|W|s|sec|°?C|degC|K|dBm|dBV)"
@@ -22,7 +22,7 @@ _FOREIGN = re.compile(r"(?:[(/\[]|\bin |_)\s*(?:[munpkM]|μ|µ)?(?:V|A|W|s|sec|�
 
 
 def proposal(
-    layout: Layout, body: Body, known: Sequence[Heading | None], pair: Pair | None, doubts: Mapping[str, str]
+    layout: TableLayout, body: Body, known: Sequence[Heading | None], pair: Pair | None, doubts: Mapping[str, str]
 ) -> str:
     """The text of the column map that is most likely meant; nothing where any map would contradict a heading."""
     strangers = [p for p, heading in enumerate(known) if heading is None]
@@ -78,19 +78,19 @@ def proposal(
     return map_text(head, quantity, doubts)
 
 
-def _contradicts(layout: Layout, places: tuple[int, int, int], quantity: Mapping[str, object]) -> bool:
+def _contradicts(layout: TableLayout, places: tuple[int, int, int], quantity: Mapping[str, object]) -> bool:
     """Whether a quantity is none of what the headings of its columns say."""
     resistance = {"reference_resistance": 1.0} if "reference_resistance" in quantity else {}
     frequency, first, second = (layout.headings[place] for place in places)
     if len({frequency, first, second}) < len(set(places)):
         # Headings that occur twice are counted, and have no say.
         return False
-    proposed = Quantity(**{**quantity, **resistance})  # type: ignore[arg-type]
+    proposed = RecordedQuantity(**{**quantity, **resistance})  # type: ignore[arg-type]
     return contradiction(ColumnMap(frequency, first, None if proposed.form == "complex" else second,
                                    proposed)) is not None
 
 
-def _as_table(quantity: Quantity, *, negated: bool) -> dict[str, object]:
+def _as_table(quantity: RecordedQuantity, *, negated: bool) -> dict[str, object]:
     """The entries of a quantity as a column map has them."""
     found: dict[str, object] = {"kind": quantity.kind, "form": quantity.form, "unit": quantity.unit}
     if quantity.form == "polar":
@@ -127,7 +127,7 @@ def _half(heading: Heading | None) -> dict[str, object]:
 
 
 def _guess(
-    layout: Layout, body: Body, known: Sequence[Heading | None], frequency: int
+    layout: TableLayout, body: Body, known: Sequence[Heading | None], frequency: int
 ) -> tuple[tuple[int, int, int], dict[str, object]] | None:
     """Columns and quantity where no pair was found: a gain if one is named, else what halves of a pair there are; None
     where too few columns are left that may be one.
@@ -193,7 +193,7 @@ def _guess(
 
 
 def _beside(
-    layout: Layout, seen: Sequence[Heading | None], places: Sequence[int], parts: Sequence[str]
+    layout: TableLayout, seen: Sequence[Heading | None], places: Sequence[int], parts: Sequence[str]
 ) -> int | None:
     """The first of `places` whose heading is not known to be something else than one of `parts`."""
     for place in places:
@@ -205,7 +205,7 @@ def _beside(
 
 
 def _guessed_circuit(
-    layout: Layout, seen: Sequence[Heading | None], others: Sequence[int], place: int
+    layout: TableLayout, seen: Sequence[Heading | None], others: Sequence[int], place: int
 ) -> tuple[tuple[int, int], dict[str, object]] | None:
     """A circuit with the element in the column `place`, and the column beside it as the other element."""
     def symbol(of: int) -> str:

@@ -41,7 +41,7 @@ REFERENCE_OHM = 50.0
 
 
 @dataclass(frozen=True)
-class Quantity:
+class RecordedQuantity:
     """What two columns of numbers mean.
 
     ``kind``: "impedance", "admittance", "gain", "reflection", "transmission" or "circuit"; ``form``: "polar"

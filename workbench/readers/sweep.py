@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from workbench.readers.findings import Finding
 from workbench.readers.text import RecordingText, check_impedance
-from workbench.spectrum import Origin, Spectrum
+from workbench.results.spectrum import Origin, Spectrum
 
 #: The setting of an origin that says what was put in order or left out.
 PUT_IN_ORDER = "put in order"

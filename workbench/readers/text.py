@@ -59,14 +59,14 @@ class RecordingText:
 
 
 @dataclass(frozen=True)
-class Rows:
+class NumberRows:
     """A table of numbers: ``values`` (n, columns) and the line of the file, from one, on which each row stands."""
 
     values: NDArray[np.float64]
     lines: tuple[int, ...]
 
 
-def load(path: Path) -> RecordingText:
+def load_text(path: Path) -> RecordingText:
     """The text of a recording.
 
     A byte-order mark declares UTF-8, UTF-16 or UTF-32. Without one the text is UTF-8 or else of the first encoding that
@@ -199,7 +199,7 @@ def _unquoted(cell: str) -> str:
     return cell[1:-1].strip() if len(cell) > 1 and cell.startswith('"') and cell.endswith('"') else cell
 
 
-def number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:
+def cell_number(text: RecordingText, line: int, column: int, *, cell: str, decimal: str = ".") -> float:
     """The number in one cell.
 
     Raises:
@@ -225,7 +225,7 @@ def numbers(
     delimiter: str,
     columns: int,
     decimal: str = ".",
-) -> Rows:
+) -> NumberRows:
     """The table in the lines `numbered` (pairs of line number and line), each with exactly `columns` cells.
 
     Raises:
@@ -241,8 +241,8 @@ def numbers(
         if len(row) != columns:
             raise text.error(line, None, content, f"{columns} columns; this row has {len(row)}")
         for column, cell in enumerate(row):
-            values[index, column] = number(text, line, column + 1, cell=cell, decimal=decimal)
-    return Rows(values, tuple(line for line, _ in numbered))
+            values[index, column] = cell_number(text, line, column + 1, cell=cell, decimal=decimal)
+    return NumberRows(values, tuple(line for line, _ in numbered))
 
 
 def check_impedance(text: RecordingText, impedance: NDArray[np.complex128], lines: Sequence[int]) -> None:
@@ -271,8 +271,8 @@ class RowCells:
         """
         found = np.empty(len(self.cells))
         for index, line in enumerate(self.lines):
-            found[index] = number(text, line, place + 1, cell=self._cell(text, index, place, width=width),
-                                  decimal=decimal)
+            found[index] = cell_number(text, line, place + 1, cell=self._cell(text, index, place, width=width),
+                                       decimal=decimal)
         return found
 
     def complex_column(
@@ -288,8 +288,8 @@ class RowCells:
             cell = self._cell(text, index, place, width=width)
             parts = complex_parts(cell) or (cell, "0")
             for part in (0, 1):
-                found[part, index] = number(text, line, place + 1, cell=parts[part].lstrip("+") or cell,
-                                            decimal=decimal)
+                found[part, index] = cell_number(text, line, place + 1, cell=parts[part].lstrip("+") or cell,
+                                                 decimal=decimal)
         return found[0], found[1]
 
     def loosely(self, place: int, *, decimal: str) -> NDArray[np.float64]:
@@ -349,14 +349,14 @@ def row_cells(
                 raise text.error(line, None, content, f"{width} columns; this row has {len(row)}" + (
                     ", as if its decimal commas divided it" if len(row) > width and delimiter == "," else ""))
             if not first:
-                number(text, line, frequency + 1, cell=first, decimal=decimal)
+                cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
             found.append(tuple(row))
             lines.append(line)
             continue
         if others > 1 and not first[:1].isalpha():
-            number(text, line, frequency + 1, cell=first, decimal=decimal)
+            cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
         if first.casefold().lstrip("+-") in ("nan", "inf", "infinity") and others:
-            number(text, line, frequency + 1, cell=first, decimal=decimal)
+            cell_number(text, line, frequency + 1, cell=first, decimal=decimal)
         if found and not others and len(row) == width > 1 and all(row) and tuple(row) != tuple(headings):
             return RowCells(tuple(found), tuple(lines), tuple(skipped), line)
         if found and tuple(row) != tuple(headings) and content.strip(" ,;\t").casefold() != "end":

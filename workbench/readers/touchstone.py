@@ -20,8 +20,8 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.readers.findings import Finding
 from workbench.readers.sweep import Recorded, in_order
-from workbench.readers.text import RecordingText, number
-from workbench.spectrum import Origin
+from workbench.readers.text import RecordingText, cell_number
+from workbench.results.spectrum import Origin
 
 _FREQUENCIES: Mapping[str, float] = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
 _PARAMETERS = ("s", "y", "z", "g", "h")
@@ -54,7 +54,7 @@ class Options:
     matrix: str = "full"
 
 
-def recognises(text: RecordingText) -> bool:
+def recognises_touchstone(text: RecordingText) -> bool:
     suffix = Path(text.path).suffix.casefold()
     if _SUFFIX.fullmatch(suffix):
         return True
@@ -67,7 +67,7 @@ def recognises(text: RecordingText) -> bool:
     return len(words) > 1 and words[0] in known and all(word in known or _NUMBER.fullmatch(word) for word in words)
 
 
-def parse(text: RecordingText) -> Recorded:
+def parse_touchstone(text: RecordingText) -> Recorded:
     """Read the file; of several ports, the impedance at port 1.
 
     Raises:
@@ -219,7 +219,7 @@ def _option_line(text: RecordingText, line: int, options: Options, words: Sequen
 
 def _numbers(text: RecordingText, line: int, words: Sequence[str]) -> tuple[float, ...]:
     """Resistances above zero."""
-    found = tuple(number(text, line, column, cell=word) for column, word in enumerate(words, 1))
+    found = tuple(cell_number(text, line, column, cell=word) for column, word in enumerate(words, 1))
     if any(value <= 0.0 for value in found):
         raise text.error(line, None, " ".join(words), "a resistance above zero")
     return found
@@ -234,7 +234,7 @@ def _records(
     rows: list[list[float]] = []
     lines: list[int] = []
     for index, (line, words) in enumerate(data):
-        row = [number(text, line, column, cell=word) for column, word in enumerate(words, 1)]
+        row = [cell_number(text, line, column, cell=word) for column, word in enumerate(words, 1)]
         continued = bool(rows) and len(rows[-1]) < width
         if continued and (ports > 2 or options.version == 2):
             rows[-1] += row

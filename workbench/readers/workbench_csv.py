@@ -1,27 +1,29 @@
-"""The workbench's own file, written by :func:`workbench.spectrum.write_csv`; the origin's lines may be missing."""
+"""The workbench's own file, written by :func:`workbench.results.spectrum.write_csv`; the origin's lines may be
+missing."""
 
 from __future__ import annotations
 
 from workbench.files.errors import InputError, nearest_names
 from workbench.readers.sweep import Recorded, in_order
 from workbench.readers.text import RecordingText, cells, numbers
-from workbench.spectrum import COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
+from workbench.results.spectrum import COLUMNS, ORIGIN_KINDS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
 
 _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
 
-def recognises(text: RecordingText) -> bool:
+def recognises_workbench_csv(text: RecordingText) -> bool:
     header = next((line for line in text.lines if not line.startswith("#") and line.strip()), "")
     names = cells(header, ",")
     # Another program may call its frequency so; its other columns tell.
     return names[0].startswith(COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(COLUMNS[1:]))
 
 
-def parse(text: RecordingText) -> Recorded:
+def parse_workbench_csv(text: RecordingText) -> Recorded:
     """Read the file.
 
     Raises:
-        InputError: a metadata key, column name or row that :func:`~workbench.spectrum.write_csv` would not write.
+        InputError: a metadata key, column name or row that :func:`~workbench.results.spectrum.write_csv` would not
+        write.
     """
     numbered = [(index + 1, line) for index, line in enumerate(text.lines) if line.strip()]
     comments = [(line, content) for line, content in numbered if content.startswith("#")]

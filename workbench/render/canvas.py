@@ -20,7 +20,7 @@ from workbench.files.writing import replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from workbench.field_forces import Excitation
+    from workbench.acoustics.forces import Excitation
 
 #: For quantities with a sign, zero in the middle; and for the others, equal steps looking equal.
 SIGNED_COLOURS = "RdBu_r"
@@ -42,7 +42,7 @@ _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class DrawnShape:
     """Something to photograph: ``points`` (N, 3) m; ``cells`` (M, k) point numbers of polygons, of lines where k is 2.
 
     ``colour``: a name of matplotlib's or ``#rrggbb``, or one for every point, (N, 3) in 0 to 255. ``light``: shares of
@@ -76,7 +76,7 @@ def vtk_modules(*names: str) -> tuple[Any, ...]:
 
 
 def photograph(
-    shapes: Sequence[Shape], *, azimuth: float, elevation: float, width: int, height: int
+    shapes: Sequence[DrawnShape], *, azimuth: float, elevation: float, width: int, height: int
 ) -> NDArray[np.uint8]:
     """The (height, width, 3) picture of `shapes` on white, in parallel projection.
 
@@ -140,7 +140,7 @@ def surface(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Any:
     return data
 
 
-def _actor(shape: Shape) -> Any:
+def _actor(shape: DrawnShape) -> Any:
     from matplotlib.colors import to_rgb
 
     rendering, support = vtk_modules("vtkRenderingCore", "util.numpy_support")
@@ -194,7 +194,7 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path:
+def save_figure(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path:
     """Write `figure` as PNG or SVG, by the suffix of `path`, all at once; returns `path`.
 
     Raises:

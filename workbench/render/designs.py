@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import new_figure, save
+from workbench.render.canvas import new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 
 
@@ -22,7 +22,7 @@ class Course:
     optimum: int
 
 
-def draw_convergence(courses: Sequence[Course], path: Path, *, label: str, maximise: bool, title: str = "") -> Path:
+def draw_descents(courses: Sequence[Course], path: Path, *, label: str, maximise: bool, title: str = "") -> Path:
     """The best figure so far over the evaluations of every descent, coloured by the optimum it ended at."""
     figure = new_figure(8.0, 4.2)
     axes = figure.subplots()
@@ -48,7 +48,7 @@ def draw_convergence(courses: Sequence[Course], path: Path, *, label: str, maxim
         axes.legend(frameon=False)
     tidy(axes)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_front(
@@ -70,4 +70,4 @@ def draw_front(
     axes.legend(frameon=False)
     tidy(axes)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)

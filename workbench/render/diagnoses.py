@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import OTHER_COLOUR, new_figure, save
+from workbench.render.canvas import OTHER_COLOUR, new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def draw_states(states: Sequence[StatePicture], path: Path, *, before: str, afte
             lower.set_xlabel("frequency (MHz)")
     figure.legend(handles, ["measured", before, after, "noise, two standard deviations"], loc="upper center", ncols=4,
                   frameon=False)
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def _draw_state(upper: Axes, lower: Axes, state: StatePicture) -> list[Artist]:
@@ -119,4 +119,4 @@ def draw_shares(shares: Mapping[str, float], path: Path, *, title: str) -> Path:
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.72), ncols=2, frameon=False)
     figure.subplots_adjust(left=0.04, right=0.97, top=0.84, bottom=0.55)
-    return save(figure, path)
+    return save_figure(figure, path)

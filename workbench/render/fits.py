@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import SIGNED_COLOURS, new_figure, save
+from workbench.render.canvas import SIGNED_COLOURS, new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, SpectrumLike, save_impedance, tidy
 
 Real = NDArray[np.float64]
@@ -73,7 +73,7 @@ def draw_fit(
         tidy(axes, both=axes is magnitude)
     figure.align_ylabels()
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_correlation(names: Sequence[str], matrix: Real, path: Path, *, title: str = "") -> Path:
@@ -101,7 +101,7 @@ def draw_correlation(names: Sequence[str], matrix: Real, path: Path, *, title: s
     figure.colorbar(image, ax=axes, shrink=0.8, label="correlation")
     axes.set_title(title)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_intervals(intervals: Sequence[Interval], path: Path, *, title: str = "") -> Path:
@@ -151,7 +151,7 @@ def draw_intervals(intervals: Sequence[Interval], path: Path, *, title: str = ""
     axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.9 / figure.get_figheight()), ncols=3)
     tidy(axes)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_sensitivity(
@@ -188,7 +188,7 @@ def draw_sensitivity(
         tidy(axes)
     figure.suptitle(title)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_costs(scalings: Real, costs: Mapping[str, Real], path: Path, *, title: str = "") -> Path:
@@ -210,7 +210,7 @@ def draw_costs(scalings: Real, costs: Mapping[str, Real], path: Path, *, title: 
     axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     tidy(axes)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_gel_study(
@@ -282,4 +282,4 @@ def draw_batch(
         axes.set_visible(False)
     figure.suptitle(title)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)

@@ -11,9 +11,9 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from workbench.files.errors import InputError
-from workbench.gathering import GAS
 from workbench.report.page import Picture
-from workbench.simulation import Snapshot
+from workbench.simulation.gathering import GAS
+from workbench.simulation.run import Snapshot
 
 #: Fields that can be asked for by name.
 FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh")

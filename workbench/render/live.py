@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.names import CAVITY
-from workbench.nodal import FloatArray, NodalMesh, raster
+from workbench.acoustics.nodal import FloatArray, NodalMesh, raster
+from workbench.acoustics.traps import TrapReport
 from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, prefixed
 from workbench.render.sections import at_largest, region_edges
-from workbench.traps import TrapReport
 
 if TYPE_CHECKING:
-    from workbench.fields import Fields
+    from workbench.acoustics.fields import Fields
 
 #: Width of a picture in dots, that of the page's; and points of the raster along each side of a dot, whose mean it is.
 _DOTS, _POINTS = 880, 2

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import new_figure, prefixed, role_colour, save
+from workbench.render.canvas import new_figure, prefixed, role_colour, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +82,7 @@ def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, 
         tidy(axes, both=True)
     figure.align_ylabels()
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_residuals(
@@ -105,7 +105,7 @@ def draw_residuals(
     axes.legend(frameon=False)
     tidy(axes)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_loss_budget(losses: Mapping[str, float], path: Path, *, title: str) -> Path:
@@ -130,7 +130,7 @@ def draw_loss_budget(losses: Mapping[str, float], path: Path, *, title: str) -> 
     axes.set_title(title)
     axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_convergence(
@@ -163,7 +163,7 @@ def draw_convergence(
     axes.legend(frameon=False)
     tidy(axes, both=True)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def tidy(axes: Axes, *, both: bool = False) -> None:

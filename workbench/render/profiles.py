@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from workbench.nodal import FloatArray, sample
-from workbench.render.canvas import new_figure, prefixed, save, typeset
+from workbench.acoustics.nodal import FloatArray, interpolate
+from workbench.acoustics.traps import Trap, TrapReport
+from workbench.render.canvas import new_figure, prefixed, save_figure, typeset
 from workbench.render.plots import LINE_COLOURS, tidy
-from workbench.traps import Trap, TrapReport
 
 
 def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None = None) -> Path:
@@ -30,7 +30,7 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     radius = np.linspace(0.0, nodes[:, 0].max(), 400)
 
     def along(points: list[FloatArray]) -> FloatArray:
-        values: FloatArray = sample(forces.mesh, forces.potential, np.stack(points, axis=1), [forces.region])
+        values: FloatArray = interpolate(forces.mesh, forces.potential, np.stack(points, axis=1), [forces.region])
         return values
 
     axial = along([np.full_like(height, trap.radius), height])
@@ -54,4 +54,4 @@ def draw_potential_profiles(report: TrapReport, path: Path, *, trap: Trap | None
     particle = f"{2e6 * forces.particle.radius:.3g} µm {forces.particle.name}"
     figure.suptitle(f"{particle}\n{typeset(forces.excitation)}", fontsize=9)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)

@@ -17,15 +17,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.nodal import FloatArray, NodalMesh, border_lines, cell_raster, raster
-from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, new_figure, prefixed, role_colour, save, typeset
-from workbench.traps import TrapReport
+from workbench.acoustics.nodal import FloatArray, NodalMesh, border_lines, cell_raster, raster
+from workbench.acoustics.traps import TrapReport
+from workbench.render.canvas import (
+    PLAIN_COLOURS,
+    SIGNED_COLOURS,
+    new_figure,
+    prefixed,
+    role_colour,
+    save_figure,
+    typeset,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from workbench.fields import Fields
+    from workbench.acoustics.fields import Fields
 
 #: Width of the drawn section in inches and its resolution: a 20 um layer of a 26 mm chip is more than a dot wide.
 _WIDTH = 13.0
@@ -95,7 +103,7 @@ def draw_gorkov_potential(report: TrapReport, path: Path) -> Path:
                   markeredgewidth=1.5, clip_on=False, zorder=5)
     _outline(axes, forces.mesh)
     _colour_bar(figure, bar, limits=limits, colours=PLAIN_COLOURS, label=f"Gor'kov potential $U$ ({unit})")
-    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
 def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Path:
@@ -117,7 +125,7 @@ def draw_regions(mesh: NodalMesh, path: Path, *, show_cells: bool = True) -> Pat
     bar.legend(handles=[Patch(facecolor=colour, edgecolor=_OUTLINE, linewidth=0.5, label=name)
                         for name, colour in zip(mesh.regions, colours, strict=True)],
                loc="center", ncols=min(8, len(colours)), frameon=False, fontsize=10)
-    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
 def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: str) -> Path:
@@ -147,7 +155,7 @@ def draw_marked(mesh: NodalMesh, marked: Sequence[str], path: Path, *, title: st
     bar.legend(handles=[Patch(facecolor=_MARKED, label=", ".join(marked) or "nothing"),
                         Patch(facecolor=_UNMARKED, edgecolor=_OUTLINE, linewidth=0.5, label="all else")],
                loc="center", ncols=2, frameon=False, fontsize=10)
-    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
 def at_largest(amplitude: NDArray[Any]) -> tuple[FloatArray, float]:
@@ -185,7 +193,7 @@ def _draw_signed(
     _show(axes, window, _nodal(mesh, values * factor, window), limits=limits, colours=SIGNED_COLOURS)
     _outline(axes, mesh)
     _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS, label=f"{label} ({shown_unit})")
-    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
 def _window(points: FloatArray) -> _Window:

@@ -9,22 +9,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.nodal import FloatArray, IntArray, NodalMesh, border_lines, borders, edge_nodes, raised, transfer
+from workbench.acoustics.nodal import (
+    FloatArray,
+    IntArray,
+    NodalMesh,
+    border_lines,
+    borders,
+    edge_nodes,
+    raised,
+    transfer,
+)
 from workbench.render.canvas import (
     SIGNED_COLOURS,
-    Shape,
+    DrawnShape,
     new_figure,
     photograph,
     prefixed,
     role_colour,
-    save,
+    save_figure,
     surface,
     vtk_modules,
 )
 from workbench.render.sections import at_largest, phase_title
 
 if TYPE_CHECKING:
-    from workbench.fields import Fields
+    from workbench.acoustics.fields import Fields
 
 _WIDTH, _HEIGHT, _DOTS_PER_INCH = 10.0, 6.2, 140
 #: Order of the nodes between which colours are linear: a third of a cell apart, five dots of a picture.
@@ -77,7 +86,7 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
 
     shades, scale = colormaps[SIGNED_COLOURS], Normalize(*limits)
     # The cut faces are unlit, so that their colours are those of the colour bar.
-    shapes = [Shape(*_section_outlines(mesh, degrees), "#303030")]
+    shapes = [DrawnShape(*_section_outlines(mesh, degrees), "#303030")]
     skin = borders(mesh, np.where(np.isin(mesh.region, [mesh.regions.index(name) for name in there]), 0, -1))
     for index, name in enumerate(mesh.regions):
         if name not in there:
@@ -86,13 +95,13 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
         colours = shades(scale(transfer(mesh, values * factor, finer)), bytes=True)[:, :3]
         plain = role_colour("cavity") if fluid[index] else None
         points, cells = _cut_faces(finer, degrees=degrees)
-        shapes.append(Shape(points, cells, plain or np.tile(colours, (2, 1))))
+        shapes.append(DrawnShape(points, cells, plain or np.tile(colours, (2, 1))))
         number = np.cumsum(mesh.region == index) - 1
         edges = np.concatenate([edge_nodes(finer, side, number[cells[mesh.region[cells] == index]])
                                 for side, cells in skin])
         if len(edges):
             points, cells, nodes = _swept(finer, edges, degrees=degrees)
-            shapes.append(Shape(points, cells, plain or colours[nodes], light=(0.6, 0.42, 0.0)))
+            shapes.append(DrawnShape(points, cells, plain or colours[nodes], light=(0.6, 0.42, 0.0)))
     picture = photograph(shapes, azimuth=(degrees + 360.0) / 2.0, elevation=24.0,
                          width=round(_WIDTH * _DOTS_PER_INCH), height=round(0.74 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
@@ -108,7 +117,7 @@ def draw_revolved(fields: Fields, path: Path, *, degrees: float = 250.0) -> Path
     bar = figure.add_axes((0.3, 0.1, 0.4, 0.025))
     figure.colorbar(ScalarMappable(scale, shades), cax=bar, orientation="horizontal")
     bar.set_xlabel(f"axial displacement $u_z$ ({unit})", fontsize=11)
-    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
 def draw_solids(
@@ -133,11 +142,11 @@ def draw_solids(
         body = surface(solid.vertices + np.array([0.0, 0.0, explode * index]), solid.triangles)
         if cut_open:
             body = _halved(body)
-        shapes.append(Shape(*_arrays(body, 3), colour, light=(0.3, 0.7, 0.15), opacity=opacity))
+        shapes.append(DrawnShape(*_arrays(body, 3), colour, light=(0.3, 0.7, 0.15), opacity=opacity))
         # Edges where faces meet at an angle show the shape; the triangles would hide it.
         points, edges = _arrays(_sharp_edges(body), 2)
         if len(edges):
-            shapes.append(Shape(points, edges, "#303030", width=1.2))
+            shapes.append(DrawnShape(points, edges, "#303030", width=1.2))
     picture = photograph(shapes, azimuth=-75.0 if cut_open else -60.0, elevation=28.0,
                          width=round(0.8 * _WIDTH * _DOTS_PER_INCH), height=round(0.9 * _HEIGHT * _DOTS_PER_INCH))
     figure = new_figure(_WIDTH, _HEIGHT)
@@ -150,7 +159,7 @@ def draw_solids(
     figure.legend(handles=[Patch(facecolor=colour, edgecolor="#303030", linewidth=0.5, label=solid.name)
                            for solid, colour in zip(solids, colours, strict=True)][::-1],
                   loc="center left", bbox_to_anchor=(0.8, 0.45), frameon=False, fontsize=11)
-    return save(figure, path, dots_per_inch=_DOTS_PER_INCH)
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
 
 
 def _arrays(data: Any, corners: int) -> tuple[FloatArray, IntArray]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import PLAIN_COLOURS, new_figure, save
+from workbench.render.canvas import PLAIN_COLOURS, new_figure, save_figure
 from workbench.render.fits import PANELS_ACROSS
 from workbench.render.plots import LINE_COLOURS, tidy
 
@@ -40,7 +40,7 @@ MOST_IN_PAIRS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class StudyColumn:
     """Something that varied, or a figure: its ``label`` with the unit, ``values`` (n,) in that; or, where there are
     ``words``, their numbers in that list."""
 
@@ -68,7 +68,7 @@ class Column:
         return np.linspace(low, high, min(max(count, FEWEST_BINS), MOST_BINS) + 1)
 
 
-def draw_parallel(columns: Sequence[Column], colour: Column, path: Path, *, title: str = "") -> Path:
+def draw_parallel(columns: Sequence[StudyColumn], colour: StudyColumn, path: Path, *, title: str = "") -> Path:
     """Every point as a line across one axis for each column, coloured by `colour`. Writes `path`.
 
     Of many points :data:`MOST_LINES`, evenly taken; points that have no colour are left out, and lines end where a
@@ -112,10 +112,10 @@ def draw_parallel(columns: Sequence[Column], colour: Column, path: Path, *, titl
     axes.set_title(title)
     figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), ax=axes, label=colour.label, pad=0.02, extend="both")
     figure.tight_layout()
-    return save(figure, path, dots_per_inch=DOTS)
+    return save_figure(figure, path, dots_per_inch=DOTS)
 
 
-def draw_slices(parameters: Sequence[Column], found: Column, path: Path, *, title: str = "") -> Path:
+def draw_slices(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
     """A figure over each parameter, all points as dots, with the median and the range of 5 to 95 % of those that lie
     near. Writes `path`."""
     rows = math.ceil(len(parameters) / PANELS_ACROSS)
@@ -143,10 +143,10 @@ def draw_slices(parameters: Sequence[Column], found: Column, path: Path, *, titl
         row[0].set_ylabel(found.label)
     figure.suptitle(title)
     figure.tight_layout()
-    return save(figure, path, dots_per_inch=DOTS)
+    return save_figure(figure, path, dots_per_inch=DOTS)
 
 
-def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title: str = "") -> Path:
+def draw_maps(parameters: Sequence[StudyColumn], found: StudyColumn, path: Path, *, title: str = "") -> Path:
     """A figure over every pair of parameters, the mean over all points that lie near. Writes `path`.
 
     Raises:
@@ -186,12 +186,13 @@ def draw_maps(parameters: Sequence[Column], found: Column, path: Path, *, title:
     figure.suptitle(title)
     bar = figure.add_axes((1.0 - 1.15 / width, 0.9 / height, 0.2 / width, 1.0 - 1.4 / height))
     figure.colorbar(ScalarMappable(norm, PLAIN_COLOURS), cax=bar, label=found.label)
-    return save(figure, path, dots_per_inch=DOTS)
+    return save_figure(figure, path, dots_per_inch=DOTS)
 
 
-def most_telling(parameters: Sequence[Column], found: Column, count: int = MOST_IN_PAIRS) -> tuple[Column, ...]:
+def most_telling(parameters: Sequence[StudyColumn], found: StudyColumn,
+                 count: int = MOST_IN_PAIRS) -> tuple[StudyColumn, ...]:
     """The parameters, in their order, whose near points' medians of a figure differ most; all if they are few."""
-    def spread(parameter: Column) -> float:
+    def spread(parameter: StudyColumn) -> float:
         _, _, middle, _ = _quantiles(parameter, found)
         return float(np.ptp(middle)) if middle.size else 0.0
 
@@ -208,7 +209,7 @@ def _ends(values: Real) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _quantiles(parameter: Column, found: Column) -> tuple[Real, Real, Real, Real]:
+def _quantiles(parameter: StudyColumn, found: StudyColumn) -> tuple[Real, Real, Real, Real]:
     """Places (k,) along a parameter, and the quantiles of 5, 50 and 95 % of a figure of the points near each."""
     edges, few = parameter.edges(10 * POINTS_IN_BIN, 1), parameter.few
     bins = np.clip(np.digitize(parameter.values, edges) - 1, 0, len(edges) - 2)
@@ -222,7 +223,7 @@ def _quantiles(parameter: Column, found: Column) -> tuple[Real, Real, Real, Real
     return np.array(where), low, middle, high
 
 
-def _mean_over(first: Column, second: Column, found: Column) -> tuple[Real, Real, Real]:
+def _mean_over(first: StudyColumn, second: StudyColumn, found: StudyColumn) -> tuple[Real, Real, Real]:
     """Edges along both parameters, and the mean (n, m) of a figure in every bin, NaN where no point lies."""
     edges = [each.edges(POINTS_IN_BIN, 2) for each in (first, second)]
     known = np.isfinite(found.values)
@@ -232,7 +233,7 @@ def _mean_over(first: Column, second: Column, found: Column) -> tuple[Real, Real
     return edges[0], edges[1], np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
 
 
-def _label(axes: Axes, column: Column, side: str) -> None:
+def _label(axes: Axes, column: StudyColumn, side: str) -> None:
     """The label of one side, and the words in place of its numbers."""
     (axes.set_xlabel if side == "x" else axes.set_ylabel)(_broken(column.label), fontsize=8)
     axes.tick_params(labelsize=7)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.design.tolerance_report import amount, change_unit
-from workbench.render.canvas import new_figure, save
+from workbench.render.canvas import new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 from workbench.report.page import Picture
 
@@ -141,7 +141,7 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
     grid[0].legend(frameon=False, loc="lower right", fontsize=8)
     figure.suptitle(title)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "") -> Path:
@@ -179,7 +179,7 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
     figure.suptitle(title)
     figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
     figure.legend(*grid[0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="lower center", ncols=4)
-    return save(figure, path)
+    return save_figure(figure, path)
 
 
 def draw_yields(bars: Sequence[YieldBar], path: Path, *, title: str = "") -> Path:
@@ -208,4 +208,4 @@ def draw_yields(bars: Sequence[YieldBar], path: Path, *, title: str = "") -> Pat
     axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8)
     tidy(axes)
     figure.tight_layout()
-    return save(figure, path)
+    return save_figure(figure, path)

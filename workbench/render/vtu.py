@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.elements import Lagrange, polynomials
+from workbench.acoustics.nodal import NodalMesh
+from workbench.fem.elements import Lagrange, polynomials
 from workbench.files.writing import replacing
-from workbench.nodal import NodalMesh
 
 if TYPE_CHECKING:
-    from workbench.fields import Fields
+    from workbench.acoustics.fields import Fields
 
 
 def write_vtu(fields: Fields, path: Path) -> Path:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from workbench.capacitance import Capacitance
-from workbench.merit import Estimate, Figures, NoResonance, ResonanceFit, figures, fit_resonance
-from workbench.report.page import number
-from workbench.spectrum import Spectrum
+from workbench.fem.capacitance import Capacitance
+from workbench.report.page import number_text
+from workbench.results.merit import Figures, FittedNumber, NoResonance, ResonanceFit, figures, fit_resonance
+from workbench.results.spectrum import Spectrum
 
 FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt")
 #: Of a model, which has a capacitance besides.
@@ -27,14 +27,14 @@ def figures_row(label: str, merit: Figures | None) -> tuple[str, ...]:
     if merit is None:
         return (label, "none", "", "", "")
     anti = merit.antiresonance
-    return (label, f"{merit.f0 / 1e6:.4f}", number(merit.z_min), number(merit.q),
-            number(anti.kt, 3) if anti else "")
+    return (label, f"{merit.f0 / 1e6:.4f}", number_text(merit.z_min), number_text(merit.q),
+            number_text(anti.kt, 3) if anti else "")
 
 
 def capacitance_cells(found: Capacitance) -> tuple[str, str]:
     """The cells of :data:`MODEL_COLUMNS` beyond :data:`FIGURE_COLUMNS` as text."""
     low = found.low_frequency
-    return number(1e12 * found.clamped), "singular" if low is None else number(1e12 * low)
+    return number_text(1e12 * found.clamped), "singular" if low is None else number_text(1e12 * low)
 
 
 def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
@@ -61,9 +61,9 @@ def resonance_fits(spectrum: Spectrum) -> dict[str, ResonanceFit]:
     return fits
 
 
-def fit_record(fit: ResonanceFit) -> dict[str, Any]:
+def resonance_record(fit: ResonanceFit) -> dict[str, Any]:
     """A resonance fit for a JSON file: every value with its standard error."""
-    def pair(estimate: Estimate) -> list[float]:
+    def pair(estimate: FittedNumber) -> list[float]:
         return [estimate.value, estimate.standard_error]
 
     return {"frequency_hz": pair(fit.frequency), "q": pair(fit.q), "rms_residual": fit.rms_residual,

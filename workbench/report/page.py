@@ -37,7 +37,7 @@ _WORDS = 24
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """A table of text: a heading for every column, and rows of as many cells.
 
     A heading, of a column or of a row, that `definitions` knows shows what it means, and a legend below the first table
@@ -88,7 +88,7 @@ class Verbatim:
 
 
 #: Of plain text, an empty line begins a new paragraph; other line ends are spaces.
-Block = str | Table | Picture | Note | Answer | Verbatim
+Block = str | TextTable | Picture | Note | Answer | Verbatim
 
 
 def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[Block]]]) -> Path:
@@ -106,7 +106,7 @@ def write_report(path: Path, title: str, sections: Sequence[tuple[str, Sequence[
 def _html(block: Block, told: set[str]) -> str:
     """HTML of a block; `told` are the headings whose meanings the page has, to which those of a table are added."""
     match block:
-        case Table(columns, rows):
+        case TextTable(columns, rows):
             head = "".join(f"<th>{_heading(c)}</th>" for c in columns)
             cells = ("".join(_cell(c, first=k == 0) for k, c in enumerate(row)) for row in rows)
             body = "".join(f"<tr>{row}</tr>" for row in cells)
@@ -148,7 +148,7 @@ def _legend(meanings: Mapping[str, str]) -> str:
     return f'<dl class="legend">{rows}</dl>' if rows else ""
 
 
-def number(value: float, digits: int = 4) -> str:
+def number_text(value: float, digits: int = 4) -> str:
     """A number for a table: `digits` significant digits."""
     return f"{value:.{digits}g}" if math.isfinite(value) else str(value)
 

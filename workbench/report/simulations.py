@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from workbench.comparison import Comparison
-from workbench.particles import net_weight
-from workbench.report.figures import figures_record, fit_record, resonance_fits
-from workbench.report.page import Table, number
-from workbench.simulation import Simulation
-from workbench.traps import Trap, TrapReport, focus_time, time_to
+from workbench.acoustics.traps import Trap, TrapReport, focus_time, time_to
+from workbench.model.particles import net_weight
+from workbench.report.figures import figures_record, resonance_fits, resonance_record
+from workbench.report.page import TextTable, number_text
+from workbench.results.comparison import Comparison
+from workbench.simulation.run import Simulation
 
 
 def simulation_record(run: Simulation) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
     record = figures_record(run.figures, run.no_resonance)
     record["static_capacitance_f"] = {"clamped": run.capacitance.clamped,
                                       "at_1_khz": run.capacitance.low_frequency}
-    record["resonance_fits"] = {name: fit_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
+    record["resonance_fits"] = {name: resonance_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
     record["model"] = {
         "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
         "order": run.problem.mesh.order, "estimated_mesh_error_rms": run.mesh_error.rms if run.mesh_error else None,
@@ -51,20 +51,21 @@ def _trap_record(trap: Trap) -> dict[str, Any]:
             "axial_stiffness_n_m": trap.axial_stiffness, "on_wall": trap.on_wall}
 
 
-def field_table(report: TrapReport) -> Table:
+def field_table(report: TrapReport) -> TextTable:
     """The field a particle is in, and what it does to the particle anywhere."""
     forces, excitation = report.forces, report.excitation
     largest = float(np.nanmax(np.linalg.norm(forces.force, axis=1)))
-    return Table(
+    return TextTable(
         ("particle", "contrast factor", "net weight (pN)", "largest force (pN)", "p0 (kPa)", "E_ac (J/m^3)",
          "mean E_ac (J/m^3)"),
         ((f"{forces.particle.name}, {2e6 * forces.particle.radius:.3g} um",
-          number(forces.scattering.contrast_factor, 3), number(1e12 * net_weight(forces.particle, forces.fluid), 3),
-          number(1e12 * largest, 3), number(1e-3 * excitation.pressure_amplitude),
-          number(excitation.energy_density, 3), number(excitation.mean_energy_density, 3)),))
+          number_text(forces.scattering.contrast_factor, 3),
+          number_text(1e12 * net_weight(forces.particle, forces.fluid), 3),
+          number_text(1e12 * largest, 3), number_text(1e-3 * excitation.pressure_amplitude),
+          number_text(excitation.energy_density, 3), number_text(excitation.mean_energy_density, 3)),))
 
 
-def traps_table(report: TrapReport) -> Table:
+def traps_table(report: TrapReport) -> TextTable:
     """Every trap: where, how strong, how much of the cavity drains to it and how fast."""
     weight = abs(net_weight(report.forces.particle, report.forces.fluid))
     rows = []
@@ -74,15 +75,15 @@ def traps_table(report: TrapReport) -> Table:
             f"r {1e3 * trap.radius:.3f}, z {1e3 * trap.height:.3f}{', on a wall' if trap.on_wall else ''}",
             f"{1e3 * trap.above_floor:.3f}", *(_femtojoules(each) for each in (
                 trap.barrier, trap.axial_barrier, trap.radial_barrier)),
-            "" if trap.lift is None or not weight else number(trap.lift / weight, 3), f"{100.0 * trap.share:.0f}",
+            "" if trap.lift is None or not weight else number_text(trap.lift / weight, 3), f"{100.0 * trap.share:.0f}",
             f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}",
-            "" if seconds is None else number(seconds, 3)))
-    return Table(("trap (mm)", "above the floor (mm)", "barrier (fJ)", "axial barrier (fJ)", "radial barrier (fJ)",
-                  "lift / weight", "share (%)", "stiffness (pN/mm)", "focusing time (s)"), tuple(rows))
+            "" if seconds is None else number_text(seconds, 3)))
+    return TextTable(("trap (mm)", "above the floor (mm)", "barrier (fJ)", "axial barrier (fJ)", "radial barrier (fJ)",
+                      "lift / weight", "share (%)", "stiffness (pN/mm)", "focusing time (s)"), tuple(rows))
 
 
 def _femtojoules(barrier: float | None) -> str:
-    return "no way out" if barrier is None else number(1e15 * barrier, 3)
+    return "no way out" if barrier is None else number_text(1e15 * barrier, 3)
 
 
 def comparison_record(comparison: Comparison) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from concealed.design import ABSOLUTE, RELATIVE, REMOUNTED_BY, Design
 from concealed.device import EPOXY, GEL, GLASS, PIEZO_CONSTANTS, PLA, PZT, State
 from numpy.typing import NDArray
 
-from workbench.spectrum import Origin, Spectrum, write_csv
+from workbench.results.spectrum import Origin, Spectrum, write_csv
 
 Complex = NDArray[np.complex128]
 

@@ -1,0 +1,1 @@
+"""Fields of a solution, and what they do to particles."""

@@ -1,0 +1,145 @@
+"""Local minima of a potential on a raster, how high their basins reach, and the passes out of them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.acoustics.nodal import FloatArray, IntArray
+
+_NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+
+
+def _around(values: NDArray[Any], outside: Any) -> NDArray[Any]:
+    """The eight neighbours (8, n, m) of every point of a raster (n, m), those beyond its edge `outside`."""
+    rows, columns = values.shape
+    padded = np.pad(values, 1, constant_values=outside)
+    return np.stack([padded[1 + i:1 + i + rows, 1 + j:1 + j + columns] for i, j in _NEIGHBOURS])
+
+
+def find_walls(inside: NDArray[np.bool_], *, on_axis: bool) -> NDArray[np.bool_]:
+    """Which points (n, m) of a region on a raster have no neighbour on some side; the field goes on behind the axis."""
+    if on_axis:
+        return find_walls(np.concatenate([inside[1::-1], inside[1:]]), on_axis=False)[1:]
+    return inside & ~_around(inside, outside=False).all(axis=0)
+
+
+def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
+    """Every local minimum of a raster (n, m), NaN outside the region, and how high its basin reaches (J).
+
+    Every point belongs to the minimum to which the steepest way down leads. From the lowest up, the passes between
+    basins join them: at a pass the shallower one ends (the persistence of topological data analysis). The deepest never
+    ends; it reaches up to the highest potential.
+    """
+    flat = values.ravel()
+    tree = _merged(values, _drained(values))
+    highest = float(flat[np.isfinite(flat)].max())
+    return [((each // values.shape[1], each % values.shape[1]), highest if into is None else into[1])
+            for each, into in tree.items()]
+
+
+def label_basins(values: FloatArray, *, least: float) -> IntArray:
+    """The minimum (flat index) that each point (n, m) of a raster drains to, -1 outside the region.
+
+    A basin no deeper than `least` (J) below its lowest pass belongs to the deeper one behind that pass.
+    """
+    label = _drained(values)
+    tree, flat = _merged(values, label), values.ravel()
+    goal = {each: each if into is None or into[1] - flat[each] > least else into[0] for each, into in tree.items()}
+    renamed = np.full(values.size + 1, -1)
+    for each in goal:
+        end = each
+        while goal[end] != end:
+            end = goal[end]
+        renamed[each] = end
+    return np.asarray(np.where(np.isfinite(values), renamed[label], -1))
+
+
+def lowest_pass(values: FloatArray, start: tuple[int, int], exits: NDArray[np.bool_]) -> float | None:
+    """The lowest level (J) to which the raster (n, m) must be flooded for the water at `start` to reach one of `exits`.
+
+    None where no level does: there is no exit in the region.
+    """
+    from scipy.ndimage import label
+
+    inside = np.isfinite(values)
+    levels = np.unique(values[inside & (values >= values[start])])
+
+    def joined(level: float) -> bool:
+        parts, _ = label(inside & (values <= level), structure=np.ones((3, 3)))
+        return bool((exits & (parts == parts[start])).any())
+
+    if not joined(levels[-1]):
+        return None
+    low, high = 0, len(levels) - 1
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if joined(levels[middle]) else (middle + 1, high)
+    return float(levels[low])
+
+
+def outward(inside: NDArray[np.bool_], *, on_axis: bool) -> FloatArray:
+    """Unit vectors (n, m, 2) along the two directions of a raster that point out of the region, zero far from a wall.
+
+    They are those of the mask averaged over 5 points each way, so that a slanted wall of steps has its own direction.
+    """
+    if on_axis:
+        return outward(np.concatenate([inside[:0:-1], inside]), on_axis=False)[len(inside) - 1:]
+    from scipy.ndimage import uniform_filter
+
+    smooth = uniform_filter(np.pad(inside, 3).astype(float), size=5)
+    down = -np.stack(np.gradient(smooth), axis=-1)[3:-3, 3:-3]
+    size = np.linalg.norm(down, axis=-1, keepdims=True)
+    return np.asarray(np.where(size > 1e-9, down / np.maximum(size, 1e-9), 0.0))
+
+
+def _drained(values: FloatArray) -> IntArray:
+    """The local minimum (flat index) that the steepest way down from each point (n, m) leads to."""
+    height = np.where(np.isfinite(values), values, np.inf)
+    number = np.arange(height.size).reshape(height.shape)
+    beside, numbers = _around(height, np.inf), _around(number, -1)
+    steepest = beside.argmin(axis=0)[None]
+    lower = np.take_along_axis(beside, steepest, axis=0)[0]
+    goal = np.take_along_axis(numbers, steepest, axis=0)[0]
+    # Of equal points the one with the smaller number is the lower.
+    down = (lower < height) | ((lower == height) & (goal < number))
+    basin = np.where(down & np.isfinite(height), goal, number).ravel()
+    while True:
+        further = basin[basin]
+        if (further == basin).all():
+            break
+        basin = further
+    return np.asarray(basin.reshape(height.shape))
+
+
+def _merged(values: FloatArray, label: IntArray) -> dict[int, tuple[int, float] | None]:
+    """Every local minimum, and the deeper one that its basin joins with the height (J) of the pass; None for the
+    deepest, and for one without a pass."""
+    height = np.where(np.isfinite(values), values, np.inf)
+    basin, numbers = label.ravel(), _around(np.arange(height.size).reshape(height.shape), -1)
+    passes: dict[tuple[int, int], float] = {}
+    for other_height, other in zip(_around(height, np.inf), numbers, strict=True):
+        meet = np.isfinite(height) & np.isfinite(other_height)
+        meet[meet] = label[meet] < basin[other[meet]]
+        for one, two, at in zip(label[meet].tolist(), basin[other[meet]].tolist(),
+                                np.maximum(height, other_height)[meet].tolist(), strict=True):
+            passes[one, two] = min(at, passes.get((one, two), math.inf))
+    flat = height.ravel()
+    minima = [int(each) for each in np.unique(label[np.isfinite(height)])]
+    joined = {each: each for each in minima}
+
+    def bottom(each: int) -> int:
+        while joined[each] != each:
+            each = joined[each]
+        return each
+
+    tree: dict[int, tuple[int, float] | None] = dict.fromkeys(minima)
+    for (one, two), at in sorted(passes.items(), key=lambda item: item[1]):
+        deeper, shallower = sorted((bottom(one), bottom(two)), key=lambda each: (flat[each], each))
+        if deeper != shallower:
+            joined[shallower] = deeper
+            tree[shallower] = deeper, at
+    return tree

@@ -1,0 +1,148 @@
+"""Cells of any shape and layout: where a point lies in them, the slopes of values on them, their neighbours.
+
+Cells are nodes ``points[cells]``, ``points`` (N, 2) r, z in metres and ``cells`` (M, p + 1, p + 1) node numbers by both
+local coordinates, which run from 0 to 1 and alike in neighbours along their common side.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from geometry.quads import gauss_lobatto, tabulated
+from workbench.fem.elements import polynomials
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+NodalArray = NDArray[Any]
+
+#: Newton's steps to the local coordinates of a point; from the middle of a cell it takes four or five.
+MOST_STEPS = 20
+#: A point that was as close as this share of the size of its cell before the last step is found to rounding.
+CLOSE = 1e-7
+#: A point is in a cell up to this share of its size.
+INSIDE = 1e-8
+#: Local coordinates so far outside a cell are given up.
+FAR = 0.5
+#: Share of its size by which a cell's curved sides reach beyond its nodes at most.
+BEYOND_NODES = 0.05
+#: Sides whose middles are closer than this share of the whole mesh are one.
+SAME_SIDE = 1e-9
+
+
+def cells_at(points: FloatArray, cells: IntArray, places: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Number (K,) of the cell that holds each of `places` (K, 2), the lowest of several, -1 where none, and local
+    coordinates (K, 2)."""
+    found, local = np.full(len(places), -1), np.full((len(places), 2), np.nan)
+    if not len(cells):
+        return found, local
+    order = np.argsort(places[:, 0], kind="stable")
+    radii, heights = places[order, 0], places[order, 1]
+    nodes = points[cells]
+    low, high = nodes.min(axis=(1, 2)), nodes.max(axis=(1, 2))
+    slack = BEYOND_NODES * (high - low)
+    for number in range(len(cells) - 1, -1, -1):
+        begin = np.searchsorted(radii, low[number, 0] - slack[number, 0], side="left")
+        end = np.searchsorted(radii, high[number, 0] + slack[number, 0], side="right")
+        near = heights[begin:end]
+        chosen = order[begin:end][(near >= low[number, 1] - slack[number, 1])
+                                  & (near <= high[number, 1] + slack[number, 1])]
+        if chosen.size:
+            there = _local(nodes[number], places[chosen])
+            inside = (np.abs(there - 0.5) <= 0.5 + INSIDE).all(axis=1)
+            found[chosen[inside]], local[chosen[inside]] = number, np.clip(there[inside], 0.0, 1.0)
+    return found, local
+
+
+def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
+    """Local coordinates (K, 2) of `places` (K, 2) in the cell of `nodes` (p + 1, p + 1, 2), by Newton's method; NaN
+    where there are none near the cell."""
+    order = nodes.shape[0] - 1
+    size = np.ptp(nodes, axis=(0, 1)).max()
+    # Most cells are parallelograms, and others are like these.
+    ends = nodes[[0, 0, -1, -1], [0, -1, 0, -1]]
+    edges = 0.5 * np.stack([ends[2] + ends[3] - ends[0] - ends[1], ends[1] + ends[3] - ends[0] - ends[2]])
+    begin, x = ends.mean(axis=0) - 0.5 * edges.sum(axis=0), gauss_lobatto(order)
+    at = (places - begin) @ np.linalg.inv(edges)
+    if np.abs(begin + x[:, None, None] * edges[0] + x[None, :, None] * edges[1] - nodes).max() < 1e-13 * size:
+        return np.asarray(at)
+    at, miss = np.clip(at, -FAR, 1.0 + FAR), np.full(len(places), np.inf)
+    left = np.arange(len(places))
+    for _ in range(MOST_STEPS):
+        (f, df), (g, dg) = (tabulated(order, at[left, axis]) for axis in (0, 1))
+        half = np.tensordot(f, nodes, axes=(1, 0))  # (K, p + 1, 2)
+        apart = places[left] - np.einsum("kj,kjx->kx", g, half)
+        along = np.einsum("kj,kjx->kx", g, np.tensordot(df, nodes, axes=(1, 0)))
+        across = np.einsum("kj,kjx->kx", dg, half)
+        area = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.stack([apart[:, 0] * across[:, 1] - apart[:, 1] * across[:, 0],
+                             along[:, 0] * apart[:, 1] - along[:, 1] * apart[:, 0]], axis=1) / area[:, None]
+        # Far outside a cell its polynomials are of no meaning.
+        at[left] = np.clip(at[left] + np.nan_to_num(step), -FAR, 1.0 + FAR)
+        miss[left] = np.abs(apart).max(axis=1)
+        left = left[(miss[left] > CLOSE * size) & (np.abs(at[left] - 0.5) < 0.5 + FAR).all(axis=1)]
+        if not left.size:
+            break
+    at[miss > CLOSE * size] = np.nan
+    return at
+
+
+def interpolated(cells: IntArray, values: NodalArray, cell: IntArray, local: FloatArray) -> NodalArray:
+    """`values` (N, ...) at places (K, 2) of known cells (K,) and local coordinates (K, 2): (K, ...)."""
+    result = np.empty((len(cell), *values.shape[1:]), dtype=values.dtype)
+    order = np.argsort(cell, kind="stable")
+    bounds = np.flatnonzero(np.diff(cell[order], prepend=-1, append=-1))
+    f, g = (tabulated(cells.shape[1] - 1, local[:, axis])[0] for axis in (0, 1))
+    for begin, end in pairwise(bounds):
+        some = order[begin:end]
+        own = values[cells[cell[some[0]]]]
+        result[some] = np.einsum("kj,kj...->k...", g[some], np.tensordot(f[some], own, axes=(1, 0)))
+    return result
+
+
+def nodal_slopes(points: FloatArray, cells: IntArray, values: NodalArray) -> NodalArray:
+    """Derivatives along r and z of `values` (N, k) at the nodes of cells: (M, p + 1, p + 1, 2, k), of every cell's own
+    polynomial."""
+    order = cells.shape[1] - 1
+    matrix = tabulated(order, gauss_lobatto(order))[1]  # (at, of)
+    own = [np.stack([np.einsum("ai,mijk->majk", matrix, each), np.einsum("bj,mijk->mibk", matrix, each)], axis=-2)
+           for each in (points[cells], values[cells])]
+    result: NodalArray = np.linalg.solve(own[0], own[1])
+    return result
+
+
+def beside(points: FloatArray, cells: IntArray) -> IntArray:
+    """Numbers (M, 4) of the neighbours of cells at their sides left, right, below and above; -1 where there is none."""
+    corners = points[cells[:, [0, -1]][:, :, [0, -1]]]  # (M, 2, 2, 2)
+    sides = np.stack([corners[:, 0].mean(axis=1), corners[:, 1].mean(axis=1),
+                      corners[:, :, 0].mean(axis=1), corners[:, :, 1].mean(axis=1)], axis=1).reshape(-1, 2)
+    near = cKDTree(sides).query_pairs(SAME_SIDE * np.ptp(points, axis=0).max(), output_type="ndarray")
+    result = np.full(len(sides), -1)
+    result[near[:, 0]], result[near[:, 1]] = near[:, 1] // 4, near[:, 0] // 4
+    return result.reshape(-1, 4)
+
+
+def of_order(points: FloatArray, cells: IntArray, order: int) -> tuple[FloatArray, IntArray]:
+    """The same cells with the nodes of another order: points (N', 2), and node numbers (M, order + 1, order + 1)."""
+    weights = polynomials(cells.shape[1] - 1, gauss_lobatto(order))
+    places = np.einsum("ia,jb,mijx->mabx", weights, weights, points[cells], optimize=True)
+    corners, numbers = np.unique(cells[:, [0, -1]][:, :, [0, -1]], return_inverse=True)
+    numbers = numbers.reshape(-1, 2, 2)
+    result = np.empty((len(cells), order + 1, order + 1), dtype=np.int64)
+    result[:, [[0], [-1]], [0, -1]] = numbers
+    inner, count = np.arange(order - 1), corners.size
+    ends = [numbers[:, 0, :], numbers[:, 1, :], numbers[:, :, 0], numbers[:, :, 1]]
+    pairs, edge = np.unique(np.concatenate(ends), axis=0, return_inverse=True)
+    left, right, below, above = (count + edge.reshape(4, -1)[:, :, None] * (order - 1) + inner)
+    result[:, 0, 1:-1], result[:, -1, 1:-1], result[:, 1:-1, 0], result[:, 1:-1, -1] = left, right, below, above
+    count += len(pairs) * (order - 1)
+    own = count + np.arange(len(cells) * (order - 1) ** 2).reshape(-1, order - 1, order - 1)
+    result[:, 1:-1, 1:-1] = own
+    found = np.empty((count + own.size, 2))
+    found[result] = places
+    return found, result

@@ -1,0 +1,150 @@
+"""Potential and radiation force on a particle in a computed field, and how long they take to move it.
+
+A force means nothing without the field it was computed in, so every result carries an :class:`Excitation`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from workbench.acoustics.nodal import FloatArray, NodalMesh, gradient, integrate, interpolate, raised, transfer
+from workbench.acoustics.radiation import acoustic_energy_density, gorkov_potential, radiation_force
+from workbench.model.particles import (
+    FluidProperties,
+    Particle,
+    Scattering,
+    drag_coefficient,
+    net_weight,
+    viscous_scattering,
+)
+from workbench.results.brief import Brief
+
+if TYPE_CHECKING:
+    from workbench.acoustics.fields import Fields
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excitation:
+    """The field a force was computed in, without which the force says nothing.
+
+    ``description`` how the device was driven, in words; ``frequency`` Hz; ``voltage`` V amplitude across the
+    transducer; ``pressure_amplitude`` Pa, the largest |p| in the region; ``energy_density`` J/m^3 of a standing wave of
+    that amplitude, p0^2/(4 rho c^2); ``mean_energy_density`` J/m^3, the field's own mean over the region.
+    """
+
+    description: str
+    frequency: float
+    voltage: float
+    pressure_amplitude: float
+    energy_density: float
+    mean_energy_density: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.frequency / 1e6:.4f} MHz, {self.description}, "
+            f"p0 = {self.pressure_amplitude / 1e3:.4g} kPa, E_ac = {self.energy_density:.3g} J/m^3 "
+            f"(mean over the region {self.mean_energy_density:.3g} J/m^3)"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ParticleForces(Brief):
+    """Potential (N,) J and radiation force (N, 2) N on a particle at the nodes of ``mesh``, which is that of ``region``
+    alone."""
+
+    excitation: Excitation
+    mesh: NodalMesh
+    region: str
+    particle: Particle
+    fluid: FluidProperties
+    scattering: Scattering
+    potential: FloatArray
+    force: FloatArray
+
+    def __str__(self) -> str:
+        largest = float(np.nanmax(np.linalg.norm(self.force, axis=1)))
+        return (
+            f"{self.particle.name}, {2e6 * self.particle.radius:.3g} um in {self.region}: "
+            f"up to {largest * 1e12:.3g} pN, net weight {net_weight(self.particle, self.fluid) * 1e12:.3g} pN, "
+            f"contrast factor {self.scattering.contrast_factor:.4g}\n{self.excitation}"
+        )
+
+
+def particle_forces(
+    fields: Fields,
+    particle: Particle,
+    *,
+    fluid: FluidProperties,
+    region: str,
+    scattering: Scattering | None = None,
+) -> ParticleForces:
+    """Potential and radiation force on `particle` in the fluid `region`, on nodes of twice the order of the fields'.
+
+    `scattering` is :func:`viscous_scattering` at the field's frequency unless given.
+
+    Raises:
+        ValueError: unknown region, or a region without pressure.
+    """
+    mesh = fields.mesh
+    if not np.isfinite(fields.pressure[mesh.nodes_of([region])]).all():
+        raise ValueError(f"region {region!r} carries no pressure; choose a fluid region")
+    if scattering is None:
+        scattering = viscous_scattering(particle, fluid, fields.frequency)
+    finer = raised(mesh, 2 * mesh.order, region)
+    pressure, velocity, pressure_gradient, velocity_gradient = (transfer(mesh, values, finer) for values in (
+        fields.pressure, fields.velocity, gradient(mesh, fields.pressure, [region]),
+        gradient(mesh, fields.velocity, [region]),
+    ))
+    potential = gorkov_potential(particle, fluid, scattering=scattering, pressure=pressure, velocity=velocity)
+    force = radiation_force(
+        particle, fluid, scattering=scattering, pressure=pressure, pressure_gradient=pressure_gradient,
+        velocity=velocity, velocity_gradient=velocity_gradient,
+    )
+    amplitude = float(np.abs(pressure).max())
+    one = np.ones(len(mesh.points))
+    mean = float(integrate(mesh, fields.energy_density, [region]) / integrate(mesh, one, [region]))
+    excitation = Excitation(
+        description=fields.drive, frequency=fields.frequency, voltage=abs(fields.voltage), pressure_amplitude=amplitude,
+        energy_density=acoustic_energy_density(amplitude, fluid), mean_energy_density=mean,
+    )
+    return ParticleForces(
+        excitation=excitation, mesh=finer, region=region, particle=particle, fluid=fluid, scattering=scattering,
+        potential=potential, force=force,
+    )
+
+
+def force_at(forces: ParticleForces, points: FloatArray) -> FloatArray:
+    """Radiation force (K, 2) in N, along r and z, at `points` (K, 2) r, z in m; NaN outside the region."""
+    return interpolate(forces.mesh, forces.force, points, [forces.region])
+
+
+def axial_focus_time(forces: ParticleForces, *, radius: float, start: float, stop: float, points: int = 2001) -> float:
+    """Time (s) from height `start` to `stop` (m) at constant `radius` (m): radiation force and weight against drag.
+
+    Inertia is negligible (a 10 um bead in water forgets its speed in microseconds), so 6 pi eta a dz/dt = F_z - W and
+    the time is the integral of dz over the speed; it diverges logarithmically towards the trap itself. Simpson's rule
+    over an odd number of `points`.
+
+    Raises:
+        ValueError: part of the way lies outside the region, the force stops or turns before `stop`, or an even number
+            of points.
+    """
+    if points < 3 or points % 2 == 0:
+        raise ValueError(f"{points} points; expected an odd number of 3 or more")
+    height = np.linspace(start, stop, points)
+    line = np.stack([np.full(points, radius), height], axis=1)
+    net = force_at(forces, line)[:, 1] - net_weight(forces.particle, forces.fluid)
+    if not np.isfinite(net).all():
+        place = height[~np.isfinite(net)][0]
+        raise ValueError(f"z = {place:.6g} m at r = {radius:.6g} m lies outside region {forces.region!r}")
+    against = net * (stop - start) <= 0.0
+    if against.any():
+        raise ValueError(f"the particle does not get from z = {start:.6g} m to {stop:.6g} m: at "
+                         f"{height[against][0]:.6g} m the net force is {net[against][0]:.3g} N")
+    weights = np.full(points, 2.0)
+    weights[1::2], weights[[0, -1]] = 4.0, 1.0
+    step = (stop - start) / (points - 1)
+    return float(drag_coefficient(forces.particle, forces.fluid) * step / 3.0 * np.sum(weights / net))

@@ -1,0 +1,484 @@
+"""Values at the nodes of cells of any order: their gradient, their integral, their value at any point.
+
+A :class:`NodalMesh` is what post-processing and pictures need of a finite-element mesh and no more. Each node belongs
+to one region, so that a stress that jumps at an interface is still single valued. Lengths are metres, (r, z)
+axisymmetric.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.acoustics import curved_cells
+from workbench.acoustics.grid import TOLERANCE, CellGrid, cell_grid
+from workbench.fem.elements import gauss_lobatto, lobatto_weights, polynomials
+from workbench.results.brief import Brief
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+#: Real or complex values at the nodes.
+NodalArray = NDArray[Any]
+
+#: The sides of a cell, left, right, below and above: direction (0 r, 1 z) and sense.
+SIDES = ((0, -1), (0, 1), (1, -1), (1, 1))
+#: A polynomial through the nodes of two cells is a good one while neither is this much larger than the other. Measured
+#: on the reference chip, order 4: between 1.5 and 2.5 the stress does not change by a tenth of its error; at 4 that of
+#: the thin bond is 30 times as large, and at 20, beside the smallest cells of a corner, 1000 times.
+ALIKE = 2.0
+#: Nodes of the neighbour on one side that help at the other end of a cell. Two make the derivative there 2.5 times as
+#: accurate and three times as sensitive to noise, of any order; all of them would make it 3000 times as sensitive at
+#: order 8.
+BEYOND = 2
+#: Cells whose points are moved by less apart, per length, than this are moved alike.
+SMOOTH = 1e-6
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NodalMesh(Brief):
+    """Cells with Gauss-Lobatto nodes that are not shared between regions.
+
+    ``points`` (N, 2) r, z in metres; ``cells`` (M, p + 1, p + 1) node numbers of every cell, the first index along r
+    and the second along z, for fields of order p; ``region`` (M,) index into ``regions``. ``straight`` (N, 2) is where
+    the points are before they are moved to where they are: in rectangles between the lines of one grid; None where
+    they are not moved. Cells that are ``free`` are of any shape and layout.
+
+    Raises:
+        ValueError: wrong shapes, an order below two, node or region numbers out of range, a cell that is clockwise or
+            has its nodes elsewhere, one that is crossed by a line of another or covers it, a node in two regions or in
+            none.
+    """
+
+    points: FloatArray
+    cells: IntArray
+    region: IntArray
+    regions: tuple[str, ...]
+    straight: FloatArray | None = None
+    free: bool = False
+
+    def __post_init__(self) -> None:
+        points, cells, region = self.flat, self.cells, self.region
+        if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+            raise ValueError(f"points has shape {points.shape}; expected finite (N, 2)")
+        if cells.ndim != 3 or not 3 <= cells.shape[1] == cells.shape[2] or region.shape != (len(cells),):
+            raise ValueError(f"cells has shape {cells.shape} and region {region.shape}; expected (M, p + 1, p + 1) for "
+                             "an order p of 2 or more, and (M,)")
+        if not len(cells):
+            raise ValueError("there are no cells")
+        if not (cells.min() >= 0 and cells.max() < len(points)):
+            raise ValueError(f"cells names nodes {cells.min()} to {cells.max()}; there are {len(points)} points")
+        if not (region.min() >= 0 and region.max() < len(self.regions)):
+            raise ValueError(f"region holds {region.min()} to {region.max()}; there are {len(self.regions)} regions")
+        owner = np.full(len(points), -1)
+        owner[cells] = region[:, None, None]
+        wrong = owner[cells] != region[:, None, None]
+        if wrong.any():
+            raise ValueError(f"node {cells[wrong][0]} belongs to two regions; duplicate it")
+        if (owner < 0).any():
+            raise ValueError(f"node {np.flatnonzero(owner < 0)[0]} belongs to no cell")
+        if self.free:
+            return
+        low, high = self.boxes
+        folded = (high <= low).any(axis=1)
+        if folded.any():
+            raise ValueError(f"cell {np.flatnonzero(folded)[0]} is clockwise or folded")
+        miss = np.abs(points[cells] - grid_nodes(low, high, self.order)).max(axis=(1, 2, 3))
+        off = miss > 1e-6 * (high - low).max(axis=1)
+        if off.any():
+            raise ValueError(f"cell {np.flatnonzero(off)[0]} is no rectangle with nodes at the Gauss-Lobatto points")
+        _ = self.grid
+
+    @property
+    def order(self) -> int:
+        """Polynomial order of the fields in a cell."""
+        return self.cells.shape[1] - 1
+
+    @property
+    def is_grid(self) -> bool:
+        """Whether the cells are rectangles between the lines of one grid."""
+        return self.straight is None and not self.free
+
+    @property
+    def flat(self) -> FloatArray:
+        """Where the points (N, 2) are in rectangles."""
+        return self.points if self.straight is None else self.straight
+
+    @property
+    def shift(self) -> FloatArray | None:
+        """By how much the points (N, 2) are moved; None where they are not."""
+        return None if self.straight is None else self.points - self.straight
+
+    @property
+    def boxes(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper r, z of every cell, each (M, 2), where it is a rectangle."""
+        return self.flat[self.cells[:, 0, 0]], self.flat[self.cells[:, -1, -1]]
+
+    @property
+    def _extent(self) -> tuple[FloatArray, FloatArray]:
+        return self.points.min(axis=0), self.points.max(axis=0)
+
+    @property
+    def lines(self) -> tuple[FloatArray, FloatArray]:
+        """Radii (n,) and heights (m,), ascending, about as far apart as the lines of the cells, from end to end."""
+        if self.is_grid:
+            return self.grid.r, self.grid.z
+        if self.free:
+            steps = max(2, math.ceil(math.sqrt(len(self.cells))))
+            r, z = (np.linspace(a, b, steps) for a, b in zip(*self._extent, strict=True))
+            return r, z
+        return tuple(a + (line - line[0]) * ((b - a) / (line[-1] - line[0]))
+                     for line, a, b in zip((self.grid.r, self.grid.z), *self._extent, strict=True))
+
+    @cached_property
+    def neighbours(self) -> IntArray:
+        """Of free cells the numbers (M, 4) of those beside them at every side, see `curved_cells.beside`."""
+        return curved_cells.beside(self.points, self.cells)
+
+    @cached_property
+    def grid(self) -> CellGrid:
+        """The lines of the cells.
+
+        Raises:
+            ValueError: a cell is crossed by a line of another, or covers another.
+        """
+        return cell_grid(*self.boxes)
+
+    def cells_of(self, regions: Sequence[str]) -> IntArray:
+        """Numbers of the cells of the named regions, shape (m,), ascending.
+
+        Raises:
+            ValueError: a name that is not a region of this mesh.
+        """
+        unknown = [name for name in regions if name not in self.regions]
+        if unknown:
+            raise ValueError(f"unknown region {unknown[0]!r}; this mesh has {', '.join(self.regions)}")
+        return np.flatnonzero(np.isin(self.region, [self.regions.index(name) for name in regions]))
+
+    def nodes_of(self, regions: Sequence[str]) -> IntArray:
+        """Numbers of the nodes of the named regions, shape (n,), ascending."""
+        return np.unique(self.cells[self.cells_of(regions)])
+
+
+def mesh_of(
+    low: FloatArray, high: FloatArray, region: IntArray, regions: tuple[str, ...], *, order: int
+) -> NodalMesh:
+    """The mesh of rectangles from `low` (M, 2) to `high` (M, 2) metres in the regions of that number, with the nodes of
+    `order`.
+
+    Raises:
+        ValueError: see :class:`NodalMesh`.
+    """
+    grid = cell_grid(low, high)
+    place = np.empty((len(low), 2), dtype=np.int64)
+    there = np.nonzero(grid.cell >= 0)
+    place[grid.cell[there]] = np.stack(there, axis=1)
+    along = np.arange(order + 1)
+    number_r = place[:, 0, None, None] * order + along[:, None]
+    number_z = place[:, 1, None, None] * order + along
+    lines_r, lines_z = (count * order + 1 for count in grid.cell.shape)
+    keys = (region[:, None, None] * lines_r + number_r) * lines_z + number_z
+    _, first, cells = np.unique(keys, return_index=True, return_inverse=True)
+    points = grid_nodes(low, high, order).reshape(-1, 2)[first]
+    return NodalMesh(points, cells.reshape(keys.shape), region, regions)
+
+
+def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
+    """The cells of one region in a mesh of its own, with the nodes of another `order`.
+
+    Products of two fields are polynomials of twice their order: it is on its nodes that they keep all they hold.
+    """
+    chosen = mesh.cells_of([region])
+    if mesh.free:
+        points, cells = curved_cells.of_order(mesh.points, mesh.cells[chosen], order)
+        return NodalMesh(points, cells, np.zeros(len(chosen), dtype=np.int64), (region,), free=True)
+    low, high = (side[chosen] for side in mesh.boxes)
+    flat = mesh_of(low, high, np.zeros(len(chosen), dtype=np.int64), (region,), order=order)
+    return flat if mesh.straight is None else replace(flat, points=transfer(mesh, mesh.points, flat),
+                                                      straight=flat.points)
+
+
+def transfer(mesh: NodalMesh, values: NodalArray, finer: NodalMesh) -> NodalArray:
+    """`values` (N, ...) of `mesh` at the nodes of `finer`, which :func:`raised` made of it: (N', ...)."""
+    weights = polynomials(mesh.order, gauss_lobatto(finer.order))
+    (region,) = finer.regions
+    inside = values[mesh.cells[mesh.cells_of([region])]]
+    result = np.empty((len(finer.points), *values.shape[1:]), dtype=values.dtype)
+    result[finer.cells] = np.einsum("ia,jb,mij...->mab...", weights, weights, inside, optimize=True)
+    return result
+
+
+def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> NodalArray:
+    """Gradient at the nodes of `regions` of `values` (N, ...) per metre: (N, 2, ...), d/dr then d/dz; NaN elsewhere.
+
+    The derivative of a cell's own polynomial is least accurate where most of its nodes are, at the edges. So that of a
+    polynomial through more nodes is taken, each of the two directions by itself: for a node in the half of its cell
+    towards a neighbour, through the nodes of both cells; in a half without neighbour, through those of the cell and the
+    next :data:`BEYOND` on its other side, for further ones would amplify noise there. This is polynomial-preserving
+    recovery (Zhang & Naga, SIAM J. Sci. Comput. 26, 1192, 2005) with interpolation in place of the least-squares fit.
+    A cell of another region, or one larger or smaller by more than :data:`ALIKE`, is no neighbour, and free cells have
+    none. At a node of several cells the gradient is their mean.
+
+    Raises:
+        ValueError: a name that is not a region of the mesh.
+    """
+    chosen = mesh.cells_of(regions)
+    flat = values.reshape(len(mesh.points), -1)
+    if mesh.free:
+        result = _averaged(mesh, chosen, curved_cells.nodal_slopes(mesh.points, mesh.cells[chosen], flat))
+        return result.reshape(len(mesh.points), 2, *values.shape[1:])
+    result = _recovered(mesh, flat, chosen)
+    if mesh.straight is not None:
+        # By the chain rule, where the points have got to likewise.
+        there = np.unique(mesh.cells[chosen])
+        slopes = _recovered(mesh, mesh.points, chosen)[there]
+        result[there] = np.linalg.solve(slopes, result[there])
+    return result.reshape(len(mesh.points), 2, *values.shape[1:])
+
+
+def _recovered(mesh: NodalMesh, values: NodalArray, chosen: IntArray) -> NodalArray:
+    """Derivatives (N, 2, k) in both directions of the rectangles of `values` (N, k) at the nodes of the cells `chosen`;
+    NaN elsewhere."""
+    both = [_slopes(mesh, values, chosen, axis) for axis in (0, 1)]
+    return _averaged(mesh, chosen, np.stack(both, axis=-2))
+
+
+def _averaged(mesh: NodalMesh, chosen: IntArray, slopes: NodalArray) -> NodalArray:
+    """Derivatives (N, 2, k) at the nodes from those on the cells `chosen` (m, p + 1, p + 1, 2, k); NaN elsewhere."""
+    nodes = mesh.cells[chosen]
+    shares = np.bincount(nodes.ravel(), minlength=len(mesh.points))
+    result = np.zeros((len(mesh.points), *slopes.shape[3:]), dtype=slopes.dtype)
+    np.add.at(result, nodes, slopes)
+    result[shares == 0] = np.nan
+    result /= np.maximum(shares, 1)[:, None, None]
+    return result
+
+
+def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) -> NodalArray:
+    """Derivative in direction `axis` of `values` (N, k) at the nodes of the cells `chosen`: (m, p + 1, p + 1, k)."""
+    order = mesh.order
+    lines = mesh.cells if axis == 1 else mesh.cells.swapaxes(1, 2)  # (M, across, along)
+    before, after = (_alike(mesh, axis, step)[chosen] for step in (-1, 1))
+    # Which half a node is in; one in the middle is in either to a half.
+    first_half = 0.5 - 0.5 * np.sign(np.round(gauss_lobatto(order) - 0.5, 9))
+    result = np.zeros((len(chosen), order + 1, order + 1, values.shape[1]), dtype=np.result_type(values.dtype, float))
+
+    def add(members: IntArray, half: FloatArray, parts: Sequence[IntArray]) -> None:
+        """Add to the nodes of one half of some cells the derivative through the nodes of `parts`, the first the cell's
+        own."""
+        windows = np.concatenate(parts, axis=2)
+        matrix = half[:, None] * _differentiation(mesh.flat[windows[:, 0], axis])[:, :order + 1]
+        result[members] += np.einsum("mij,mcjk->mcik", matrix, values[windows], optimize=True)
+
+    own = lines[chosen]
+    for half, towards, away, next_to, far_from in (
+        (first_half, before, after, slice(0, -1), slice(1, 1 + BEYOND)),
+        (1.0 - first_half, after, before, slice(1, None), slice(-1 - BEYOND, -1)),
+    ):
+        near = np.flatnonzero(towards >= 0)
+        add(near, half, [own[near], lines[towards[near]][:, :, next_to]])
+        far = np.flatnonzero((towards < 0) & (away >= 0))
+        add(far, half, [own[far], lines[away[far]][:, :, far_from]])
+        alone = np.flatnonzero((towards < 0) & (away < 0))
+        add(alone, half, [own[alone]])
+    return result if axis == 1 else result.swapaxes(1, 2)
+
+
+def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
+    """The neighbour (M,) of every cell in direction `axis`, of its region and about its size; -1 where there is none.
+    """
+    there = mesh.grid.cell >= 0
+    beside = np.full(len(mesh.cells), -1)
+    beside[mesh.grid.cell[there]] = mesh.grid.beside(mesh.grid.cell, axis, step)[there]
+    low, high = mesh.boxes
+    size = (high - low)[:, axis]
+    ratio = size[beside] / size
+    fit = (mesh.region[beside] == mesh.region) & (ratio < ALIKE) & (ratio > 1.0 / ALIKE)
+    if mesh.shift is not None:
+        # Nor one that is moved otherwise: the field has a kink there on the rectangles.
+        lines = np.moveaxis(mesh.shift[mesh.cells], 1 + axis, 1)
+        matrix = _differentiation(gauss_lobatto(mesh.order)[None])[0]
+        ends = np.einsum("ek,mkjx->emjx", matrix[[0, -1]], lines) / size[:, None, None]
+        own, other = (ends[1], ends[0]) if step > 0 else (ends[0], ends[1])
+        fit &= np.abs(own - other[beside]).max(axis=(1, 2)) < SMOOTH
+    return np.where(fit, beside, -1)
+
+
+def _differentiation(nodes: FloatArray) -> FloatArray:
+    """Differentiation matrices (P, n, n) of the polynomials through `nodes` (P, n), by barycentric weights."""
+    count = nodes.shape[1]
+    diagonal = np.arange(count)
+    apart = nodes[:, :, None] - nodes[:, None, :]
+    # In units of the length of all: products of metres would vanish.
+    length = np.ptp(nodes, axis=1, keepdims=True)[:, :, None]
+    scaled = apart / length
+    scaled[:, diagonal, diagonal] = 1.0
+    weight = 1.0 / scaled.prod(axis=2)
+    matrix: FloatArray = weight[:, None, :] / weight[:, :, None] / (scaled * length)
+    matrix[:, diagonal, diagonal] = 0.0
+    matrix[:, diagonal, diagonal] = -matrix.sum(axis=2)
+    return matrix
+
+
+def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> NodalArray:
+    """Integral over the revolved volume of `regions`, weight 2 pi r, of nodal `values` (N, ...): shape (...).
+
+    By the Gauss-Lobatto rule of the nodes, exact for the interpolant.
+    """
+    chosen = mesh.cells_of(regions)
+    weights = lobatto_weights(mesh.order)
+    nodes = mesh.cells[chosen]
+    if mesh.is_grid:
+        low, high = (side[chosen] for side in mesh.boxes)
+        area = (high - low).prod(axis=1)[:, None, None] * np.outer(weights, weights)
+    else:
+        slope = _differentiation(gauss_lobatto(mesh.order)[None])[0]
+        along, across = (np.einsum(form, slope, mesh.points[nodes]) for form in ("ai,mijx->majx", "bj,mijx->mibx"))
+        area = (along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]) * np.outer(weights, weights)
+    measure = 2.0 * np.pi * mesh.points[nodes, 0] * area
+    return np.tensordot(measure.ravel(), values[nodes.ravel()], axes=(0, 0))
+
+
+def interpolate(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Sequence[str]) -> NodalArray:
+    """Interpolant of nodal `values` (N, ...) at `points` (K, 2) r, z in metres: (K, ...); NaN outside.
+
+    Where two of `regions` touch at a point, the cell with the lower number gives the value.
+    """
+    cell, local = locate(mesh, points, regions)
+    found = cell >= 0
+    result = np.full((len(points), *values.shape[1:]), np.nan, dtype=np.result_type(values.dtype, float))
+    result[found] = curved_cells.interpolated(mesh.cells, values, cell[found], local[found])
+    return result
+
+
+def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple[IntArray, FloatArray]:
+    """Cell (K,) of `regions` that holds each of `points` (K, 2), -1 where none, and local coordinates (K, 2), 0 to 1.
+    """
+    if not mesh.is_grid:
+        cells = mesh.cells_of(regions)
+        found, local = curved_cells.cells_at(mesh.points, mesh.cells[cells], points)
+        return np.where(found >= 0, cells[found] if cells.size else -1, -1), local
+    grid = mesh.grid
+    chosen = np.zeros(len(mesh.cells) + 1, dtype=bool)
+    chosen[mesh.cells_of(regions)] = True
+    # A point on a line, or off it by rounding, may be in the cell on either side.
+    sides = []
+    for lines, place in ((grid.r, points[:, 0]), (grid.z, points[:, 1])):
+        slack = TOLERANCE * (lines[-1] - lines[0])
+        slots = np.stack([np.searchsorted(lines, place - slack, side="right"),
+                          np.searchsorted(lines, place + slack, side="right")]) - 1
+        sides.append(np.where((slots >= 0) & (slots < len(lines) - 1), slots, -1))
+    found = np.full(len(points), len(mesh.cells))
+    for i in sides[0]:
+        for j in sides[1]:
+            candidate = np.where((i >= 0) & (j >= 0), grid.cell[i, j], -1)
+            found = np.where(chosen[candidate], np.minimum(found, candidate), found)
+    found[found == len(mesh.cells)] = -1
+    low, high = (side[found] for side in mesh.boxes)
+    local = np.where(found[:, None] >= 0, (points - low) / (high - low), np.nan)
+    return found, local
+
+
+def raster(
+    mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray, regions: Sequence[str]
+) -> NodalArray:
+    """Interpolant of nodal `values` (N,) at every pair of ascending `r` (n,) and `z` (m,) in metres: (n, m); NaN
+    outside `regions`, and where the values are.
+
+    What :func:`interpolate` gives, in a fraction of its time.
+    """
+    result = np.full((len(r), len(z)), np.nan, dtype=np.result_type(values.dtype, float))
+    if not mesh.is_grid:
+        return interpolate(mesh, values, _pairs(r, z), regions).reshape(result.shape)
+    grid = mesh.grid
+    columns, rows = (_within(lines, place, mesh.order) for lines, place in ((grid.r, r), (grid.z, z)))
+    chosen = np.isin(np.arange(len(mesh.cells)), mesh.cells_of(regions))
+    # The lowest number last: it has the points that several cells share.
+    for cell, i, j in sorted(((int(grid.cell[i, j]), i, j) for i, j in zip(*np.nonzero(grid.cell >= 0), strict=True)),
+                             reverse=True):
+        (across, weights_r), (up, weights_z) = columns[i], rows[j]
+        if chosen[cell] and weights_r.size and weights_z.size:
+            result[across, up] = weights_r.T @ values[mesh.cells[cell]] @ weights_z
+    return result
+
+
+def cell_raster(mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray) -> NodalArray:
+    """The one of `values` (M,) that belongs to the cell at every pair of ascending `r` (n,) and `z` (m,) in metres:
+    (n, m); NaN where there is no cell."""
+    if not mesh.is_grid:
+        cell, _ = locate(mesh, _pairs(r, z), mesh.regions)
+        return np.where(cell >= 0, values[cell], np.nan).reshape(len(r), len(z))
+    lines = mesh.grid
+    i, j = (np.searchsorted(line, place, side="right") - 1 for line, place in ((lines.r, r), (lines.z, z)))
+    table = np.pad(lines.cell, 1, constant_values=-1)
+    cell = table[i[:, None] + 1, j[None, :] + 1]
+    return np.where(cell >= 0, values[cell], np.nan)
+
+
+def _pairs(r: FloatArray, z: FloatArray) -> FloatArray:
+    """(n m, 2) of every r (n,) with every z (m,)."""
+    return np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
+    """Numbers (L,) of the cells whose neighbour on a side has another `label` (M,) or is missing, for each of the four
+    sides :data:`SIDES`; the axis is left out. Cells labelled -1 count as missing.
+    """
+    if mesh.free:
+        across = np.where(mesh.neighbours >= 0, label[mesh.neighbours], -1)
+        apart = (label[:, None] >= 0) & (across != label[:, None])
+        at_axis = mesh.points[:, 0] <= TOLERANCE * mesh.points[:, 0].max()
+        every = np.arange(len(mesh.cells))
+        return [(side, np.flatnonzero(apart[:, side] & ~at_axis[edge_nodes(mesh, side, every)].all(axis=1)))
+                for side in range(4)]
+    grid = mesh.grid
+    there = grid.cell >= 0
+    labels = np.where(there, label[grid.cell], -1)
+    found = []
+    for side, (axis, step) in enumerate(SIDES):
+        edge = (labels >= 0) & (grid.beside(labels, axis, step) != labels)
+        if (axis, step) == (0, -1):
+            edge[grid.r[:-1] <= TOLERANCE * grid.r[-1]] = False
+        found.append((side, grid.cell[edge]))
+    return found
+
+
+def edge_nodes(mesh: NodalMesh, side: int, cells: IntArray) -> IntArray:
+    """Nodes (L, p + 1) of one of the :data:`SIDES` of `cells` (L,), along r or upwards."""
+    axis, step = SIDES[side]
+    return np.take(mesh.cells[cells], 0 if step < 0 else -1, axis=1 + axis)
+
+
+def border_lines(mesh: NodalMesh, label: IntArray) -> IntArray:
+    """Nodes (n, 2) at the ends of the lines that :func:`borders` consist of: whole sides of rectangles, and from node
+    to node along those of other cells."""
+    found = []
+    for side, cells in borders(mesh, label):
+        nodes = edge_nodes(mesh, side, cells)
+        nodes = nodes[:, [0, -1]] if mesh.is_grid else nodes
+        found.append(np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2).reshape(-1, 2))
+    return np.concatenate(found)
+
+
+def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slice, FloatArray]]:
+    """For every interval of `lines` those of ascending `place` that lie in it, ends included, and the weights of the
+    nodes there (order + 1, count)."""
+    slack = TOLERANCE * (lines[-1] - lines[0])
+    first = np.searchsorted(place, lines[:-1] - slack, side="left")
+    last = np.searchsorted(place, lines[1:] + slack, side="right")
+    parts = []
+    for begin, end, low, high in zip(first, last, lines[:-1], lines[1:], strict=True):
+        parts.append((slice(begin, end), polynomials(order, (place[begin:end] - low) / (high - low))))
+    return parts
+
+
+def grid_nodes(low: FloatArray, high: FloatArray, order: int) -> FloatArray:
+    """Gauss-Lobatto nodes (M, order + 1, order + 1, 2) of rectangles from `low` (M, 2) to `high` (M, 2)."""
+    local = np.stack(np.meshgrid(gauss_lobatto(order), gauss_lobatto(order), indexing="ij"), axis=-1)
+    nodes: FloatArray = low[:, None, None] + local * (high - low)[:, None, None]
+    return nodes

@@ -1,0 +1,295 @@
+"""Where a particle comes to rest: minima of the potential, what holds it there, and the time to get there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial.legendre import legder, legval2d, legvander2d
+
+from workbench.acoustics.basins import find_basins, find_walls, label_basins, lowest_pass, outward
+from workbench.acoustics.forces import Excitation, ParticleForces, axial_focus_time, force_at
+from workbench.acoustics.nodal import FloatArray, interpolate, raster
+from workbench.model.particles import net_weight
+from workbench.results.brief import Brief
+
+#: Points a wavelength of sound at which minima and passes of the potential are looked for: 32 a period of the potential
+#: of a standing wave, so a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span off.
+RASTER_POINTS = 64
+#: Degree of the polynomial fitted about a minimum; over half a period it leaves 1e-6 of the curvature.
+FIT_DEGREE = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trap:
+    """A place where the sound field alone would bring the particle to rest, and what holds it there against its weight.
+
+    ``radius``, ``height`` r, z in m, and ``above_floor`` m from the cavity's floor below it; ``potential`` J; ``depth``
+    J below the pass to a deeper trap or, of the deepest, below the highest potential in the region.
+    ``radial_stiffness``, ``axial_stiffness`` N/m; ``on_wall``: held at a wall, where the force need not vanish
+    (stiffness is then the curvature at the wall).
+
+    With the weight less buoyancy in the potential: ``barrier`` J, the lowest pass over which the particle leaves, to
+    another trap or to a wall that it does not lie on; ``axial_barrier`` and ``radial_barrier`` J, the same for a
+    particle that moves along z or along r alone, hence no lower. All are 0 where the weight pulls the particle out, and
+    None where no way leads out. ``lift`` N, the largest force against the weight on the vertical line through the trap;
+    None where a wall carries the weight. ``share``: the part of the cavity's volume that drains into the trap.
+    """
+
+    radius: float
+    height: float
+    above_floor: float
+    potential: float
+    depth: float
+    barrier: float | None
+    axial_barrier: float | None
+    radial_barrier: float | None
+    lift: float | None
+    share: float
+    radial_stiffness: float
+    axial_stiffness: float
+    on_wall: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether the particle stays although it has a weight."""
+        return self.barrier is None or self.barrier > 0.0
+
+    def __str__(self) -> str:
+        return (
+            f"r = {self.radius * 1e3:.3f} mm, z = {self.height * 1e3:.3f} mm, {self.above_floor * 1e3:.3f} mm above "
+            f"the floor{' on the wall' if self.on_wall else ''}: barrier {barrier_words(self.barrier)} "
+            f"(axial {barrier_words(self.axial_barrier)}, radial {barrier_words(self.radial_barrier)}), "
+            f"stiffness {self.radial_stiffness * 1e9:.3g} pN/mm radial, {self.axial_stiffness * 1e9:.3g} pN/mm axial"
+        )
+
+
+def barrier_words(barrier: float | None) -> str:
+    """A barrier (J) as text, in fJ."""
+    return "none to pass" if barrier is None else f"{barrier * 1e15:.3g} fJ"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TrapReport(Brief):
+    """The traps of one field for one particle, deepest first, with the forces they were found in."""
+
+    forces: ParticleForces
+    traps: tuple[Trap, ...]
+
+    @property
+    def excitation(self) -> Excitation:
+        """The field the traps were found in."""
+        return self.forces.excitation
+
+    @property
+    def settled(self) -> float:
+        """The part of the cavity's volume from which particles reach no trap: their weight brings them to a wall."""
+        return max(0.0, 1.0 - sum(trap.share for trap in self.traps))
+
+    def __str__(self) -> str:
+        listed = "\n".join(f"  {number}. {trap}" for number, trap in enumerate(self.traps, start=1))
+        return f"{self.forces}\n{listed or '  no trap'}"
+
+
+def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapReport:
+    """Minima of the potential, deepest first.
+
+    A minimum shallower than `least_depth` times the span of the potential in the region is left out: it may be no more
+    than the mesh showing. Depths are topological: the lowest pass to a deeper minimum, on a raster of
+    :data:`RASTER_POINTS` a wavelength; so are barriers, of the potential with the weight in it. Place, value and
+    stiffness come from a polynomial fitted to the potential around, mirrored where that reaches the axis.
+    """
+    mesh, potential = forces.mesh, forces.potential
+    wavelength = forces.fluid.sound_speed / forces.excitation.frequency
+    r, z = (_subdivided(lines, wavelength / RASTER_POINTS) for lines in mesh.lines)
+    values = raster(mesh, potential, r, z, [forces.region])
+    least = least_depth * float(np.nanmax(values) - np.nanmin(values))
+    landscape = _Landscape(forces, r, z, values, least)
+    traps = []
+    # From the deepest on, so that two that the weight makes one give it to the deeper.
+    for (i, j), highest in sorted(find_basins(values), key=lambda basin: values[basin[0]] - basin[1]):
+        if highest - values[i, j] <= least:
+            continue
+        place, value, curvature = _refine(forces, np.array([r[i], z[j]]), wavelength)
+        if not np.isfinite(interpolate(mesh, potential, place[None, :], [forces.region])[0]):
+            place, value = np.array([r[i], z[j]]), float(values[i, j])
+        # A trap on the axis is on it, not a rounding error beside it.
+        radius = 0.0 if place[0] < 1e-9 * r[-1] else float(place[0])
+        column = np.flatnonzero(np.isfinite(values[i, :j + 1]))
+        floor = z[column[np.flatnonzero(np.diff(column, prepend=-2) > 1)[-1]]]
+        held = landscape.hold(i, j)
+        traps.append(Trap(
+            radius=radius, height=float(place[1]), above_floor=max(0.0, float(place[1] - floor)), potential=value,
+            depth=highest - value, barrier=held.barrier, axial_barrier=held.axial, radial_barrier=held.radial,
+            lift=held.lift, share=held.share, radial_stiffness=float(curvature[0]),
+            axial_stiffness=float(curvature[1]), on_wall=bool(landscape.walls[i, j]),
+        ))
+    return TrapReport(forces=forces, traps=tuple(sorted(traps, key=lambda trap: -trap.depth)))
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What holds a particle in a trap: see :class:`Trap`."""
+
+    barrier: float | None
+    axial: float | None
+    radial: float | None
+    lift: float | None
+    share: float
+
+
+class _Landscape:
+    """The potential with the particle's weight in it on a raster, and the ways out of its basins.
+
+    A particle leaves a trap when it comes to another one, or to a wall that it does not lie on: near a wall other
+    forces act and it may stay. Walls that face within 60 degrees of that which the trap lies on are the same wall.
+    """
+
+    def __init__(self, forces: ParticleForces, r: FloatArray, z: FloatArray, values: FloatArray, least: float) -> None:
+        self.forces, self.r, self.z, self.acoustic, self.least = forces, r, z, values, least
+        self.weight = net_weight(forces.particle, forces.fluid)
+        self.total = values + self.weight * z
+        inside, self.on_axis = np.isfinite(values), bool(r[0] < 1e-9 * r[-1])
+        self.walls = find_walls(inside, on_axis=self.on_axis)
+        self.outward = outward(inside, on_axis=self.on_axis)
+        self.by_sound = label_basins(values, least=least)
+        self.label = label_basins(self.total, least=least)
+        self.minima = np.zeros(values.shape, dtype=bool)
+        self.minima.ravel()[np.unique(self.label[inside])] = True
+        edges = np.concatenate([r[:1], 0.5 * (r[1:] + r[:-1]), r[-1:]])
+        heights = np.gradient(z)
+        heights[[0, -1]] *= 0.5
+        self.volume = np.where(inside, np.outer(np.diff(edges**2), heights), 0.0)
+        self.taken: set[int] = set()
+
+    def hold(self, i: int, j: int) -> _Held:
+        """What holds the particle in the trap at a place of the raster."""
+        rest = int(self.label[i, j])
+        at = divmod(rest, self.total.shape[1])
+        lies = bool(self.walls[i, j])
+        lift = self._lift(i, j)
+        if rest in self.taken or self.by_sound[at] != self.by_sound[i, j] or (self.walls[at] and not lies):
+            return _Held(0.0, 0.0, 0.0, lift, 0.0)
+        self.taken.add(rest)
+        others = self.walls.copy()
+        if lies:
+            others &= self.outward @ self.outward[at] < 0.5
+        exits = others | self.minima
+        exits[at] = False
+        share = float(self.volume[self.label == rest].sum() / self.volume.sum())
+        i, j = at
+        axial = self._climb(self._along(self.total[i], j, mirrored=False), at)
+        radial = self._climb(self._along(self.total[:, j], i, mirrored=self.on_axis), at)
+        # In a corner, where two walls have one direction between them, a straight way may end sooner.
+        ways = [way for way in (self._climb(lowest_pass(self.total, at, exits), at), axial, radial) if way is not None]
+        return _Held(min(ways, default=None), axial, radial, lift, share)
+
+    def _climb(self, level: float | None, at: tuple[int, int]) -> float | None:
+        return None if level is None else level - float(self.total[at])
+
+    def _along(self, line: FloatArray, start: int, *, mirrored: bool) -> float | None:
+        """The lowest pass (J) out of the place `start` of a line (n,), to its end at a wall or to another minimum.
+
+        The line goes on behind its first point where it is `mirrored`: there is no wall.
+        """
+        inside = np.pad(np.isfinite(line), 1)
+        inside[0] = mirrored
+        exits = inside[1:-1] & ~(inside[:-2] & inside[2:])
+        label = label_basins(line[:, None], least=self.least)[:, 0]
+        minima = np.unique(label[label >= 0])
+        exits[minima[minima != label[start]]] = True
+        exits[start] = False
+        return lowest_pass(line[:, None], (start, 0), exits[:, None])
+
+    def _lift(self, i: int, j: int) -> float | None:
+        """The largest force (N) against the weight between the trap and the next pass that the weight pulls it to."""
+        step = -1 if self.weight > 0.0 else 1
+        column = self.acoustic[i]
+        end = j
+        while 0 <= end + step < len(column) and column[end + step] >= column[end]:
+            end += step
+        if end == j:
+            return None
+        height = np.linspace(self.z[j], self.z[end], 4 * abs(end - j) + 1)
+        force = force_at(self.forces, np.stack([np.full(height.size, self.r[i]), height], axis=1))[:, 1]
+        return float(np.nanmax(-step * force))
+
+
+def focus_time(report: TrapReport) -> float | None:
+    """Time (s) to the deepest trap along the axial line through it, from 90 % to 10 % of a quarter wavelength above it.
+
+    None where there is no trap, or where a particle starting there is not drawn all the way down: a wall is in between,
+    or the field is too weak against the particle's weight.
+    """
+    return None if not report.traps else _time_from(report, report.traps[0], 1.0)
+
+
+def time_to(report: TrapReport, trap: Trap) -> float | None:
+    """:func:`focus_time` to any one of the traps and, where that is None, from as far below it."""
+    above = _time_from(report, trap, 1.0)
+    return _time_from(report, trap, -1.0) if above is None else above
+
+
+def _time_from(report: TrapReport, trap: Trap, side: float) -> float | None:
+    forces = report.forces
+    quarter = side * 0.25 * forces.fluid.sound_speed / forces.excitation.frequency
+    try:
+        return axial_focus_time(forces, radius=trap.radius, start=trap.height + 0.9 * quarter,
+                                stop=trap.height + 0.1 * quarter)
+    except ValueError:
+        return None
+
+
+def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:
+    """`lines` with equally spaced ones between, no further apart than `spacing`."""
+    parts = [np.linspace(low, high, math.ceil((high - low) / spacing), endpoint=False)
+             for low, high in pairwise(lines)]
+    return np.concatenate([*parts, lines[-1:]])
+
+
+def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tuple[FloatArray, float, FloatArray]:
+    """Place (2,), value and second derivatives (2,) along r and z of the minimum next to `start` (2,).
+
+    Newton's method on a polynomial of :data:`FIT_DEGREE` along r and along z, fitted to the potential within an eighth
+    of the `wavelength` of sound on all sides: that is half a period of the potential of a standing wave. The potential
+    is even in r, so behind the axis it is as before it.
+    """
+    reach = wavelength / 8.0
+    across = np.linspace(-1.0, 1.0, 2 * FIT_DEGREE + 1)
+    local = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = start + reach * local
+    points[:, 0] = np.abs(points[:, 0])
+    values = interpolate(forces.mesh, forces.potential, points, [forces.region])
+    inside = np.isfinite(values)
+    local, values = local[inside], values[inside]
+    degree = [min(FIT_DEGREE, len(np.unique(local[:, axis])) - 1) for axis in (0, 1)]
+    design = legvander2d(local[:, 0], local[:, 1], degree)
+    fitted = np.linalg.lstsq(design, values, rcond=None)[0].reshape(degree[0] + 1, degree[1] + 1)
+
+    def derivative(along_r: int, along_z: int, at: FloatArray) -> float:
+        polynomial = legder(legder(fitted, along_r, axis=0), along_z, axis=1)
+        return float(legval2d(at[0], at[1], polynomial))
+
+    place = np.zeros(2)
+    for _ in range(20):
+        slope = np.array([derivative(1, 0, place), derivative(0, 1, place)])
+        cross = derivative(1, 1, place)
+        hessian = np.array([[derivative(2, 0, place), cross], [cross, derivative(0, 2, place)]])
+        if np.linalg.eigvalsh(hessian)[0] <= 0.0:
+            place = np.zeros(2)
+            break
+        step = np.linalg.solve(hessian, slope)
+        place = place - step
+        # A minimum that is not within half the patch belongs to another point, or to a wall.
+        if np.abs(place).max() > 0.5:
+            place = np.zeros(2)
+            break
+        if np.abs(step).max() < 1e-12:
+            break
+    curvature = np.array([derivative(2, 0, place), derivative(0, 2, place)]) / reach**2
+    minimum = start + place * reach
+    # Rounding may put a minimum on the axis a hair behind it.
+    minimum[0] = max(minimum[0], 0.0)
+    return minimum, derivative(0, 0, place), curvature

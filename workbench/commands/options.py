@@ -1,0 +1,419 @@
+"""The options of every command: one function a command, listed in :data:`COMMANDS`.
+
+Nothing but argparse is needed here, so that whoever asks for help, or mistypes an option, need not wait.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from workbench import __version__
+
+#: Shown by every command that has a drive.
+DRIVE_HELP = ('"10 Vpp" at the electrodes (default), "10 Vpp @ 50 ohm" a generator of that open-circuit voltage, '
+              '"0.1 W" constant input power')
+
+#: Accuracy of Z that meshes are made for (`workbench.model.discretisation.ACCURACY`).
+ACCURACY = "0.05 %"
+
+OUTPUT_HELP = "folder for the results, made if need be"
+
+
+def command_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line; ``options.command`` is the name of the command."""
+    whole = argparse.ArgumentParser(
+        prog="workbench", formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
+        epilog="exit status: 0 done, 1 computation failed, 2 mistake in the command or a file, 130 interrupted",
+    )
+    whole.add_argument("--version", action="version", version=f"workbench {__version__}")
+    subparsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (text, add_options) in COMMANDS.items():
+        add_options(subparsers.add_parser(name, help=text, description=text))
+    return whole
+
+
+def _with_materials(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--materials", type=Path, action="append", default=[], metavar="DIR",
+                     help="a further folder of materials, material/source.toml, beside the package's and your own (may "
+                          "be repeated; default none)")
+
+
+def _with_state(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--state", metavar="NAME", help="state of the chip (default: the last of its file)")
+
+
+def _with_model(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--from", dest="low", metavar="FREQ",
+                     help='lower end of the band, such as "0.91 MHz" (default: of the chip)')
+    sub.add_argument("--to", dest="high", metavar="FREQ", help="upper end of the band (default: of the chip)")
+    _with_accuracy(sub)
+    _with_materials(sub)
+    # For the commands without these options.
+    sub.set_defaults(points=481, at=None, full=False, tolerance=1e-4, drive="10 Vpp")
+
+
+def _with_accuracy(sub: argparse.ArgumentParser) -> None:
+    # argparse formats its help with %.
+    sub.add_argument("--accuracy", default=ACCURACY, metavar="ERROR",
+                     help=f'relative error of Z, rms over the band, that the mesh is made for (default "{ACCURACY}")'
+                     .replace("%", "%%"))
+
+
+def _with_recording(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--columns", type=Path, metavar="MAP.toml",
+                     help="which columns of the recording are what (default: as their headings say; where these do "
+                          "not, the error proposes a map)")
+    sub.add_argument("--format", metavar="NAME",
+                     help="format of the recording: workbench, e4990a, 4294a, touchstone, labone, bode100, gamry, "
+                          "biologic, zplot, hioki, lines or table (default: found out)")
+    sub.add_argument("--correction", choices=("negate", "conjugate"),
+                     help="put a wrong phase right, on your word (default: as recorded)")
+
+
+def _simulate(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    sub.add_argument("--state", action="append", metavar="NAME",
+                     help="only this state (may be repeated; default all)")
+    _with_model(sub)
+    sub.add_argument("--points", type=int, default=481, metavar="N", help="frequencies in the band (default 481)")
+    sub.add_argument("--full", action="store_true",
+                     help="solve every frequency instead of a reduced model (default); may be interrupted and "
+                     "continued")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default f0)")
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
+    sub.add_argument("--tolerance", type=float, default=1e-4, metavar="ERROR",
+                     help="relative error of the reduced model's impedance (default 0.0001)")
+    sub.add_argument("--no-pictures", action="store_true",
+                     help="leave out the pictures of fields and solid model (default: drawn)")
+    sub.add_argument("--no-cad", action="store_true", help="leave out the solid model (default: STEP, STL, view)")
+    sub.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _study(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("study", type=Path, metavar="STUDY.toml", help="a chip, what varies, the figures asked for; see "
+                     "workbench/design/plan.py")
+    sub.add_argument("--jobs", type=int, metavar="N",
+                     help="pieces of work at a time (default: one for each core, or for each thread of the cluster)")
+    sub.add_argument("--dask", metavar="ADDRESS",
+                     help='a Dask cluster, by the address of its scheduler, such as "tcp://127.0.0.1:8786" (default: '
+                     "processes of this machine)")
+    sub.add_argument("--overwrite", action="store_true",
+                     help="begin anew in a folder that holds another study (default: refused; the same one goes on)")
+    _with_materials(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _compare(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("recording", type=Path, metavar="RECORDING")
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_recording(sub)
+    _with_model(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _mesh(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--converge", action="store_true",
+                     help="the meshes of all accuracies against a finer one; status 1 if --accuracy is not met")
+    sub.add_argument("-o", "--output", type=Path, metavar="DIR",
+                     help="folder for the report of the convergence (default: none is written)")
+
+
+def _export(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _render(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--at", metavar="FREQ", required=True, help="frequency of the fields")
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
+    sub.add_argument("--field", action="append", metavar="NAME", help="displacement, pressure, gorkov, cutaway, "
+                     "losses or mesh (may be repeated; default all)")
+    sub.add_argument("--vtu", action="store_true", help="write the fields for ParaView too (default: not)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _materials(sub: argparse.ArgumentParser) -> None:
+    actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
+
+    def action(name: str, text: str) -> argparse.ArgumentParser:
+        found = actions.add_parser(name, help=text, description=text)
+        _with_materials(found)
+        return found
+
+    action("list", "every material, fitted and withdrawn ones marked")
+    for name, text, default in (("show", "every number of a material, with its source or its fit", "must be given"),
+                                ("check", "read materials and check them", "default: all")):
+        one = action(name, text)
+        one.add_argument("name", nargs="?", metavar="NAME", help=f"material, or material/source ({default})")
+        one.add_argument("--temperature", metavar="TEMP",
+                         help='such as "25 degC" (default: the reference temperature of the material)')
+    diff = action("diff", "two materials beside each other")
+    diff.add_argument("first", metavar="A")
+    diff.add_argument("second", metavar="B")
+    history = action("history", "the versions of a saved fit")
+    history.add_argument("name", metavar="NAME", help="material/name")
+    withdraw = action("withdraw", "take back one version of a saved fit; it can still be read by its full name")
+    withdraw.add_argument("name", metavar="NAME", help="material/name@version")
+    withdraw.add_argument("--reason", required=True, metavar="TEXT", help="for those who used it")
+    export = action("export", "materials of your own in one file")
+    export.add_argument("names", nargs="+", metavar="NAME")
+    export.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file, overwritten")
+    importing = action("import", "put exported materials into the last folder of --materials, or else your own")
+    importing.add_argument("file", type=Path, metavar="FILE")
+
+
+def _sensitivity(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="DISC.toml")
+    _with_state(sub)
+    sub.add_argument("--density", metavar="DENSITY",
+                     help='of the transducer, such as "7500 kg/m^3" (default: of the chip)')
+    sub.add_argument("--loss", type=float, default=0.0, metavar="SHARE",
+                     help="losses that the material does not state, over the real part (default 0: they stay zero, and "
+                          "cannot be ranked)")
+    _with_model(sub)
+    sub.add_argument("--points", type=int, default=481, metavar="N", help="frequencies in the band (default 481)")
+    sub.add_argument("--scalings", type=int, default=50, metavar="N",
+                     help="scalings of every part from 0.7 to 1.3 (default 50, as in the paper)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _tolerance(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    sub.add_argument("--require", action="append", default=[], metavar="TEXT",
+                     help='what the chip must do, such as "f0 within 5 kHz" or "e_ac >= 20 J/m^3 at 10 Vpp" (may be '
+                          "repeated; without any: only what matters, no yield)")
+    _with_uncertainty(sub)
+    sub.add_argument("--figure", action="append", default=[], metavar="NAME",
+                     help="a further figure to look at (may be repeated; default f0, z_min, q and what is required)")
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP + "; of figures whose requirement states none")
+    sub.add_argument("--thermal-resistance", action="append", default=[], metavar="R",
+                     help='of heating: "10 K/W" for all regions, or "transducer = 10 K/W" (may be repeated; default '
+                          "none)")
+    follows = sub.add_mutually_exclusive_group()
+    follows.add_argument("--track", dest="tracking", action="store_true",
+                         help="the drive follows f0 of each chip, as a bench does (default)")
+    follows.add_argument("--fixed-frequency", dest="tracking", action="store_false",
+                         help="the drive stays at f0 of the chip as stated")
+    sub.add_argument("--samples", type=int, default=2000, metavar="N",
+                     help="samples of the yield (default 2000, whose interval is 2 %% to either side)")
+    sub.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples (default 0)")
+    sub.add_argument("--sobol", type=int, default=0, metavar="N",
+                     help="Sobol indices by N (a power of two) times the uncertain numbers plus two evaluations "
+                          "(default: none)")
+    sub.add_argument("--every", action="store_true",
+                     help="sensitivities to every number, by 1 %% of it where no uncertainty is stated (default: the "
+                          "uncertain ones, or every one if none is)")
+    _with_model(sub)
+    sub.set_defaults(tracking=True)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _with_uncertainty(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--uncertainty", action="append", default=[], metavar="TEXT",
+                     help='what is uncertain beyond chip file and registry: "superstrate.thickness = 20 um" (limits), '
+                          '"pla.shear_modulus = 3 %%" (standard uncertainty); uniform, normal or standard behind it, '
+                          "or exact (may be repeated)")
+    sub.add_argument("--uncertainties", type=Path, metavar="FILE.toml",
+                     help="the same in a table [uncertainty] of a file (default: none)")
+    sub.add_argument("--distribution", choices=("uniform", "normal"), default="uniform",
+                     help="what the tolerance of a length is: limits, all within them as likely (default), or three "
+                          "standard deviations of a normal law")
+    sub.add_argument("--posterior", type=Path, action="append", default=[], metavar="FIT.json",
+                     help="fit.json of a fit, whose numbers, uncertainties and correlations are taken (may be "
+                          "repeated; default: as the registry states)")
+
+
+def _fit(sub: argparse.ArgumentParser) -> None:
+    kinds = sub.add_subparsers(dest="kind", required=True, metavar="KIND")
+
+    def kind(name: str, text: str) -> argparse.ArgumentParser:
+        return kinds.add_parser(name, help=text, description=text)
+
+    def with_search(found: argparse.ArgumentParser) -> None:
+        found.add_argument("--algorithm", choices=("joint", "paper"), default="joint",
+                           help="joint (default): all parameters at once, with intervals; paper: as Acevedo-Espinosa "
+                                "et al. printed theirs")
+        found.add_argument("--start", action="append", default=[], metavar="MATERIAL",
+                           help="a further start: the free parameters as this material has them (may be repeated)")
+        found.add_argument("--tries", type=int, default=32, metavar="N",
+                           help="further descents, at most, where the recording stays unexplained: from neighbours of "
+                                "the best end, then from the prior (default 32)")
+        found.add_argument("--force", action="store_true",
+                           help="fit a recording that seems to be of another device, and save a fit that was not "
+                                "accepted")
+
+    def with_one(found: argparse.ArgumentParser, region: str) -> None:
+        found.add_argument("recording", type=Path, metavar="RECORDING")
+        found.add_argument("--chip", type=Path, required=True, metavar="CHIP.toml", help="what was recorded (required)")
+        _with_state(found)
+        found.add_argument("--material", metavar="NAME", help="what the fit starts from (default: the chip's material)")
+        found.add_argument("--region", metavar="NAME", help=f"whose material is fitted (default: {region})")
+        found.add_argument("--free", metavar="A,B,C",
+                           help="parameters: coefficients such as c33 or c33.loss, dimensions such as "
+                                "transducer.thickness, bench elements such as bench.series_resistance; default stands "
+                                "for those of the paper (which are the default)")
+        with_search(found)
+        _with_recording(found)
+        _with_model(found)
+        found.add_argument("--save", metavar="MATERIAL/NAME", help="save what was found as the next version of this "
+                           "material, if it is accepted (default: not saved)")
+        found.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+    pzt = kind("pzt", "fit the material of a transducer to a recording")
+    with_one(pzt, "transducer")
+    pzt.set_defaults(gel_study=None)
+    polymer = kind("polymer", "fit the material of a sample on a transducer that is known")
+    with_one(polymer, "sample")
+    polymer.add_argument("--gel-study", metavar="A,B,C",
+                         help='thicknesses of the gel to predict the spectrum with after the fit, such as '
+                              '"5um,20um,50um" (default: none)')
+    batch = kind("batch", "fit many recordings, several at a time; a further run does only what is not finished")
+    batch.add_argument("file", type=Path, metavar="FILE.toml",
+                       help="lists the recordings; see workbench/fitting/batch.py")
+    with_search(batch)
+    batch.add_argument("--again", action="store_true", help="fit again what is finished (default: only the rest)")
+    batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")
+    batch.add_argument("--workers", type=int, metavar="N", help="fits at a time (default: one for each core)")
+    _with_accuracy(batch)
+    _with_materials(batch)
+    batch.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _diagnose(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
+                     help="states of a device with their recordings, and what is known of it")
+    _with_accuracy(sub)
+    _with_materials(sub)
+    sub.add_argument("--jobs", type=int, metavar="N", help="processes that share the work (default: one for each core)")
+    sub.add_argument("--minutes", type=float, metavar="M",
+                     help="begin nothing new after so many minutes, and report what is known by then")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _app(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    sub.add_argument("--recording", type=Path, metavar="FILE",
+                     help="recorded impedance, laid over the spectrum; freed numbers are fitted to it (default: none)")
+    _with_recording(sub)
+    sub.add_argument("--campaign", type=Path, metavar="CAMPAIGN.toml",
+                     help="what a diagnosis is of (default: of the recording alone)")
+    sub.add_argument("--vary", nargs="+", action="extend", default=[], metavar="NAME",
+                     help="what can be moved: lengths such as substrate.thickness, constants such as "
+                          "pla/acevedo_2026.shear_modulus, each with a range if wanted, "
+                          '"substrate.thickness=0.8mm..0.9mm" (default: all thicknesses, the radius of the cavity, the '
+                          "sound speed in it, a shear modulus; by 5 % to either side)".replace("%", "%%"))
+    sub.add_argument("--port", type=int, default=0, metavar="N", help="of the page (default: any that is free)")
+    sub.add_argument("--no-browser", action="store_true", help="only print the address (default: it is opened)")
+    _with_model(sub)
+    sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
+    # Not among the results that a command ends by naming.
+    sub.add_argument("-o", "--output", dest="folder", type=Path, default=Path(), metavar="DIR",
+                     help="where chip files and reports are saved (default: this folder)")
+
+
+def _bench(sub: argparse.ArgumentParser) -> None:
+    actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
+
+    def action(name: str, text: str) -> argparse.ArgumentParser:
+        return actions.add_parser(name, help=text, description=text)
+
+    found = action("list", "the ports of this computer, and what answers at them")
+    found.add_argument("ports", nargs="*", metavar="PORT", help="a further port to ask at, such as a simulated one")
+    found.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS",
+                       help="how long an answer may take (default 1)")
+    check = action("check", "identify both instruments, set and read back, capture once; say what is wrong")
+    check.add_argument("bench", type=Path, metavar="BENCH.toml")
+    served = action("simulate", "serve a simulated bench, two ports that speak the real protocols, until interrupted")
+    served.add_argument("device", type=Path, nargs="?", metavar="DEVICE",
+                        help="what is measured: a CHIP.toml, or a recorded spectrum; not needed with --connect")
+    _with_state(served)
+    _with_recording(served)
+    _with_model(served)
+    served.add_argument("--ports", type=Path, metavar="DIR", help="folder in which the ports 'generator' and "
+                        "'oscilloscope' appear (default: a temporary one)")
+    served.add_argument("--connect", default="device", metavar="WHAT",
+                        help='device (default), open, short, or a load such as "50 ohm"')
+    served.add_argument("--reference", default="0.5 ohm", metavar="R", help="the reference resistor (default 0.5 ohm)")
+    served.add_argument("--probes", default="10,10", metavar="TOTAL,REFERENCE",
+                        help="factors of the two probes, 1 or 10 each (default 10,10)")
+    served.add_argument("--ideal", action="store_true",
+                        help="no leads, probes without capacitance, exact gains (default: those of a real bench)")
+    served.add_argument("--noise", type=float, default=0.4, metavar="COUNTS",
+                        help="noise of the converter, root mean square (default 0.4)")
+    served.add_argument("--drift", type=float, default=0.0, metavar="RATE",
+                        help="relative change of the device's frequencies per simulated second (default 0)")
+    served.add_argument("--pace", type=float, default=0.0, metavar="N",
+                        help="seconds that pass for a simulated one, 1 for a bench as slow as a real one (default 0)")
+    served.add_argument("--seed", type=int, default=0, metavar="N", help="of all noise (default 0)")
+    served.add_argument("--fault", action="append", default=[], metavar="INSTRUMENT:KIND@N",
+                        help="let a fault happen at the Nth command, such as generator:silence@120; x3 behind it makes "
+                             "it three times (may be repeated; default none)")
+
+
+def _measure(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("bench", type=Path, metavar="BENCH.toml", help="instruments, resistor, sweep, drive, limits; see "
+                     "workbench/bench/setup.py")
+    sub.add_argument("--resume", action="store_true",
+                     help="go on with a run that was interrupted (default: RUN.h5 must not exist)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="RUN.h5",
+                     help="the run file; RUN.csv, the spectrum, and RUN.html, the report, are written beside it")
+
+
+def _import(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("files", nargs="+", type=Path, metavar="FILE",
+                     help="waveforms of an oscilloscope: CSV with all channels in one file, or CSV or ISF in pairs "
+                     "named alike but for CH1 and CH2; or folders of them")
+    sub.add_argument("--total", type=int, default=1, metavar="N",
+                     help="channel across device and reference resistor (default 1)")
+    sub.add_argument("--reference", type=int, default=2, metavar="N",
+                     help="channel across the reference resistor (default 2)")
+    sub.add_argument("--resistance", metavar="R", help='the reference resistor, such as "0.5 ohm" (default: none; only '
+                     "the ratio of the two channels is written)")
+    sub.add_argument("--tolerance", default="0 %", metavar="LIMITS", help='of the resistor, such as "1 %%" (default 0)')
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+    # "import" is a word of the language, and no module can be called so.
+    sub.set_defaults(command="import_waveforms")
+
+
+def _design(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("goal", type=Path, metavar="GOAL.toml",
+                     help="what may change, what is to be best, what must hold; see workbench/design/goal.py")
+    sub.add_argument("--workers", type=int, metavar="N", help="processes for the starts (default: one for each core)")
+    sub.add_argument("--no-cad", action="store_true", help="leave the solid model out")
+    _with_accuracy(sub)
+    _with_materials(sub)
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+#: What every command is for, and what adds its options.
+COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
+    "study": ("figures of a chip over ranges of its dimensions and materials, resumable, with pictures", _study),
+    "compare": ("compare a recorded impedance with the simulation of a chip", _compare),
+    "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
+    "export": ("write the solids of a chip as STEP and STL", _export),
+    "render": ("draw the fields of a chip at one frequency", _render),
+    "sensitivity": ("rank the constants of a transducer by what its spectrum depends on", _sensitivity),
+    "tolerance": ("what tolerances leave of a chip: what matters, yield, what to make more exactly", _tolerance),
+    "fit": ("find material constants from recordings, with intervals, and save them", _fit),
+    "diagnose": ("locate what differs between model and recordings, and name the physics left out", _diagnose),
+    "design": ("the best chip for a goal: lengths, stock and materials, confirmed by full solves", _design),
+    "app": ("the live view: move dimensions and constants on a page, see spectrum and fields", _app),
+    "measure": ("sweep on the bench into a run file that loses nothing, with spectrum and report", _measure),
+    "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
+    "bench": ("the instruments: what is plugged in, whether it works, and a simulated bench", _bench),
+    "materials": ("list, show, compare, check, withdraw, export or import materials", _materials),
+}

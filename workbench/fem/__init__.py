@@ -1,0 +1,1 @@
+"""Finite elements: terms become matrices, matrices become solutions."""

@@ -1,0 +1,59 @@
+"""Capacitance of the electrodes in a model: clamped, and at a frequency far below every mode.
+
+The clamped one, C0 in the reports, is what the electrodes hold while nothing moves: one electrostatic solve with the
+permittivity at constant strain. It is the parallel capacitance of the equivalent circuit with all its branches, and it
+depends on the transducer alone, not on what is mounted on it. The low-frequency one is what a meter at 1 kHz shows: it
+exceeds the clamped one by what all modes add together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.linalg import splu
+
+from workbench.fem.operators import FullOperators
+from workbench.fem.solve import NotConverged, solve_full
+from workbench.physics.term import Values
+
+#: Hz at which LCR meters measure capacitors. A first mode at ten times that would add 1 % to the reading.
+METER_FREQUENCY = 1e3
+
+
+@dataclass(frozen=True)
+class Capacitance:
+    """Capacitance in farad of the electrodes: ``clamped``, and ``low_frequency`` at :data:`METER_FREQUENCY`.
+
+    ``low_frequency`` is None where the model is singular at that frequency.
+    """
+
+    clamped: float
+    low_frequency: float | None
+
+
+def capacitance(operators: FullOperators, values: Values) -> Capacitance:
+    """The capacitance of a model: one electrostatic solve and one full solve."""
+    at = np.array([METER_FREQUENCY])
+    try:
+        low = float(solve_full(operators, at, values).charge[0].real)
+    except NotConverged:
+        low = None
+    return Capacitance(clamped_capacitance(operators, values, METER_FREQUENCY), low)
+
+
+def clamped_capacitance(operators: FullOperators, values: Values, frequency: float) -> float:
+    """Capacitance (F) while every displacement and every pressure is held at zero, losses aside.
+
+    The permittivity is that of `frequency` (Hz).
+    """
+    omega = np.array([2.0 * np.pi * frequency])
+    electrode = operators.size - 1
+    numbers = np.unique(operators.numbering["phi"])
+    inner = numbers[(numbers >= 0) & (numbers < electrode)]
+    whole = operators.pattern.astype(float)
+    whole.data = np.ascontiguousarray(operators.matrix(operators.coefficients(omega, values)[0]).real)
+    live = whole[:, [electrode]].toarray().ravel()
+    potential = splu(whole[inner][:, inner].tocsc()).solve(-live[inner])
+    # The charge is -x^T A x at unit voltage.
+    return float(-(live[electrode] + live[inner] @ potential))

@@ -1,0 +1,202 @@
+"""All coefficients of a model at once: what each is made of, their values, and their derivatives by parameters.
+
+A coefficient is a product of a shape over frequency, powers of parameters, and functions of several parameters. A model
+has thousands of coefficients and few of each of these, so each is evaluated once and the products are taken together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, Values
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Indices = NDArray[np.int64]
+
+#: A model as few matrices as its frequency dependence allows: h(w) (n,) and constants (integrals,) of each.
+Groups = tuple[tuple[Complex, Complex], ...]
+
+
+@dataclass(frozen=True)
+class FrequencyLaw:
+    """How a coefficient depends on frequency: as w^``power``, or as a ``coefficient`` that is no power of it, or as
+    the derivative of that by the parameter ``name``."""
+
+    power: float = 0.0
+    coefficient: Coefficient | None = None
+    name: str = ""
+
+    def __call__(self, omega: Real, values: Values) -> Complex:
+        """(n,) at angular frequencies (n,)."""
+        if self.coefficient is None:
+            return np.asarray(omega.astype(complex) ** self.power)
+        if self.name:
+            return self.coefficient.derivative(omega, values, self.name)
+        return self.coefficient(omega, values)
+
+
+#: A factor that does not depend on frequency: a parameter to a power, or a function of parameters.
+Factor = tuple[str, float] | Constant
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """The coefficients g_q(w, theta) of ``count`` integrals, taken apart: scale_q shape_q(w) product of factors_qk.
+
+    ``shapes`` and ``factors`` are the distinct ones; ``shape`` (count,) says which is that of each, ``factor``
+    (count, m) which are its factors, the number after the last where there are fewer than m.
+    """
+
+    scale: Complex
+    shapes: tuple[FrequencyLaw, ...]
+    shape: Indices
+    factors: tuple[Factor, ...]
+    factor: Indices
+
+    @classmethod
+    def of(cls, integrals: Sequence[Integral]) -> Coefficients:
+        """Those of a model's integrals."""
+        shapes: dict[FrequencyLaw, int] = {}
+        factors: dict[Factor, int] = {}
+        scale, shape, rows = [], [], []
+        for integral in integrals:
+            size, where, parts = _taken_apart(integral.coefficient)
+            scale.append(size)
+            shape.append(shapes.setdefault(where, len(shapes)))
+            rows.append([factors.setdefault(part, len(factors)) for part in parts])
+        factor = np.full((len(rows), max((len(row) for row in rows), default=0)), len(factors))
+        for q, row in enumerate(rows):
+            factor[q, : len(row)] = row
+        return cls(np.array(scale, dtype=complex), tuple(shapes), np.array(shape, dtype=int), tuple(factors), factor)
+
+    @property
+    def count(self) -> int:
+        return self.scale.size
+
+    def groups(self, omega: Real, values: Values) -> Groups:
+        """Pairs of (h(w) (n,), constants (count,)) whose products sum to the coefficients at `omega` (n,) in rad/s.
+
+        Those with the same power of w share a pair, and those with the same other dependence. What is zero is left out.
+
+        Raises:
+            KeyError: a parameter without a value.
+        """
+        constants = self.scale * self._factor_values(values)[self.factor].prod(axis=1)
+        found = []
+        for k, shape in enumerate(self.shapes):
+            own = np.where(self.shape == k, constants, 0.0)
+            # Asked at one frequency, so that the groups are the same at every one: a thick layer underflows at some.
+            if own.any() and (shape.coefficient is None or shape(np.ones(1), values).any()):
+                found.append((shape(omega, values), own))
+        return tuple(found)
+
+    def __call__(self, omega: Real, values: Values) -> Complex:
+        """g_q (n, count) at angular frequencies (n,)."""
+        return summed(self.groups(omega, values), omega.size, self.count)
+
+    def slopes(self, values: Values, names: Sequence[str]) -> tuple[dict[FrequencyLaw, Complex], ...]:
+        """The derivatives of the coefficients by complex parameters: of each, constants (count,) by shape.
+
+        Raises:
+            KeyError: a parameter without a value.
+        """
+        factors = self._factor_values(values)
+        return tuple(self._slopes(values, name, factors) for name in names)
+
+    def _slopes(self, values: Values, name: str, factors: Complex) -> dict[FrequencyLaw, Complex]:
+        """See :meth:`slopes`, for one parameter; `factors` as of :meth:`_factor_values`."""
+        found: dict[FrequencyLaw, Complex] = {}
+
+        def add(shape: FrequencyLaw, members: Indices, constants: Complex) -> None:
+            if constants.any():
+                known = found.setdefault(shape, np.zeros(self.count, dtype=complex))
+                known[members] += constants
+
+        depending = [k for k, each in enumerate(self.factors) if name in _parameters(each)]
+        if depending:
+            slopes = np.zeros(len(self.factors) + 1, dtype=complex)
+            slopes[depending] = [_slope(self.factors[k], values, name) for k in depending]
+            members = np.flatnonzero(np.isin(self.factor, depending).any(axis=1))
+            of = factors[self.factor[members]]
+            constants = np.zeros(members.size, dtype=complex)
+            for k in range(of.shape[1]):
+                others = np.delete(of, k, axis=1).prod(axis=1)
+                constants += slopes[self.factor[members, k]] * others
+            constants *= self.scale[members]
+            for k in np.unique(self.shape[members]):
+                own = self.shape[members] == k
+                add(self.shapes[k], members[own], constants[own])
+        for k, shape in enumerate(self.shapes):
+            if shape.coefficient is not None and name in shape.coefficient.parameters:
+                members = np.flatnonzero(self.shape == k)
+                add(FrequencyLaw(coefficient=shape.coefficient, name=name), members,
+                    self.scale[members] * factors[self.factor[members]].prod(axis=1))
+        return found
+
+    def acting(self, values: Values) -> NDArray[np.bool_]:
+        """Which (count,) are something at some parameters, or begin to be when one of these moves.
+
+        Raises:
+            KeyError: a parameter without a value.
+        """
+        found = np.zeros(self.count, dtype=bool)
+        every = [*(constants for _, constants in self.groups(np.ones(1), values)),
+                 *(each for slopes in self.slopes(values, sorted(self.parameters)) for each in slopes.values())]
+        for constants in every:
+            found |= constants != 0.0
+        return found
+
+    @cached_property
+    def parameters(self) -> frozenset[str]:
+        """All that a coefficient depends on."""
+        shapes = [shape.coefficient.parameters for shape in self.shapes if shape.coefficient is not None]
+        return frozenset().union(*shapes, *map(_parameters, self.factors))
+
+    def _factor_values(self, values: Values) -> Complex:
+        """(number of factors + 1,), the last one 1."""
+        return np.array([*(complex(values[each[0]]) ** each[1] if isinstance(each, tuple) else each.constant(values)
+                           for each in self.factors), 1.0], dtype=complex)
+
+
+def summed(groups: Groups, frequencies: int, count: int) -> Complex:
+    """The coefficients (frequencies, count) that `groups` make up."""
+    result = np.zeros((frequencies, count), dtype=complex)
+    for h, constants in groups:
+        result += np.outer(h, constants)
+    return result
+
+
+def _taken_apart(coefficient: Coefficient) -> tuple[complex, FrequencyLaw, list[Factor]]:
+    """Scale, shape and factors of one coefficient."""
+    scale, factors = 1.0 + 0.0j, list[Factor]()
+    parts: list[Constant] = []
+    while isinstance(coefficient, Times):
+        parts.append(coefficient.second)
+        coefficient = coefficient.first
+    shape = FrequencyLaw(coefficient=coefficient)
+    if isinstance(coefficient, Monomial | Formula):
+        shape = FrequencyLaw(coefficient.omega_power)
+        parts.append(coefficient)
+    for part in parts:
+        if isinstance(part, Monomial):
+            scale *= part.scale
+            factors += part.factors
+        else:
+            factors.append(part)
+    return scale, shape, factors
+
+
+def _parameters(factor: Factor) -> tuple[str, ...]:
+    return (factor[0],) if isinstance(factor, tuple) else factor.parameters
+
+
+def _slope(factor: Factor, values: Values, name: str) -> complex:
+    if isinstance(factor, tuple):
+        return factor[1] * complex(values[name]) ** (factor[1] - 1)
+    return factor.constant_derivative(values, name)

@@ -1,0 +1,238 @@
+"""Dense systems at many frequencies: the reduced model's sweep.
+
+A reduced model is sum_g h_g(w) B_g with a few dense complex-symmetric matrices, asked at hundreds of frequencies. A
+factorisation at each would cost the cube of the rank every time. Where the frequency dependence is that of stiffness
+and mass, and perhaps of fluids, the pencil is diagonalised once. A large system is projected first on the few states
+that one set of parameters needs: the Krylov spaces of a few factorisations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Largest scaled residual of a sweep by eigenvectors; above, it is refined, and then every frequency is factorised.
+#: The charge has its square, times what resonances magnify.
+PENCIL_RESIDUAL = 1e-9
+
+#: Unknowns and frequencies from which on a system is projected before it is solved at all frequencies.
+LARGE, MANY = 120, 60
+
+#: Of a projection: the first frequencies that it is factorised at, further ones at a time, and the vectors from each;
+#: the relative change of the charge by the last ones that is small enough. The charge's error is of second order, so
+#: what is left then is smaller still.
+NODES, FURTHER, DEPTH, CHANGED = 8, 2, 6, 1e-5
+
+#: Entries of the systems that are solved at once: what that takes stays in the processor's cache.
+ENTRIES = 500_000
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """States as combinations of few vectors: ``basis`` (r, k) and ``coordinates`` (k, n), complex."""
+
+    basis: Complex
+    coordinates: Complex
+
+
+@dataclass(frozen=True, eq=False)
+class DenseSweep:
+    """A dense system solved at n frequencies at unit electrode voltage.
+
+    ``states`` (r, n), last entry 1; ``charge`` (n,), -x^T A x; ``residual`` (n,) relative to the load; ``span`` the few
+    vectors that the states are made of, where the system was projected on such.
+    """
+
+    states: Complex
+    charge: Complex
+    residual: Real
+    span: Span | None
+
+
+def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
+    """The states of sum_g factors_g(w) matrices_g at n frequencies: `factors` (g, n), symmetric `matrices` (g, r, r).
+
+    The last unknown is the electrode's voltage, which is held at one.
+    """
+    loads = -np.ascontiguousarray(matrices[:, :-1, -1])
+    inner = np.ascontiguousarray(matrices[:, :-1, :-1])
+    rank, count = inner.shape[1], factors.shape[1]
+    right = loads.T @ factors
+    electrode = matrices[:, -1, -1]
+    projected = _projected(factors, inner, loads, electrode) if rank >= LARGE and count >= MANY else None
+    span = None
+    if projected is None:
+        x, remainder = _solved(factors, inner, loads, right)
+    else:
+        vectors, images, small = projected
+        x, remainder = vectors @ small, right - _product(factors, images, small)
+        # The electrode is a vector of its own, with the coordinate one.
+        basis = np.zeros((rank + 1, vectors.shape[1] + 1), dtype=complex)
+        basis[:-1, :-1], basis[-1, -1] = vectors, 1.0
+        span = Span(basis, np.vstack([small, np.ones(count)]))
+    norm = np.linalg.norm(right, axis=0)
+    residual = np.linalg.norm(remainder, axis=0) / np.where(norm > 0.0, norm, 1.0)
+    # x^T A x = x^T (A x) + 2 x^T a + a_ee with A x = -a - remainder.
+    charge = np.sum(x * (right + remainder), axis=0) - electrode @ factors
+    return DenseSweep(np.vstack([x, np.ones(count)]), charge, residual, span)
+
+
+def _solved(factors: Complex, matrices: Complex, loads: Complex, right: Complex) -> tuple[Complex, Complex]:
+    """x (r, n) of systems whose right-hand sides (r, n) are the `factors` times `loads` (g, r), and what x leaves."""
+    pencil = Pencil.of(factors, matrices) if factors.shape[1] > 1 else None
+    if pencil is not None:
+        norm = np.linalg.norm(right, axis=0)
+        x = pencil.solve(factors, loads.T)
+        for refined in (False, True):
+            remainder = right - pencil.product(x)
+            if (np.linalg.norm(remainder, axis=0) <= PENCIL_RESIDUAL * norm).all():
+                return x, remainder
+            if not refined:
+                x = x + pencil.solve(None, remainder)
+    x = solve_each(factors, matrices, right)
+    return x, right - _product(factors, matrices, x)
+
+
+def _product(factors: Complex, matrices: Complex, x: Complex) -> Complex:
+    """sum_g factors_g (n,) matrices_g (g, r, k) times x (k, n): (r, n)."""
+    return np.asarray(sum((each @ x) * h for h, each in zip(factors, matrices, strict=True)))
+
+
+def _projected(
+    factors: Complex, matrices: Complex, loads: Complex, electrode: Complex
+) -> tuple[Complex, Complex, Complex] | None:
+    """States (r, n) in the Krylov spaces of a few factorisations; None where those would be most of the system.
+
+    With A_0 factorised at one frequency and dA the change to the next one, the states nearby lie close to the Krylov
+    space of A_0^-1 dA started at the state there (see `solve.System.krylov`). Frequencies are added where the residual
+    is largest, until they change the charge by less than :data:`CHANGED` anywhere. `electrode` (g,) as `loads` (g, r).
+
+    Returns:
+        vectors (r, k), their images (g, r, k) by the matrices, and the coordinates (k, n) of the states.
+    """
+    count, rank = factors.shape[1], matrices.shape[1]
+    watched = np.unique(np.linspace(0, count - 1, min(count, 2 * MANY)).astype(int))
+    some, right = factors[:, watched], loads.T @ factors[:, watched]
+    norm = np.linalg.norm(right, axis=0)
+    wanted = list(chebyshev(watched.size, NODES))
+    basis = np.zeros((rank, 0), dtype=complex)
+    images = np.zeros((len(matrices), rank, 0), dtype=complex)
+    done: list[int] = []
+    charge = np.zeros(watched.size, dtype=complex)
+    while wanted and basis.shape[1] + DEPTH * len(wanted) < rank // 2:
+        new = np.zeros((rank, 0), dtype=complex)
+        for index in map(int, wanted):
+            near = index + 1 if index + 1 < watched.size else index - 1
+            whole = np.tensordot(some[:, index], matrices, axes=1)
+            change = np.tensordot(some[:, near] - some[:, index], matrices, axes=1)
+            new = np.column_stack([new, _krylov(whole, change, right[:, index], DEPTH)])
+            done.append(index)
+        for _ in range(2):
+            new = new - basis @ (basis.conj().T @ new)
+        new, triangle, _ = scipy.linalg.qr(new, mode="economic", pivoting=True, check_finite=False)
+        new = new[:, np.abs(np.diag(triangle)) > 1e-10]
+        basis, images = np.column_stack([basis, new]), np.concatenate([images, matrices @ new], axis=2)
+        inner, held = basis.T @ images, loads @ basis
+        small = solve_each(some, inner, held.T @ some)
+        before, charge = charge, np.sum(small * (held.T @ some), axis=0) - electrode @ some
+        if (np.abs(charge - before) <= CHANGED * np.abs(charge)).all():
+            return basis, images, solve_each(factors, inner, held.T @ factors)
+        residual = np.linalg.norm(right - _product(some, images, small), axis=0) / norm
+        worst = [int(k) for k in np.argsort(-residual) if int(k) not in done]
+        wanted = [k for i, k in enumerate(worst[: 4 * FURTHER])
+                  if all(abs(k - other) > watched.size // (2 * NODES) for other in worst[:i])][:FURTHER]
+    return None
+
+
+def _krylov(whole: Complex, change: Complex, right: Complex, depth: int) -> Complex:
+    """Orthonormal vectors (r, depth): x = whole^-1 right and its Krylov space under whole^-1 change."""
+    factor = scipy.linalg.lu_factor(whole, check_finite=False)
+    found = np.zeros((right.size, depth), dtype=complex)
+    vector = right
+    for k in range(depth):
+        vector = scipy.linalg.lu_solve(factor, vector if k == 0 else change @ found[:, k - 1], check_finite=False)
+        for _ in range(2):
+            vector = vector - found[:, :k] @ (found[:, :k].conj().T @ vector)
+        found[:, k] = vector / np.linalg.norm(vector)
+    return found
+
+
+def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
+    """Indices of `count` frequencies next to Chebyshev's nodes, as many as those fall on."""
+    angles = np.pi * (np.arange(nodes) + 0.5) / nodes
+    return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
+
+
+def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
+    """x (..., r, n) with sum_g factors_g(w) matrices_g (groups, r, r) times x = right (..., r, n), at n frequencies."""
+    count, rank = len(matrices), matrices.shape[1]
+    if rank == 0:
+        return np.zeros(right.shape, dtype=complex)
+    flat = matrices.reshape(count, rank**2)
+    columns = right.reshape(-1, rank, right.shape[-1]).transpose(2, 1, 0)
+    result = np.empty(columns.shape, dtype=complex)
+    at_once = max(1, ENTRIES // rank**2)
+    for start in range(0, len(result), at_once):
+        some = slice(start, start + at_once)
+        whole = (factors[:, some].T @ flat).reshape(-1, rank, rank)
+        result[some] = np.linalg.solve(whole, columns[some])
+    return result.transpose(2, 1, 0).reshape(right.shape)
+
+
+class Pencil:
+    """h(w) (B_0 + t B_1 + t^2 B_2) at n values of t: stiffness and mass, and what a fluid adds, with t = w^2.
+
+    With t = t0 (1 + s) it is P_0 + s P_1 + s^2 P_2; with y = s x its inverse follows from that of 1 + s S,
+    S = [[P_0^-1 P_1, P_0^-1 P_2], [-1, 0]] = V L V^-1, or S = P_0^-1 P_1 where there is no P_2, diagonalised once.
+    """
+
+    def __init__(self, scale: Complex, ratio: Complex, parts: Sequence[Complex]) -> None:
+        """`scale` h (n,), `ratio` t (n,) and two or three matrices B (r, r)."""
+        self._scale, self._parts = scale, parts
+        self._powers = [np.ones(ratio.size), ratio, ratio**2][: len(parts)]
+        middle = np.median(ratio.real)
+        self._shift = ratio / middle - 1.0
+        first, second = parts[0] + middle * parts[1], middle * parts[1]
+        if len(parts) == 3:
+            last = middle**2 * parts[2]
+            first, second = first + last, np.hstack([second + 2.0 * last, last])
+        self._factor = scipy.linalg.lu_factor(first, check_finite=False)
+        size = len(first)
+        whole = np.vstack([scipy.linalg.lu_solve(self._factor, second, check_finite=False),
+                           -np.eye(size * (len(parts) - 2), size * (len(parts) - 1))])
+        roots, self._vectors = np.linalg.eig(whole)
+        self._back = np.linalg.inv(self._vectors)[:, :size]
+        self._vectors = self._vectors[:size]
+        self._damped = 1.0 / (1.0 + np.outer(roots, self._shift))
+
+    @classmethod
+    def of(cls, factors: Complex, matrices: Complex) -> Pencil | None:
+        """The pencil that sum_g factors_g (groups, n) matrices_g (groups, r, r) is; None if it is none."""
+        if len(matrices) == 2:
+            return cls(factors[0], factors[1] / factors[0], list(matrices))
+        if len(matrices) != 3:
+            return None
+        for a, b, c in ((0, 1, 2), (1, 0, 2), (0, 2, 1)):
+            constant = factors[b] ** 2 / (factors[a] * factors[c])
+            if np.ptp(constant.real) + np.ptp(constant.imag) < 1e-12 * np.abs(constant).max():
+                parts = [matrices[a], matrices[b], matrices[c] / constant[0]]
+                return cls(factors[a], factors[b] / factors[a], parts)
+        return None
+
+    def solve(self, factors: Complex | None, loads: Complex) -> Complex:
+        """x (r, n) with the pencil times x = loads (r, g) times factors (g, n), or = loads (r, n) without factors."""
+        inside = self._back @ scipy.linalg.lu_solve(self._factor, loads, check_finite=False)
+        inside = inside if factors is None else inside @ factors
+        return np.asarray(self._vectors @ (self._damped * (inside / self._scale)))
+
+    def product(self, x: Complex) -> Complex:
+        """The pencil times x (r, n)."""
+        return np.asarray(self._scale * sum(
+            (part @ x) * power for part, power in zip(self._parts, self._powers, strict=True)))

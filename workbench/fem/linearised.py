@@ -1,0 +1,200 @@
+"""A state at one frequency, and what moves it: exact derivatives by frequency and by parameters, full or reduced.
+
+With A x = 0 on the free unknowns and the electrode held at one volt, A dx = -(dA) x for any change of A, and
+
+    Q = -x^T A x,   dQ = -x^T (dA) x,   d2Q by a and b = -(2 x_a^T (A_b) x + x^T (A_ab) x).
+
+One factorisation serves all of them. Coefficients depend on frequency through few scalar functions; these are
+differentiated by central differences of sixth order, whose error is below rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from workbench.fem.coefficients import Groups
+from workbench.fem.operators import FullOperators, Operators
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.fem.solve import Solution, System, one_thread, solve_groups
+from workbench.physics.term import Values
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Relative step of the differences of a scalar function of frequency, and its places and weights: of a function like a
+#: power of frequency they leave 1e-13 of the first derivative and 1e-11 of the second.
+STEP = 3e-3
+PLACES = np.arange(-3.0, 4.0)
+FIRST = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
+SECOND = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedState:
+    """A state at one frequency (Hz) and unit electrode voltage, e^{-i w t}, with its derivatives.
+
+    ``state`` (size,), ``by_frequency`` (size,) per Hz and ``by_parameter`` (size, k) by the complex parameters
+    ``names``; ``charge`` (C), its first and second derivative by frequency, its derivatives (k,) by parameters, and
+    those (k,) by frequency and parameter.
+    """
+
+    solution: Solution
+    names: tuple[str, ...]
+    by_frequency: Complex
+    by_parameter: Complex
+    charge_by_frequency: complex
+    charge_twice_by_frequency: complex
+    charge_by_parameter: Complex
+    charge_by_both: Complex
+
+    @property
+    def frequency(self) -> float:
+        """Hz."""
+        return float(self.solution.frequency[0])
+
+    @property
+    def state(self) -> Complex:
+        return self.solution.states[:, 0]
+
+    @property
+    def charge(self) -> complex:
+        return complex(self.solution.charge[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """(dA) x for changes of A: by frequency once and twice (size,), by parameters (size, k), and by both (size, k)."""
+
+    by_frequency: Complex
+    twice: Complex
+    by_parameter: Complex
+    by_both: Complex
+
+
+def _linearised(solution: Solution, names: tuple[str, ...], forces: _Forces, moved: Complex) -> LinearisedState:
+    """`moved` (size, 1 + k): the states' derivatives by frequency and by the parameters."""
+    state, by_frequency = solution.states[:, 0], moved[:, 0]
+    return LinearisedState(
+        solution, names, by_frequency, moved[:, 1:],
+        charge_by_frequency=-complex(state @ forces.by_frequency),
+        charge_twice_by_frequency=-complex(2.0 * by_frequency @ forces.by_frequency + state @ forces.twice),
+        charge_by_parameter=-(state @ forces.by_parameter),
+        charge_by_both=-(2.0 * by_frequency @ forces.by_parameter + state @ forces.by_both),
+    )
+
+
+def difference_frequencies(frequency: float) -> Real:
+    """The frequencies (Hz) at which a function is asked for its derivatives at `frequency`, that one in the middle."""
+    return frequency * (1.0 + STEP * PLACES)
+
+
+def by_frequency(function: Complex, frequency: float) -> tuple[Complex, Complex, Complex]:
+    """Value, first and second derivative (per Hz) of a function (..., 7) given at the places of
+    :func:`difference_frequencies`."""
+    step = STEP * frequency
+    return function[..., 3], function @ FIRST / step, function @ SECOND / step**2
+
+
+def slope_columns(
+    operators: Operators, frequency: float, values: Values, names: tuple[str, ...]
+) -> tuple[Complex, Complex]:
+    """d g_q / d theta (integrals, k) at a frequency, and its derivative per Hz."""
+    omega = 2.0 * np.pi * difference_frequencies(frequency)
+    coefficients = operators.coefficients
+    slopes, change = np.zeros((2, coefficients.count, len(names)), dtype=complex)
+    for column, by_shape in enumerate(coefficients.slopes(values, names)):
+        for shape, constants in by_shape.items():
+            value, first, _ = by_frequency(shape(omega, values), frequency)
+            slopes[:, column] += value * constants
+            change[:, column] += first * constants
+    return slopes, change
+
+
+class ReducedSystem:
+    """A reduced model with its parameter values in place, ready to be solved and linearised at any frequency."""
+
+    def __init__(self, operators: ReducedOperators, values: Values) -> None:
+        self.operators, self.values = operators, values
+
+    def groups(self, frequencies: Real) -> Groups:
+        return self.operators.coefficients.groups(2.0 * np.pi * frequencies, self.values)
+
+    @cached_property
+    def _matrices(self) -> Complex:
+        """The matrices of equal frequency dependence (groups, r, r)."""
+        return self.operators.combinations(np.array([constants for _, constants in self.groups(np.ones(1))]))
+
+    def sweep(self, frequencies: Real) -> Solution:
+        """The states at all of some frequencies (n,) Hz."""
+        return solve_groups(self.operators, frequencies, self.groups(frequencies))
+
+    def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
+        """See :class:`LinearisedState`; parameters that nothing here depends on do not move it."""
+        groups = self.groups(difference_frequencies(frequency))
+        value, first, second = by_frequency(np.stack([h for h, _ in groups]), frequency)
+        matrix = np.tensordot(value, self._matrices, axes=1)
+        free = slice(None, -1)
+        factor = scipy.linalg.lu_factor(matrix[free, free], check_finite=False)
+        state = np.append(scipy.linalg.lu_solve(factor, -matrix[free, -1], check_finite=False), 1.0)
+        images = self._matrices @ state
+        by_parameter, by_both = self._parameter_forces(frequency, state, names)
+        forces = _Forces(first @ images, second @ images, by_parameter, by_both)
+        right = np.column_stack([forces.by_frequency, forces.by_parameter])
+        moved = np.zeros((state.size, right.shape[1]), dtype=complex)
+        moved[free] = -scipy.linalg.lu_solve(factor, right[free], check_finite=False)
+        remainder = (matrix @ state)[free]
+        at = self.groups(np.array([frequency]))
+        solution = Solution(self.operators, np.array([frequency]), at, state[:, None],
+                            np.array([-state @ (matrix @ state)]),
+                            np.array([np.linalg.norm(remainder) / np.linalg.norm(matrix[free, -1])]))
+        return _linearised(solution, names, forces, moved)
+
+    def _parameter_forces(self, frequency: float, state: Complex, names: tuple[str, ...]) -> tuple[Complex, Complex]:
+        if not names:
+            return np.zeros((state.size, 0), dtype=complex), np.zeros((state.size, 0), dtype=complex)
+        slopes, change = (self.operators.by_form(each.T) for each in
+                          slope_columns(self.operators, frequency, self.values, names))
+        acting = np.flatnonzero(slopes.any(axis=0) | change.any(axis=0))
+        images = self.operators.matrices[acting] @ np.column_stack([state.real, state.imag])
+        states = images[..., 0] + 1j * images[..., 1]
+        return (slopes[:, acting] @ states).T, (change[:, acting] @ states).T
+
+
+class FullSystem:
+    """The full model with its parameter values in place, linearised like a :class:`ReducedSystem`."""
+
+    def __init__(self, operators: FullOperators, values: Values) -> None:
+        self.operators, self.values = operators, values
+        self._system = System(operators, values)
+
+    def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
+        """See :class:`LinearisedState`: one factorisation and a back substitution for each name.
+
+        Raises:
+            NotConverged: the solve did not reach its tolerance.
+        """
+        operators, free = self.operators, slice(None, -1)
+        _, first, second = by_frequency(self._system.factors(difference_frequencies(frequency)), frequency)
+        with one_thread():
+            whole, factor = self._system.factored(frequency)
+            electrode = whole @ np.append(np.zeros(whole.shape[0] - 1), 1.0)
+            x, residual = factor.solve(-electrode[free])
+            state = np.append(x, 1.0)
+            images = np.stack([matrix @ state for matrix in self._system.group_matrices()])
+            slopes, change = slope_columns(operators, frequency, self.values, names)
+            by_parameter, by_both = np.split(operators.images(state, np.hstack([slopes, change])), 2, axis=1)
+            forces = _Forces(first @ images, second @ images, by_parameter, by_both)
+            right = np.column_stack([forces.by_frequency, forces.by_parameter])
+            moved = np.zeros((state.size, right.shape[1]), dtype=complex)
+            for column in range(right.shape[1]):
+                if right[free, column].any():
+                    moved[free, column] = -factor.solve(right[free, column])[0]
+        groups = operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), self.values)
+        charge = np.array([-complex(state @ (whole @ state))])
+        solution = Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
+        return _linearised(solution, names, forces, moved)

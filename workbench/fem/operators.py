@@ -1,0 +1,382 @@
+"""From terms to operators: the affine symmetric system, full (sparse) or reduced (dense), behind one interface.
+
+``assemble`` turns a mesh and a tuple of terms into :class:`FullOperators`; ``FullOperators.project`` turns a basis
+into :class:`ReducedOperators`. Both answer the same questions (see :class:`Operators`), so that solving, fitting and
+diagnosing do not know which of the two they hold. Parameter values are never stored here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from skfem import Basis
+
+from geometry.mesh import SectionMesh
+from geometry.names import whole
+from workbench.fem.coefficients import Coefficients
+from workbench.fem.dense import Span
+from workbench.fem.elements import Lagrange
+from workbench.fem.factorisation import factorisation
+from workbench.fem.forms import combined_matrices
+from workbench.fem.places import Place, place_of
+from workbench.fem.sparsity import FreeUnknowns, Kind, MatrixBlock, Pattern, Symmetric
+from workbench.physics.term import (
+    COMPONENTS,
+    FACING,
+    OPERATORS,
+    Condition,
+    Integral,
+    ModelError,
+    Part,
+    Product,
+    Radial,
+    Term,
+)
+from workbench.results.brief import Brief
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+#: Cells whose points are projected on at once: what that takes stays in the processor's cache.
+TOGETHER = 64
+
+
+class Operators(Protocol):
+    """What a solver needs to know of A(w, theta) = sum_q g_q(w, theta) A_q, whatever its size.
+
+    The last unknown is always the voltage of the live electrode.
+    """
+
+    @property
+    def integrals(self) -> tuple[Integral, ...]:
+        """The g_q A_q, in the order of every array over integrals."""
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """The g_q."""
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns, electrode included."""
+
+    def quadratic(self, left: Complex, right: Complex) -> Complex:
+        """left^T A_q right for columns left, right (size, n): (n, number of integrals)."""
+
+    def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
+        """x^T sum_q constants_kq A_q x for columns x of `states` (size, n) and `constants` (k, integrals): (n, k).
+
+        `span` may say what few vectors the states are made of.
+        """
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FullOperators(Brief):
+    """The assembled model on a mesh: basis functions at quadrature points, and the numbering of the unknowns.
+
+    ``places`` are found by the :attr:`~workbench.physics.term.Integral.domain` of an integral.
+    ``numbering[component]`` (number of scalar mesh dofs,) is the row of an unknown in the system, or -1 where the
+    component does not exist or is held at zero; all points of the live electrode share the last row.
+    """
+
+    mesh: SectionMesh
+    terms: tuple[Term, ...]
+    integrals: tuple[Integral, ...]
+    places: Mapping[str, Place]
+    numbering: Mapping[str, NDArray[np.int64]]
+    size: int
+
+    def evaluate(
+        self, place: Place, operators: Iterable[str], columns: NDArray[np.inexact]
+    ) -> dict[str, NDArray[np.inexact]]:
+        """Operators of the unknowns `columns` (size, n) at the quadrature points of `place`: (ne, nq, n) by name."""
+        names = list(operators)
+        parts = {part: None for name in names for part in OPERATORS[name]}
+        local = {}
+        for component in {part[0] for part in parts}:
+            rows = self.numbering[component][place.dofs.T]
+            local[component] = columns[rows]
+            local[component][rows < 0] = 0.0  # not an unknown
+        taken: dict[Part, NDArray[np.inexact]] = {}
+        for component, kind, factor in parts:
+            part = place.shapes[kind] @ local[component]
+            taken[component, kind, factor] = part * place.factor(factor)[:, :, None] if factor else part
+        result = {}
+        for name in names:
+            first, *rest = (taken[part] for part in OPERATORS[name])
+            result[name] = first + sum(rest) if rest else first
+        return result
+
+    def quadratic(self, left: Complex, right: Complex) -> Complex:
+        parts = self.element_quadratic(left, right)
+        return np.stack([part.sum(axis=0) for part in parts], axis=-1)
+
+    def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
+        acting = np.flatnonzero(constants.any(axis=0))
+        return np.asarray(self.of(acting).quadratic(states, states) @ constants[:, acting].T)
+
+    def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
+        """left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
+        result: dict[int, Complex] = {}
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            used = _operators_of(group)
+            lefts = self.evaluate(place, used, left)
+            rights = lefts if right is left else self.evaluate(place, used, right)
+            for integral in group:
+                density = sum(
+                    0.5 * p.weight * (lefts[p.row] * rights[p.column] + lefts[p.column] * rights[p.row])
+                    for p in integral.products
+                )
+                weights = place.measure(integral.radial)
+                result[self._index[id(integral)]] = np.einsum("eqn,eq->en", density, weights)
+        return tuple(result[q] for q in range(len(self.integrals)))
+
+    def of(self, integrals: NDArray[np.int64]) -> FullOperators:
+        """The same unknowns with some of the integrals (k,) only."""
+        kept = tuple(self.integrals[q] for q in integrals)
+        return replace(self, integrals=kept, places={i.domain: self.places[i.domain] for i in kept})
+
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """The g_q of the integrals."""
+        return Coefficients.of(self.integrals)
+
+    @cached_property
+    def _index(self) -> dict[int, int]:
+        return {id(integral): q for q, integral in enumerate(self.integrals)}
+
+    @cached_property
+    def _by_place(self) -> dict[str, list[Integral]]:
+        groups: dict[str, list[Integral]] = {}
+        for integral in self.integrals:
+            groups.setdefault(integral.domain, []).append(integral)
+        return groups
+
+    @cached_property
+    def forms(self) -> NDArray[np.int64]:
+        """Which of the distinct forms every integral is (integrals,): those of one place and form share a matrix."""
+        known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], Radial | None], int] = {}
+        return np.array([known.setdefault((i.domain, frozenset((_pair(p), p.weight) for p in i.products), i.radial),
+                                          len(known)) for i in self.integrals], dtype=int)
+
+    def project(self, basis: Real, further: Real | None = None) -> Real:
+        """basis^T A basis for real columns (size, n), below it further^T A basis for more of them (size, m).
+
+        Returns:
+            (number of distinct :attr:`forms`, n + m, n); the upper part is symmetric.
+        """
+        return self._projected(self.places, basis, further)
+
+    def _projected(self, places: Mapping[str, Place], basis: Real, further: Real | None) -> Real:
+        count = basis.shape[1]
+        columns = basis if further is None else np.column_stack([basis, further])
+        first = np.unique(self.forms, return_index=True)[1]
+        result = np.zeros((first.size, columns.shape[1], count))
+        for place_name, place in places.items():
+            group = self._by_place[place_name]
+            used = _operators_of(group)
+            grams = {(*_pair(p), integral.radial): np.zeros((columns.shape[1], count))
+                     for integral in group for p in integral.products}
+            for start in range(0, len(place.weights), TOGETHER):
+                cells = place.of(slice(start, start + TOGETHER))
+                root = np.sqrt(cells.weights)[:, :, None]
+                seen = {name: (root * values).reshape(cells.weights.size, -1)
+                        for name, values in self.evaluate(cells, used, columns).items()}
+                for (row, column, radial), gram in grams.items():
+                    one, other = seen[row], seen[column]
+                    if radial is not None:
+                        other = radial(cells.radius).reshape(-1, 1) * other
+                    gram[:count] += one[:, :count].T @ other[:, :count]
+                    below = one[:, count:].T @ other[:, :count]
+                    gram[count:] += below if row == column else 0.5 * (below + other[:, count:].T @ one[:, :count])
+            for gram in grams.values():
+                gram[:count] = 0.5 * (gram[:count] + gram[:count].T)
+            for integral in group:
+                index = self._index[id(integral)]
+                if first[self.forms[index]] == index:
+                    for p in integral.products:
+                        result[self.forms[index]] += p.weight * grams[*_pair(p), integral.radial]
+        return result
+
+    def images(self, state: Complex, constants: Complex) -> Complex:
+        """sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k)."""
+        result = np.empty((self.size, constants.shape[1]), dtype=complex)
+        for column, each in zip(result.T, constants.T, strict=True):
+            column[:] = self.summed(each).times(state)
+        return result
+
+    def summed(self, constants: Complex) -> Symmetric:
+        """sum_q constants_q A_q (size, size) for `constants` (number of integrals,)."""
+        upper = np.zeros(self._pattern.keys.size, dtype=complex)
+        for block in self._blocks:
+            weights = block.mixing @ constants
+            if weights.any():
+                upper[block.positions] += combined_matrices(weights, block.entries)
+        return Symmetric(self._pattern, upper)
+
+    def matrix(self, constants: Complex) -> NDArray[np.complex128]:
+        """The stored entries of sum_q constants_q A_q on :attr:`pattern`: (number of entries,) complex."""
+        return self.summed(constants).stored
+
+    @property
+    def pattern(self) -> sparse.csc_matrix:
+        """The symmetric sparsity pattern (size, size) with all ones, sorted indices."""
+        return self._pattern.matrix
+
+    @cached_property
+    def free(self) -> FreeUnknowns:
+        """The part of :attr:`pattern` without the electrode, which every solve factorises."""
+        whole = self.pattern
+        column = np.repeat(np.arange(self.size, dtype=np.int32), np.diff(whole.indptr))
+        inside = (whole.indices < self.size - 1) & (column < self.size - 1)
+        entries = np.flatnonzero(inside)
+        rows, columns = whole.indices[entries], column[entries]
+        starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.size - 1))]).astype(np.int32)
+        pattern = sparse.csc_matrix((np.ones(entries.size, dtype=np.float32), rows, starts),
+                                    shape=(self.size - 1, self.size - 1))
+        return FreeUnknowns(pattern, entries, factorisation(pattern))
+
+    def _components(self, group: Iterable[Integral]) -> list[str]:
+        used = {part[0] for i in group for p in i.products for name in (p.row, p.column) for part in OPERATORS[name]}
+        return [c for c in COMPONENTS if c in used]
+
+    @cached_property
+    def _blocks(self) -> tuple[MatrixBlock, ...]:
+        """The real matrices that everything here is a sum of: of every pair of parts under every measure."""
+        found: list[MatrixBlock] = []
+        for place_name, group in self._by_place.items():
+            # How much of every pair of parts each integral holds; a pair counts once for both orders.
+            held: dict[Kind, NDArray[np.float64]] = {}
+            for integral in group:
+                for p in integral.products:
+                    for a in OPERATORS[p.row]:
+                        for b in OPERATORS[p.column]:
+                            kind = min(a, b), max(a, b), integral.radial
+                            row = held.setdefault(kind, np.zeros(len(self.integrals)))
+                            row[self._index[id(integral)]] += p.weight
+            by_components: dict[tuple[str, str], list[Kind]] = {}
+            for kind in sorted(held, key=repr):
+                by_components.setdefault((kind[0][0], kind[1][0]), []).append(kind)
+            found += [self._block(self.places[place_name], components, kinds, np.stack([held[k] for k in kinds]))
+                      for components, kinds in by_components.items()]
+        return tuple(found)
+
+    def _block(self, place: Place, components: tuple[str, str], kinds: list[Kind], mixing: Real) -> MatrixBlock:
+        rows, columns = (self.numbering[component][place.dofs].T for component in components)  # (ne, nb) each
+        rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
+        kept = ((rows >= 0) & (columns >= 0)).ravel()
+        positions, inverse = np.unique(self._pattern.position(rows.ravel()[kept], columns.ravel()[kept]),
+                                       return_inverse=True)
+        # What is off the diagonal of the whole is counted on both sides of it; unknowns may be shared (an electrode).
+        twice = np.where((rows != columns).ravel()[kept], 1.0, 2.0)
+        entries = np.empty((len(kinds), positions.size))
+        for k, (a, b, radial) in enumerate(kinds):
+            weights = place.measure(radial)
+            for part in (a, b):
+                if part[2]:
+                    weights = weights * place.factor(part[2])
+            product = place.shapes[a[1]].transpose(0, 2, 1) @ (weights[:, :, None] * place.shapes[b[1]])
+            if components[0] == components[1]:
+                # Its two triangles fall on one.
+                product = 0.5 * (product + product.transpose(0, 2, 1))
+            entries[k] = 0.5 * np.bincount(inverse, weights=product.ravel()[kept] * twice, minlength=positions.size)
+        return MatrixBlock(mixing, positions, entries)
+
+    @cached_property
+    def _pattern(self) -> Pattern:
+        rows, columns = [], []
+        for place_name, group in self._by_place.items():
+            place = self.places[place_name]
+            local = np.concatenate([self.numbering[c][place.dofs] for c in self._components(group)]).T  # (ne, nl)
+            shape = (local.shape[0], local.shape[1], local.shape[1])
+            rows.append(np.broadcast_to(local[:, :, None], shape).ravel())
+            columns.append(np.broadcast_to(local[:, None, :], shape).ravel())
+        return Pattern.of(np.concatenate(rows), np.concatenate(columns), self.size)
+
+
+def _pair(product: Product) -> tuple[str, str]:
+    """The operators of a product in an order of their own: forms are symmetric."""
+    return (product.row, product.column) if product.row <= product.column else (product.column, product.row)
+
+
+def _operators_of(integrals: Iterable[Integral]) -> list[str]:
+    return list(dict.fromkeys(name for integral in integrals for p in integral.products for name in (p.row, p.column)))
+
+
+def assemble(mesh: SectionMesh, terms: tuple[Term, ...]) -> FullOperators:
+    """Tabulate the model on a mesh and number its unknowns. Parameter values are not needed.
+
+    Raises:
+        ModelError: a term names a region or boundary the mesh lacks, uses an unknown no term brings in, or there is
+            not exactly one pair of electrodes.
+    """
+    integrals = tuple(integral for term in terms for integral in term.integrals())
+    unknowns = {pair for term in terms for pair in term.unknowns}
+    conditions = tuple(dict.fromkeys(condition for term in terms for condition in term.conditions()))
+    named = [i.place for i in integrals] + [i.facing for i in integrals if i.facing]
+    for place in named + [r for _, r in unknowns] + [c.boundary for c in conditions]:
+        if place not in mesh.mesh.subdomains and place not in mesh.mesh.boundaries:
+            known = sorted([*mesh.mesh.subdomains, *mesh.mesh.boundaries])
+            raise ModelError(f"no region or boundary {place!r} in the mesh; known: {', '.join(known)}")
+    if sum(condition.live for condition in conditions) != 1:
+        raise ModelError("a model needs exactly one live electrode; add one `Electrodes` term")
+    for integral in integrals:
+        for product in integral.products:
+            for component, kind, _ in {part for name in (product.row, product.column) for part in OPERATORS[name]}:
+                owner = whole(integral.place)
+                if kind.endswith(FACING) and not integral.facing:
+                    raise ModelError(f"nothing faces {integral.place!r}, which {product} needs")
+                if integral.on_boundary:
+                    solid = integral.facing_solid if kind.endswith(FACING) else integral.solid
+                    owner = integral.fluid if component == "p" else solid
+                if (component, owner) not in unknowns:
+                    raise ModelError(
+                        f"{owner!r} has no unknown {component!r}, which {product} needs on {integral.place!r}")
+    sides = {(i.domain, i.solid, i.fluid, i.facing_solid) for i in integrals if i.on_boundary}
+    if len({domain for domain, *_ in sides}) != len(sides):
+        raise ModelError(f"a boundary is used with two different sides: {sorted(sides)}")
+    places: dict[str, Place] = {}
+    for integral in integrals:
+        if integral.domain not in places:
+            found = place_of(mesh, integral)
+            if found is not None:  # a column of a region ends before the radius that the integral begins at
+                places[integral.domain] = found
+    integrals = tuple(integral for integral in integrals if integral.domain in places)
+    numbering, size = _number(mesh, unknowns, conditions)
+    return FullOperators(mesh, terms, integrals, places, numbering, size)
+
+
+def _number(
+    mesh: SectionMesh, unknowns: set[tuple[str, str]], conditions: tuple[Condition, ...]
+) -> tuple[dict[str, NDArray[np.int64]], int]:
+    basis = Basis(mesh.mesh, Lagrange(mesh.order), intorder=1)
+    numbering: dict[str, NDArray[np.int64]] = {}
+    live: dict[str, NDArray[np.bool_]] = {}
+    count = 0
+    for component in COMPONENTS:
+        present = np.zeros(basis.N, dtype=bool)
+        for region in (region for c, region in unknowns if c == component):
+            present[basis.element_dofs[:, mesh.mesh.subdomains[region]]] = True
+        live[component] = np.zeros(basis.N, dtype=bool)
+        for condition in conditions:
+            if condition.component == component:
+                at = np.asarray(basis.get_dofs(mesh.mesh.boundaries[condition.boundary]).flatten())
+                if condition.live:
+                    live[component][at] = present[at]
+                present[at] = False
+        rows = np.full(basis.N, -1, dtype=np.int64)
+        rows[present] = count + np.arange(int(present.sum()))
+        count += int(present.sum())
+        numbering[component] = rows
+    if not any(ties.any() for ties in live.values()):
+        raise ModelError("there is no electric potential on the live electrode; is the transducer piezoelectric?")
+    for component in COMPONENTS:
+        numbering[component][live[component]] = count
+    return numbering, count + 1

@@ -1,0 +1,266 @@
+"""Regions and boundaries with the basis functions tabulated at their quadrature points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem import Dofs
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefLine, RefQuad
+
+from geometry.mesh import SectionMesh
+from geometry.names import across_columns
+from workbench.fem.elements import Lagrange
+from workbench.physics.term import FACING, Integral, ModelError, Radial
+
+Real = NDArray[np.float64]
+
+#: Cells that differ by less than this share of their size are the same: rounding of where they are.
+SAME_SHAPE = 1e-9
+
+
+@dataclass(frozen=True)
+class Place:
+    """A region or boundary with its basis functions tabulated at the quadrature points.
+
+    ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``radius`` (ne, nq)
+    the radii (m) of the points, ``shapes`` maps what is taken of a basis function (``value``, ``d_r``, ``d_z``,
+    ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells.
+    Where another boundary faces it, its functions are among the nb ones, ``shapes`` has what is taken of them under
+    ``value_facing`` and so on, ``facing_normal`` its normal.
+    """
+
+    dofs: NDArray[np.int64]
+    weights: Real
+    radius: Real
+    shapes: Mapping[str, Real]
+    elements: NDArray[np.int64]
+    normal: Real | None = None
+    facing_normal: Real | None = None
+
+    def of(self, cells: slice) -> Place:
+        """A part of the elements."""
+        normals = [None if each is None else each[:, cells] for each in (self.normal, self.facing_normal)]
+        return Place(self.dofs[:, cells], self.weights[cells], self.radius[cells],
+                     {kind: s[cells] for kind, s in self.shapes.items()}, self.elements[cells], *normals)
+
+    def measure(self, radial: Radial | None) -> Real:
+        """The weights (ne, nq) with a further factor of the measure."""
+        return self.weights if radial is None else self.weights * radial(self.radius)
+
+    def factor(self, name: str) -> Real:
+        normal = self.facing_normal if name.endswith(FACING) else self.normal
+        if normal is None:
+            raise ModelError("an operator with the normal is used inside a region")
+        n_r, n_z = normal
+        return {"n_r": n_r, "n_z": n_z, "t_r": -n_z, "t_z": n_r}[name.removesuffix(FACING)]
+
+
+def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
+    """The place of an integral; None if nothing is left of it.
+
+    Where cells are those of a variant of the mesh, what restricts a region is moved with them.
+    """
+    if integral.variant:
+        mesh = replace(mesh, shown=integral.variant)
+    if not integral.on_boundary:
+        return _volume_place(mesh, integral)
+    if integral.beyond or integral.skin:
+        raise ModelError(f"{integral.domain!r} is only a part of a boundary; only a region can be restricted")
+    facets = np.asarray(mesh.mesh.boundaries[integral.place])
+    if not integral.facing:
+        return _boundary_place(mesh, facets, integral.solid) if facets.size else None
+    near, far = _facing_facets(mesh, facets, integral)
+    return _facing_place(_boundary_place(mesh, near, integral.solid), _boundary_place(mesh, far, integral.facing_solid))
+
+
+def _degree(mesh: SectionMesh) -> int:
+    """The degree of polynomials that quadrature is exact for."""
+    # So many Gauss points integrate r times a product of two functions exactly: of order two nine. Where cells are not
+    # rectangles no number does; with one more the error is far below that of the fields.
+    return 2 * mesh.order + (1 if mesh.nodes is None else 3)
+
+
+def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
+    region, beyond = integral.place, integral.beyond
+    cells = np.asarray(mesh.mesh.subdomains[region])
+    if not 0.0 <= beyond < 1.0:
+        raise ModelError(f"region {region!r} beyond {beyond:g} of its outer radius: expected a share below 1")
+    if integral.skin:
+        _check_straight(mesh, cells, integral)
+        cells = _skin(mesh, cells, integral)
+    points, weights = get_quadrature(RefQuad, _degree(mesh))
+    if not beyond:
+        return _cells(mesh, cells, points, weights)
+    _check_straight(mesh, cells, integral)
+    # Of the whole region, of which this may be a column.
+    edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[across_columns(region)])]].max()
+    radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
+    inner, outer = radii.min(axis=0), radii.max(axis=0)
+    # The share of each cell's width that lies inside the radius from which on the place begins.
+    left_out = np.clip((beyond * edge - inner) / (outer - inner), 0.0, 1.0)
+    if left_out.min() > 1.0 - SAME_SHAPE:
+        return None
+    parts = []
+    for share in np.unique(np.round(left_out[left_out <= 1.0 - SAME_SHAPE], 9)):
+        kept = np.abs(left_out - share) < SAME_SHAPE
+        rule = (np.stack([share + (1.0 - share) * points[0], points[1]]), (1.0 - share) * weights)
+        parts.append(_cells(mesh, cells[kept], *rule))
+    return _together(parts)
+
+
+def _check_straight(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> None:
+    """Refuse to restrict a region whose cells are not rectangles, where shapes are no parameters."""
+    if not integral.variant and not are_rectangles(mesh, cells):
+        raise ModelError(f"{integral.domain!r} is a part of a region of which some cells are no rectangles: only a "
+                         "layer with plane faces and upright sides can be restricted")
+
+
+def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> NDArray[np.int64]:
+    """The cells of a region, given by its own, that are a skin of it."""
+    # Upside down where the skin is the lower one.
+    heights = np.sign(integral.skin) * mesh.mesh.p[1, mesh.mesh.t[:, cells]]
+    whole = np.ptp(heights)
+    skin, rounding = abs(integral.skin) * whole, SAME_SHAPE * whole
+    beside = heights.min(axis=0) > heights.max() - skin - rounding
+    kept = cells[beside]
+    if not kept.size or np.abs(np.ptp(heights[:, beside], axis=0) - skin).max() > rounding:
+        raise ModelError(f"the mesh has no row of elements for {integral.domain!r}; mesh the region with such a skin")
+    return np.asarray(kept)
+
+
+def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
+    """Some cells, at local points (2, nq) of weights (nq,)."""
+    dofs, shapes, r, slopes = _tabulated(mesh, cells, points)
+    return Place(dofs, 2.0 * np.pi * r * areas(slopes) * weights, r, shapes, cells)
+
+
+def _tabulated(
+    mesh: SectionMesh, cells: NDArray[np.int64], points: Real
+) -> tuple[NDArray[np.int64], dict[str, Real], Real, Real]:
+    """Some cells at local points (2, nq).
+
+    Returns:
+        dofs and shapes as of a `Place`, the radii of the points (ne, nq), and the slopes (2, 2, ne, nq) of r and z
+        along the local coordinates.
+    """
+    element = Lagrange(mesh.order)
+    value, along, across = element.tabulated(points)
+    r, slopes = mapped(mesh, cells, points)
+    (r_along, r_across), (z_along, z_across) = slopes
+    area = areas(slopes)
+    along_r, across_r = (each[:, :, None] for each in (z_across / area, -z_along / area))
+    along_z, across_z = (each[:, :, None] for each in (-r_across / area, r_along / area))
+    shapes = {"value": np.tile(value, (cells.size, 1, 1)), "d_r": along_r * along + across_r * across,
+              "d_z": along_z * along + across_z * across, "over_r": value / r[:, :, None]}
+    return Dofs(mesh.mesh, element).element_dofs[:, cells], shapes, r, slopes
+
+
+def mapped(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[Real, Real]:
+    """Radii (ne, nq) of local points (2, nq) of some cells, and the slopes (2, 2, ne, nq) of r and z along the local
+    coordinates."""
+    own = mesh.nodes
+    return mapped_nodes(mesh.mesh.p[:, mesh.mesh.t[:, cells]] if own is None else own[:, :, cells], points)
+
+
+def mapped_nodes(own: Real, points: Real) -> tuple[Real, Real]:
+    """The same as of :func:`mapped` for cells by the coordinates (2, nodes, cells) of their nodes."""
+    # Four corners, or nodes of the order that cells are curved by.
+    value, along, across = Lagrange(math.isqrt(own.shape[1]) - 1).tabulated(points)
+    slopes = np.stack([np.einsum("xie,qi->xeq", own, each) for each in (along, across)], axis=1)
+    return np.einsum("ie,qi->eq", own[0], value), slopes
+
+
+def areas(slopes: Real) -> Real:
+    """What an area in local coordinates is multiplied by (ne, nq), from the slopes (2, 2, ne, nq) of :func:`mapped`."""
+    (r_along, r_across), (z_along, z_across) = slopes
+    return np.asarray(r_along * z_across - r_across * z_along)
+
+
+def are_rectangles(mesh: SectionMesh, cells: NDArray[np.int64]) -> bool:
+    """Whether some cells are rectangles with sides along r and z."""
+    _, slopes = mapped(mesh, cells, np.array([[0.0, 0.5, 1.0], [0.0, 0.5, 1.0]]))
+    size = np.abs(slopes).max(axis=(0, 1, 3), keepdims=True)
+    level = np.ptp(slopes, axis=3).max() if slopes.size else 0.0
+    oblique = np.abs(np.stack([slopes[0, 1], slopes[1, 0]])) / size[0]
+    return bool(level <= SAME_SHAPE * size.max() and (oblique <= SAME_SHAPE).all())
+
+
+def _together(parts: Sequence[Place]) -> Place:
+    """Several parts of one region or boundary as one place."""
+    if len(parts) == 1:
+        return parts[0]
+    shapes = {kind: np.concatenate([part.shapes[kind] for part in parts]) for kind in parts[0].shapes}
+    normals = [part.normal for part in parts if part.normal is not None]
+    return Place(np.concatenate([part.dofs for part in parts], axis=1),
+                 np.concatenate([part.weights for part in parts]),
+                 np.concatenate([part.radius for part in parts]), shapes,
+                 np.concatenate([part.elements for part in parts]),
+                 np.concatenate(normals, axis=1) if normals else None)
+
+
+def _facing_facets(
+    mesh: SectionMesh, facets: NDArray[np.int64], integral: Integral
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The facets of a boundary and those across the layer, in order of their radius."""
+    both = []
+    for each in (facets, np.asarray(mesh.mesh.boundaries[integral.facing])):
+        radii = mesh.mesh.p[0, mesh.mesh.facets[:, each]]
+        order = np.argsort(radii.mean(axis=0))
+        both.append((each[order], np.sort(radii[:, order], axis=0)))
+    (near, inside), (far, across) = both
+    flat = np.concatenate([np.ptp(radii, axis=0) for radii in (inside, across)]).min() > 0.0
+    if not flat or inside.shape != across.shape or not np.allclose(inside, across, rtol=0.0, atol=1e-9 * across.max()):
+        raise ModelError(f"boundary {integral.place!r} is not faced by {integral.facing!r} at every radius: "
+                         f"{near.size} facets from {inside.min():g} to {inside.max():g} m against {far.size} from "
+                         f"{across.min():g} to {across.max():g} m; both must be horizontal, with the same nodes")
+    return near, far
+
+
+def _facing_place(near: Place, far: Place) -> Place:
+    """Both boundaries as one place, integrated over the first."""
+    if not np.array_equal(np.diff(near.radius) > 0.0, np.diff(far.radius) > 0.0):
+        raise ModelError("the points of two boundaries that face each other are in different order")
+    shapes = {kind: np.concatenate([s, np.zeros_like(far.shapes[kind])], axis=2) for kind, s in near.shapes.items()}
+    shapes |= {kind + FACING: np.concatenate([np.zeros_like(near.shapes[kind]), s], axis=2)
+               for kind, s in far.shapes.items()}
+    return Place(np.concatenate([near.dofs, far.dofs]), near.weights, near.radius, shapes, near.elements, near.normal,
+                 far.normal)
+
+
+#: Of the sides of a cell in the order of the mesh: the local coordinate that is fixed there, where, and whether cells
+#: lie to the left of it, where the other coordinate grows.
+SIDES = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, -1.0), (0, 0, -1.0))
+
+
+def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
+    """Some facets, their points in order of radius or height, their normals out of `solid`."""
+    owners = mesh.mesh.f2t[0, facets]
+    outwards = np.where(np.isin(owners, mesh.mesh.subdomains[solid]), 1.0, -1.0)
+    (along,), weights = get_quadrature(RefLine, _degree(mesh))
+    sides = np.argmax(mesh.mesh.t2f[:, owners] == facets, axis=0)
+    indices = np.array(Lagrange(mesh.order).indices)
+    parts, order = [], []
+    for side, (fixed, end, left) in enumerate(SIDES):
+        chosen = np.flatnonzero(sides == side)
+        if not chosen.size:
+            continue
+        dofs, shapes, r, slopes = _tabulated(mesh, owners[chosen], np.insert(along[None], fixed, float(end), axis=0))
+        # Only the functions that do not vanish on the facet: the others may belong to a region without this unknown.
+        kept = np.flatnonzero(indices[:, fixed] == end * mesh.order)
+        tangent = slopes[:, 1 - fixed]
+        length = np.hypot(*tangent)
+        normal = left * np.stack([tangent[1], -tangent[0]]) / length
+        parts.append(Place(dofs[kept], 2.0 * np.pi * r * length * weights, r,
+                           {kind: s[:, :, kept] for kind, s in shapes.items()}, owners[chosen],
+                           normal * outwards[chosen][:, None]))
+        order.append(chosen)
+    whole, back = _together(parts), np.argsort(np.concatenate(order))
+    assert whole.normal is not None
+    return Place(np.ascontiguousarray(whole.dofs[:, back]), whole.weights[back], whole.radius[back],
+                 {kind: np.ascontiguousarray(s[back]) for kind, s in whole.shapes.items()}, owners,
+                 whole.normal[:, back])

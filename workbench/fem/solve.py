@@ -1,0 +1,403 @@
+"""Solving the full model at given frequencies, and what follows from a solution by quadratic forms alone.
+
+A solution is taken at unit voltage of the live electrode. Because A is symmetric and the drive is the electrode
+voltage, the electrode charge is Q = -x^T A x, and its derivative with respect to any coefficient is one more quadratic
+form of the same x: dQ = -x^T (dA) x. No adjoint solve, no finite difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache, cached_property
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from threadpoolctl import ThreadpoolController
+
+from workbench.fem.coefficients import Groups, summed
+from workbench.fem.dense import Span, solve_dense
+from workbench.fem.factorisation import Factorisation, SuperLU
+from workbench.fem.operators import FullOperators, Operators
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.physics.term import Values
+from workbench.results.brief import Brief
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Largest scaled residual of an accepted solve. Refined solves reach 1e-13; a matrix close to singular does not.
+RESIDUAL_LIMIT = 1e-10
+
+
+#: Step of a difference quotient by frequency, relative. What depends on frequency alone has no resonance: doubled, the
+#: quotient is still exact to seven digits.
+NEIGHBOURING = 1e-4
+
+
+class NotConverged(RuntimeError):
+    """A linear solve whose residual stayed above the limit. Carries the frequency, the residual and the iterate."""
+
+    def __init__(self, frequency: float, residual: float, iterate: Complex) -> None:
+        super().__init__(
+            f"the solve at {frequency:.6g} Hz left a scaled residual of {residual:.2e}, above {RESIDUAL_LIMIT:.0e}; "
+            "the model may be singular there (an undamped resonance, a region that is not held by anything)"
+        )
+        self.frequency, self.residual, self.iterate = frequency, residual, iterate
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (NotConverged, (self.frequency, self.residual, self.iterate))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Brief):
+    """States at unit electrode voltage, e^{-i w t}.
+
+    ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``groups`` the model at these
+    frequencies (`coefficients.Coefficients.groups`), ``charge`` (n,) C of the live electrode, -x^T A x, ``residual``
+    (n,) scaled residual of each solve, ``span`` the few vectors that the states of a reduced model are made of, if
+    known.
+    """
+
+    operators: Operators
+    frequency: Real
+    groups: Groups
+    states: Complex
+    charge: Complex
+    residual: Real
+    span: Span | None = None
+
+    @property
+    def omega(self) -> Real:
+        return 2.0 * np.pi * self.frequency
+
+    @cached_property
+    def coefficients(self) -> Complex:
+        """g_q(w) (n, integrals)."""
+        return summed(self.groups, self.frequency.size, self.operators.coefficients.count)
+
+    @cached_property
+    def forms(self) -> Complex:
+        """x^T A_q x (n, integrals): all that follows from a solution without its conjugate."""
+        return self.operators.quadratic(self.states, self.states)
+
+    @property
+    def admittance(self) -> Complex:
+        """Y = -i w Q (n,), siemens, e^{-i w t}."""
+        return -1j * self.omega * self.charge
+
+    @property
+    def impedance(self) -> Complex:
+        """Z (n,), ohm, e^{-i w t}: a capacitor has a *positive* imaginary part. Spectra hold the conjugate."""
+        return 1.0 / self.admittance
+
+    def impedance_gradient(self) -> Complex:
+        """dZ/dg_q (n, integrals) with respect to every complex coefficient g_q, e^{-i w t}."""
+        # Z = i / (w Q), dQ = -x^T A_q x dg.
+        return (1j / (self.omega * self.charge**2))[:, None] * self.forms
+
+    def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
+        """dZ/dtheta (n, len(names)) with respect to complex parameters, e^{-i w t}.
+
+        For a spectrum (the conjugate), the derivative by the real part of theta is conj(dZ), by the imaginary part
+        conj(i dZ).
+
+        Raises:
+            KeyError: a name no coefficient depends on.
+        """
+        coefficients = self.operators.coefficients
+        unknown = sorted(set(names) - coefficients.parameters)
+        if unknown:
+            raise KeyError(f"no coefficient depends on {unknown[0]!r}; known: "
+                           f"{', '.join(sorted(coefficients.parameters))}")
+        # By column and shape over frequency: constants of the integrals.
+        rows = {(column, shape): constants for column, slopes in enumerate(coefficients.slopes(values, names))
+                for shape, constants in slopes.items()}
+        result = np.zeros((self.frequency.size, len(names)), dtype=complex)
+        shapes = {shape: shape(self.omega, values) for _, shape in rows}
+        kept = [key for key in rows if shapes[key[1]].any()]
+        if kept:
+            constants = np.array([rows[key] for key in kept])
+            forms = self.operators.combined_forms(self.states, constants, self.span)
+            for (column, shape), form in zip(kept, forms.T, strict=True):
+                result[:, column] += shapes[shape] * form
+        return np.asarray((1j / (self.omega * self.charge**2))[:, None] * result)
+
+    def frequency_gradient(self, values: Values) -> Complex:
+        """dZ/dw (n,) by the angular frequency, e^{-i w t}, where the parameters are `values`.
+
+        Z = i / (w Q) and dQ = -x^T dA x; what coefficients do with frequency is smooth, and its difference quotient
+        over :data:`NEIGHBOURING` exact to eight digits.
+        """
+        coefficients, omega = self.operators.coefficients, self.omega
+        after, before = (coefficients.groups(omega * (1.0 + sign * NEIGHBOURING), values) for sign in (1.0, -1.0))
+        forms = self.operators.combined_forms(self.states, np.array([each for _, each in after]), self.span)
+        changes = np.array([(a - b) for (a, _), (b, _) in zip(after, before, strict=True)]).T
+        stiffening = (changes * forms).sum(axis=1) / (2.0 * NEIGHBOURING * omega)
+        return np.asarray(-self.impedance / omega + 1j * stiffening / (omega * self.charge**2))
+
+    def dissipation(self) -> Real:
+        """Time-averaged power (W) lost in each integral at 1 V amplitude: (n, integrals).
+
+        -w/2 Im(g_q) x^H A_q x. Their sum is the electrical input power w/2 Im Q (Acevedo-Espinosa et al. (RP-UEIS),
+        eq. A.4 integrated over the volume).
+        """
+        forms = self.operators.quadratic(np.conj(self.states), self.states).real
+        return -0.5 * self.omega[:, None] * self.coefficients.imag * forms
+
+    def input_power(self) -> Real:
+        """Electrical input power (W) at 1 V amplitude from charge and voltage alone: (n,)."""
+        return 0.5 * self.admittance.real
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    """The BLAS libraries in use; looking for them takes a hundred times as long as limiting them."""
+    return ThreadpoolController()
+
+
+@dataclass
+class _Limit:
+    """The limit of BLAS threads in force, and by how many it is asked for: threads of ours come and go."""
+
+    lock: Lock
+    asked: int = 0
+    limiter: Any = None
+
+
+_LIMIT = _Limit(Lock())
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One BLAS thread: two made sparse factorisations up to 300 times slower on a busy two-core machine."""
+    with _LIMIT.lock:
+        if _LIMIT.asked == 0:
+            _LIMIT.limiter = _threads().limit(limits=1, user_api="blas")
+        _LIMIT.asked += 1
+    try:
+        yield
+    finally:
+        with _LIMIT.lock:
+            _LIMIT.asked -= 1
+            if _LIMIT.asked == 0:
+                _LIMIT.limiter.restore_original_limits()
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """A factorised, symmetrically scaled system at one frequency, and what is needed to refine a solve."""
+
+    frequency: float
+    matrix: sparse.csr_matrix
+    scale: Real
+    solve_scaled: Callable[[Complex], Complex]
+
+    def solve(self, right: Complex) -> tuple[Complex, float]:
+        """x with matrix x = right (size - 1,), and its scaled residual, after iterative refinement.
+
+        Raises:
+            NotConverged: the scaled residual stays above :data:`RESIDUAL_LIMIT`.
+        """
+        scaled = self.scale * right
+        norm = float(np.linalg.norm(scaled))
+        x = self.solve_scaled(scaled)
+        residual = np.inf
+        for _ in range(4):
+            remainder = scaled - self.matrix @ x
+            previous, residual = residual, float(np.linalg.norm(remainder)) / norm
+            if residual < 1e-14 or residual > 0.5 * previous:
+                break
+            x = x + self.solve_scaled(remainder)
+        if not residual <= RESIDUAL_LIMIT:
+            raise NotConverged(self.frequency, residual, self.scale * x)
+        return self.scale * x, residual
+
+
+class System:
+    """The full model with its parameter values in place, ready to be factorised at any frequency.
+
+    Matrices of equal frequency dependence are summed once (see `coefficients.Coefficients.groups`).
+    """
+
+    def __init__(self, operators: FullOperators, values: Values) -> None:
+        self.operators, self.values = operators, values
+        groups = operators.coefficients.groups(np.ones(1), values)
+        self._entries = np.stack([operators.matrix(constants) for _, constants in groups])
+
+    def factors(self, frequencies: Real) -> Complex:
+        """h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
+        groups = self.operators.coefficients.groups(2.0 * np.pi * frequencies, self.values)
+        return np.stack([h for h, _ in groups])
+
+    def group_matrices(self) -> list[sparse.csr_matrix]:
+        """B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
+        return [self._stored(entries) for entries in self._entries]
+
+    def matrix(self, frequency: float) -> sparse.csr_matrix:
+        """A(w) (size, size), complex symmetric, electrode included."""
+        return self._stored(self._at(frequency))
+
+    def charge(self, frequency: float, state: Complex) -> complex:
+        """The charge -x^T A x of a state (size,)."""
+        return -complex(state @ (self.matrix(frequency) @ state))
+
+    def _at(self, frequency: float) -> Complex:
+        """The stored entries of A(w)."""
+        return np.asarray(self.factors(np.array([frequency]))[:, 0] @ self._entries)
+
+    def _stored(self, entries: Complex) -> sparse.csr_matrix:
+        # By rows or by columns is one for a symmetric matrix; by rows it is multiplied with faster.
+        pattern = self.operators.pattern
+        return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
+
+    def factored(self, frequency: float) -> tuple[sparse.csr_matrix, Factor]:
+        """A(w) (size, size), electrode included, and the factorised part without it.
+
+        Raises:
+            NotConverged: the matrix is singular.
+        """
+        entries, inner = self._at(frequency), self.operators.free
+        held = sparse.csr_matrix((entries[inner.entries], inner.pattern.indices, inner.pattern.indptr),
+                                 shape=inner.pattern.shape)
+        return self._stored(entries), factorise(held, frequency, inner.factorisation)
+
+    def solve(self, frequency: float) -> tuple[Complex, float]:
+        """The state (size,) at unit electrode voltage, and its scaled residual."""
+        states, residual = self.krylov(frequency, 1)
+        return states[:, 0], residual
+
+    def krylov(
+        self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = ()
+    ) -> tuple[Complex, float]:
+        """The state at `frequency`, `count` - 1 further vectors that make up its neighbours, and `tangents`.
+
+        With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
+        close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
+        neighbourhood, whatever the coefficients' dependence on frequency. The same factorisation gives the derivative
+        of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`.
+
+        Returns:
+            (size, count + len(tangents)) the state first, and the scaled residual of the state itself.
+        """
+        return self.neighbours(frequency, count, step=step, tangents=tangents)[1:]
+
+    def neighbours(
+        self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = (),
+        moves: Real | None = None,
+    ) -> tuple[Factor, Complex, float]:
+        """The factorisation at `frequency`, and the vectors and the residual of :meth:`krylov`.
+
+        With `moves` (len(tangents), k) the derivatives along these directions of parameters, in place of by each.
+        """
+        whole, factor = self.factored(frequency)
+        free = whole.shape[0] - 1
+        electrode = (whole @ np.append(np.zeros(free), 1.0))[:free]
+        x, residual = factor.solve(-electrode)
+        along = np.eye(len(tangents)) if moves is None else moves
+        states = np.zeros((free + 1, count + along.shape[1]), dtype=complex)
+        states[:, 0] = np.append(x, 1.0)
+        if count > 1:
+            change = self._stored(self._at(frequency * (1.0 + step)) - whole.data)
+            vector = states[:, 0]
+            directions = np.zeros((free, 0), dtype=complex)
+            for k in range(1, count):
+                found = factor.solve_scaled(factor.scale * (change @ vector)[:free])
+                for _ in range(2):
+                    found = found - directions @ (directions.conj().T @ found)
+                found = found / np.linalg.norm(found)
+                directions = np.column_stack([directions, found])
+                vector = np.append(factor.scale * found, 0.0)
+                states[:, k] = vector
+        if tangents:
+            changes = self._changes(frequency, states[:, 0], tangents, along)[:free]
+            states[:free, count:] = -factor.scale[:, None] * factor.solve_scaled(factor.scale[:, None] * changes)
+        return factor, states, residual
+
+    def _changes(self, frequency: float, state: Complex, names: tuple[str, ...], moves: Real) -> Complex:
+        """(dA / dtheta) x (size, k) for complex parameters along `moves` (len(names), k)."""
+        omega = np.array([2.0 * np.pi * frequency])
+        coefficients = self.operators.coefficients
+        slopes = np.zeros((coefficients.count, len(names)), dtype=complex)
+        for column, by_shape in enumerate(coefficients.slopes(self.values, names)):
+            for shape, constants in by_shape.items():
+                slopes[:, column] += shape(omega, self.values)[0] * constants
+        return self.operators.images(state, np.asarray(slopes @ moves, dtype=complex))
+
+
+def factorise(
+    matrix: sparse.csc_matrix | sparse.csr_matrix, frequency: float, factorisation: Factorisation | None = None
+) -> Factor:
+    """Scale a symmetric matrix (n, n) to unit diagonal and factorise it, with what knows its pattern if there is one.
+
+    The diagonal scaling brings displacement, potential and pressure to one size; without it energy does not close.
+
+    Raises:
+        NotConverged: the matrix is singular.
+    """
+    diagonal = np.abs(matrix.diagonal())
+    if not (diagonal > 0.0).all():
+        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex))
+    scale = 1.0 / np.sqrt(diagonal)
+    data = matrix.data * (scale[matrix.indices] * np.repeat(scale, np.diff(matrix.indptr)))
+    scaled = sparse.csr_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    try:
+        with one_thread():
+            solve = (SuperLU(matrix) if factorisation is None else factorisation)(data)
+    except RuntimeError as error:
+        raise NotConverged(frequency, np.inf, np.zeros(diagonal.size, dtype=complex)) from error
+    return Factor(frequency, scaled, scale, solve)
+
+
+def sweep(
+    operators: FullOperators, frequencies: Real, values: Values, *,
+    failed: Callable[[NotConverged], None] | None = None,
+) -> Iterator[Solution]:
+    """The full model at one frequency after the other, each as soon as it is solved, so that a stop loses nothing.
+
+    A frequency at which the solve does not converge is left out if there is a function `failed`, which is told.
+
+    Raises:
+        NotConverged: there is no such function.
+    """
+    system = System(operators, values)
+    for frequency in np.asarray(frequencies, dtype=float):
+        try:
+            with one_thread():
+                state, residual = system.solve(float(frequency))
+        except NotConverged as error:
+            if failed is None:
+                raise
+            failed(error)
+            continue
+        groups = operators.coefficients.groups(np.array([2.0 * np.pi * frequency]), values)
+        charge = np.array([system.charge(float(frequency), state)])
+        yield Solution(operators, np.array([frequency]), groups, state[:, None], charge, np.array([residual]))
+
+
+def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> Solution:
+    """The full model at every frequency with all states kept: for a few frequencies. Long spectra: :func:`sweep`."""
+    parts = list(sweep(operators, frequencies, values))
+    frequency = np.concatenate([p.frequency for p in parts])
+    return Solution(operators, frequency, operators.coefficients.groups(2.0 * np.pi * frequency, values),
+                    np.concatenate([p.states for p in parts], axis=1), np.concatenate([p.charge for p in parts]),
+                    np.concatenate([p.residual for p in parts]))
+
+
+def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values) -> Solution:
+    """The reduced model at every frequency: batched dense solves."""
+    frequencies = np.asarray(frequencies, dtype=float)
+    groups = operators.coefficients.groups(2.0 * np.pi * frequencies, values)
+    return solve_groups(operators, frequencies, groups)
+
+
+def solve_groups(operators: ReducedOperators, frequencies: Real, groups: Groups) -> Solution:
+    """The reduced model at every frequency, of which `groups` is all that depends on values."""
+    summed = operators.combinations(np.array([constants for _, constants in groups]))
+    with one_thread():
+        found = solve_dense(np.stack([h for h, _ in groups]), summed)
+    return Solution(operators, frequencies, groups, found.states, found.charge, found.residual, found.span)

@@ -1,0 +1,1 @@
+"""Long work: how it is interrupted, and how it runs beside other work."""

@@ -1,0 +1,227 @@
+"""A problem whose lengths are parameters like its moduli (see `workbench.physics.stretched`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from geometry.chip import Chip
+from geometry.dimension import SAME_LENGTH, SHAPES
+from geometry.mesh import MeshError, SectionMesh
+from geometry.shapes import with_shapes
+from geometry.stretch import Piece, movable, split, tied
+from workbench.files.errors import InputError, choose
+from workbench.model.moved_parts import (
+    TO_ROUNDING,
+    Cells,
+    Interpolation,
+    LayerShape,
+    MovedMeshes,
+    moved_pieces,
+    shapes_of,
+    shapes_that_move,
+)
+from workbench.model.moved_sections import flexible_free
+from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.problem import Problem
+from workbench.model.shaped_mesh import coordinates_of
+from workbench.physics.shaped import MovableLength, Moves, Ratio
+from workbench.physics.stretched import MovingRim, RadialInterval, Stretched, StretchedPart
+from workbench.physics.term import Term
+
+Range = tuple[float, float]
+
+#: How far a radius may move unless told otherwise, relative.
+RADIAL_RANGE = 0.1
+
+#: The same of a thickness where a layer has a shape.
+SHAPED_RANGE = 0.2
+
+
+def thickness(layer: str) -> str:
+    """Name of the parameter that is the thickness of a layer of the stack."""
+    return f"{layer}.thickness"
+
+
+def flexible(
+    problem: Problem, chip: Chip, radii: Mapping[str, Range] | Sequence[str] = (),
+    shapes: Mapping[str, Range] = MappingProxyType({}), *, thicknesses: Mapping[str, Range] = MappingProxyType({}),
+    interpolation: Interpolation = TO_ROUNDING, asides: Collection[Term] = (),
+) -> Problem:
+    """`problem` with ``<layer>.thickness`` (m) of every layer of `chip` among its parameters, and some `radii` (m) and
+    `shapes` (m, or rad).
+
+    Radii are given with the range they may move in, or by name, which stands for a tenth to either side; none passes
+    another one. Radii that coincide are one parameter, under the first of their names in the chip file
+    (`geometry.stretch.tied`). Shapes are given with their range, by the names that they have, or would have, among the
+    dimensions of the chip; one that the chip does not state is 0. Spectra are those of a mesh stretched to the new
+    lengths and moved to the new shapes, whose forms are interpolated; the mesh itself stays.
+    Terms added afterwards do not follow a length: add them first. They may name parts of places
+    (`geometry.names.part_name`).
+
+    Where a layer has a shape, thicknesses may go as far as `thicknesses` (m) say by name, or else a fifth to either
+    side: beyond, coefficients raise `ModelError`. A parabola over a radius that moves is another one on the cells: this
+    is refused, unless the `interpolation` carries it along. What leaves less than half of a cell, since a layer is thin
+    and what is beside it bent, is extrapolated (`workbench.model.moved_parts.LEFT`). `asides` are terms that are
+    nothing on the mesh.
+
+    Raises:
+        InputError: a radius or shape that the chip has not or cannot have, one that is given twice under two of its
+            names, a range that does not hold its size, or a radius that moves within a parabola.
+        MeshError: the mesh is not of this chip, or a shape within its range folds it.
+    """
+    ranges = _ranges(chip, radii)
+    known = chip.dimensions()
+    moving = {known[name].value: name for name in ranges}
+    mesh, pieces = split(problem.mesh, chip, tuple(moving))
+    nominal = {layer.region: layer.thickness.value for layer in chip.layers}
+    lengths = {**ranges, **_thickness_ranges(nominal, thicknesses)}
+    meshes = _moved_meshes(problem.mesh, chip, shapes, lengths, interpolation)
+    if not interpolation.carried:
+        _check_parabolas(meshes.shapes, chip, ranges)
+
+    def radius(value: float) -> MovableLength:
+        return MovableLength(value, next((name for each, name in moving.items() if each == value), ""))
+
+    columns: dict[tuple[float, float], RadialInterval] = {}
+
+    def part(piece: Piece) -> StretchedPart:
+        if piece.column is None:
+            return StretchedPart(piece.name, piece.layer)
+        inner, outer = piece.column
+        if inner == outer:
+            return StretchedPart(piece.name, piece.layer, MovingRim(radius(inner)))
+        if piece.column not in columns:
+            columns[piece.column] = RadialInterval.between(radius(inner), radius(outer), ranges)
+        return StretchedPart(piece.name, piece.layer, columns[piece.column])
+
+    terms: dict[Term, Term] = {}
+    for group, each in interpolation.of(problem.terms, asides):
+        own = replace(meshes, interpolation=each)
+        integrals = {term: term.integrals() for term in group}
+        used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
+        parts: dict[str, tuple[StretchedPart, ...]] = {}
+        if own.shapes:
+            mesh, parts = _moved_parts(mesh, pieces, own, used, part)
+        else:
+            parts = {place: tuple(part(piece) for piece in pieces[place]) for pair in used for place in pair if place}
+        for term, found in integrals.items():
+            places = tuple(dict.fromkeys(p for i in found for p in (i.place, i.facing) if p))
+            layers = sorted({each.layer for place in places for each in parts[place]} - {""})
+            terms[term] = Stretched(term, tuple((place, parts[place]) for place in places),
+                                    tuple((layer, nominal[layer]) for layer in layers))
+    values = {**problem.values, **{thickness(layer): complex(value) for layer, value in nominal.items()},
+              **{name: complex(known[name].value) for name in ranges},
+              **{each.name: complex(each.size.nominal) for each in meshes.shapes if each.size.parameter}}
+    return replace(problem, mesh=mesh, terms=tuple(terms[term] for term in problem.terms), values=values)
+
+
+def flexible_within(
+    problem: Problem, chip: Chip, ranges: Mapping[str, Range], *,
+    interpolation: Interpolation = TO_ROUNDING, asides: Collection[Term] = (),
+) -> Problem:
+    """:func:`flexible` with the radii and shapes among `ranges` (m or rad) of dimensions by name, and thicknesses that
+    move as far as these say. Of a chip with profiles it is just the dimensions that `ranges` names."""
+    if chip.is_profiled:
+        sizes = {name: each for name,
+                 each in ranges.items() if ParameterName.parse(name).kind is ParameterKind.DIMENSION}
+        return flexible_free(problem, chip, sizes, interpolation=interpolation, asides=asides)
+    found = {name: ParameterName.parse(name) for name in ranges}
+    radii, shapes, thicknesses = ({name: ranges[name] for name in ranges if chosen(found[name])} for chosen in (
+        lambda each: each.is_radius, lambda each: each.coefficient in SHAPES, lambda each: each.is_thickness))
+    return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation, asides=asides)
+
+
+def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],
+                  interpolation: Interpolation) -> MovedMeshes:
+    """The meshes of the chip by its shapes; those of `shapes` are parameters."""
+    stating = with_shapes(chip, list(shapes))
+    for name, (low, high) in shapes.items():
+        value = stating.dimensions()[name].value
+        if not low <= value <= high:
+            raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
+    straight = replace(mesh, coordinates=None)
+    nominal = {layer.region: layer.thickness.value for layer in chip.layers}
+    found = MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal, interpolation)
+    found.check()
+    if stating.is_shaped:
+        own, wanted = mesh.coordinates, coordinates_of(straight, stating)
+        own = found.at({}) if own is None else own
+        assert own is not None
+        assert wanted is not None
+        if np.abs(own - wanted).max() > SAME_LENGTH:
+            raise MeshError(f"the mesh is not of chip {chip.name!r} with the shapes that its layers have")
+    return found
+
+
+def _thickness_ranges(nominal: Mapping[str, float], wanted: Mapping[str, Range]) -> dict[str, Range]:
+    """How far (m) every thickness may move, by the name of its parameter."""
+    return {thickness(layer): wanted.get(thickness(layer), ((1.0 - SHAPED_RANGE) * value, (1.0 + SHAPED_RANGE) * value))
+            for layer, value in nominal.items()}
+
+
+def _check_parabolas(shapes: Sequence[LayerShape], chip: Chip, ranges: Mapping[str, Range]) -> None:
+    """Refuse radii that move within a parabola."""
+    for shape in shapes:
+        for name in ranges:
+            if chip.dimensions()[name].value < shape.reach.within + SAME_LENGTH:
+                raise InputError(chip.file, name, f"a radius that moves, within the parabola of {shape.name}",
+                                 "one that is fixed, or carries it along")
+
+
+def _moved_parts(
+    mesh: SectionMesh, pieces: Mapping[str, Sequence[Piece]], meshes: MovedMeshes, used: Iterable[tuple[str, str]],
+    part: Callable[[Piece], StretchedPart],
+) -> tuple[SectionMesh, dict[str, tuple[StretchedPart, ...]]]:
+    """The parts of all places that are `used`, and of what faces them, with how shapes move them."""
+    found: dict[str, tuple[StretchedPart, ...]] = {}
+    faced: dict[str, list[str]] = {}
+    for place, facing in used:
+        faced.setdefault(place, []).append(facing)
+    for place, others in faced.items():
+        if place in mesh.mesh.subdomains:
+            mesh, own = moved_pieces(mesh, pieces[place], meshes)
+            cells = [Cells(mesh, np.asarray(mesh.mesh.subdomains[piece.name])) for piece, _ in own]
+        else:
+            # What faces it is on the same mesh, whichever of both is moved.
+            sides = zip(*(pieces[each] for each in dict.fromkeys([place, *others]) if each), strict=True)
+            cells = [Cells.of_facets(mesh, np.concatenate([np.asarray(mesh.mesh.boundaries[each.name])
+                                                           for each in both])) for both in sides]
+            own = [(piece, shapes_that_move(meshes, each)) for piece, each in zip(pieces[place], cells, strict=True)]
+        found[place] = tuple(
+            replace(part(piece), moves=_moves(part(piece), piece, shapes, each, meshes)) if shapes else part(piece)
+            for (piece, shapes), each in zip(own, cells, strict=True))
+    for facing in dict.fromkeys(each for others in faced.values() for each in others if each and each not in found):
+        found[facing] = tuple(map(part, pieces[facing]))
+    return replace(mesh, variants=meshes.variants), found
+
+
+def _moves(plain: StretchedPart, piece: Piece, shapes: Sequence[LayerShape], cells: Cells,
+           meshes: MovedMeshes) -> Moves:
+    """How shapes move one piece of a place."""
+    column = Ratio(plain.across.outer, plain.across.inner) if isinstance(plain.across, RadialInterval) else None
+    side = None
+    if cells.facets and piece.layer:
+        side = plain.across.radius if isinstance(plain.across, MovingRim) else MovableLength(cells.radius)
+    return meshes.moves(piece, shapes, cells, column, side)
+
+
+def _ranges(chip: Chip, radii: Mapping[str, tuple[float, float]] | Sequence[str]) -> dict[str, tuple[float, float]]:
+    """The range (m) of every radius that moves, by the first of its names."""
+    known, first = chip.dimensions(), tied(chip)
+    ranges: dict[str, tuple[float, float]] = {}
+    for name in radii:
+        choose(name, first, source=chip.file, field="radius")
+        value = known[name].value
+        low, high = (radii[name] if isinstance(radii, Mapping)
+                     else ((1.0 - RADIAL_RANGE) * value, (1.0 + RADIAL_RANGE) * value))
+        if not low <= value <= high:
+            raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"a range that holds its length, {value:g} m")
+        wanted = movable(chip, name, low, high)
+        if ranges.setdefault(first[name], wanted) != wanted:
+            raise InputError(chip.file, name, f"{low:g} to {high:g} m", f"one range for radii that coincide: "
+                             f"{first[name]} has another")
+    return ranges

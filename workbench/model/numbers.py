@@ -1,0 +1,147 @@
+"""Names of the real numbers that a model depends on, and those numbers among complex values.
+
+Names say what they are:
+
+    pzt4/acevedo_2026_initial.c33        real part of a material's coefficient, SI
+    pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
+    transducer.thickness                 a dimension of the chip, metres
+    sidewall.draft                       a shape of a layer (`geometry.shapes`), metres or radians
+    bench.series_resistance              an element between the electrodes and the instrument
+    bench.gain[filled]                   what that state alone adds to the number of that name
+    pzt4/disc_7@2.c33                    of the second saved version of a material (`materials.versions`)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from geometry.dimension import SHAPES
+from geometry.names import ROLES, role_of
+
+LOSS = ".loss"
+BENCH = "bench."
+
+#: About the one state that a number acts in, behind its name. No name holds the first sign; that of a state may.
+STATE, STATE_END = "[", "]"
+
+#: How the name of a dimension of a chip ends (`geometry.chip.Chip.dimensions`).
+LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "height")
+
+
+#: What stands behind the name of a layer and is no dimension of it; ``gauge`` is the factor of density, stiffness and
+#: piezoelectric constants together that a free disc does not show.
+NO_DIMENSION = ("density", "material", "gauge")
+
+
+class ParameterKind(Enum):
+    """What a name is of; ``TERM`` is a number that belongs to no material of the registry, dimension or bench."""
+
+    MATERIAL = "material"
+    DIMENSION = "dimension"
+    BENCH = "bench"
+    TERM = "term"
+
+
+@dataclass(frozen=True)
+class ParameterName:
+    """A name taken apart.
+
+    ``owner`` is a material, a region or "bench", empty where the name stands alone; ``coefficient`` what of it;
+    ``is_loss`` whether the number is the imaginary part of the coefficient. ``state`` is the state that it is of alone,
+    empty for a number that all have.
+    """
+
+    owner: str
+    coefficient: str
+    is_loss: bool
+    kind: ParameterKind
+    state: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> ParameterName:
+        """The parts of ``owner.coefficient``, with or without ``.loss`` (a bench element has none) and ``[state]``."""
+        name, _, state = text.partition(STATE)
+        state = state.removesuffix(STATE_END)
+        if name.startswith(BENCH):
+            return cls(BENCH.removesuffix("."), name.removeprefix(BENCH), False, ParameterKind.BENCH, state)
+        key, is_loss = name.removesuffix(LOSS), name.endswith(LOSS)
+        if "/" in name:
+            # No material of the registry has a dot in its name; regions of terms do.
+            owner, _, coefficient = key.partition(".")
+            return cls(owner, coefficient, is_loss, ParameterKind.MATERIAL, state)
+        owner, _, coefficient = key.rpartition(".")
+        # What a layer has is a dimension, whatever its profile calls it; numbers of terms have names of their own.
+        of_layer = role_of(owner) in ROLES and coefficient not in NO_DIMENSION
+        is_dimension = (coefficient in LENGTHS or coefficient in SHAPES or of_layer) and not is_loss
+        return cls(owner, coefficient, is_loss, ParameterKind.DIMENSION if is_dimension else ParameterKind.TERM, state)
+
+    def __str__(self) -> str:
+        return self.shared + (STATE + self.state + STATE_END if self.state else "")
+
+    @property
+    def shared(self) -> str:
+        """The name of the number that all states have: without ``[state]``."""
+        return self.key + (LOSS if self.is_loss else "")
+
+    def of_state(self, state: str) -> ParameterName:
+        """The name of what one `state` adds to the number."""
+        return replace(self, state=state)
+
+    @property
+    def key(self) -> str:
+        """Name of the complex value that the number is a part of: the name without ``.loss`` and ``[state]``."""
+        return f"{self.owner}.{self.coefficient}" if self.owner else self.coefficient
+
+    @property
+    def local(self) -> str:
+        """The name without its owner and its state."""
+        return self.coefficient + (LOSS if self.is_loss else "")
+
+    @property
+    def is_radius(self) -> bool:
+        return self.kind is ParameterKind.DIMENSION and self.coefficient.endswith("radius")
+
+    @property
+    def is_thickness(self) -> bool:
+        return self.kind is ParameterKind.DIMENSION and self.coefficient == "thickness"
+
+    @property
+    def is_shape(self) -> bool:
+        """Whether it is the size of a shape, or a parameter of a profile (`geometry.profile`)."""
+        return self.kind is ParameterKind.DIMENSION and self.coefficient not in LENGTHS
+
+    @property
+    def quantity(self) -> str:
+        """What kind of quantity a dimension of the chip is, see `workbench.files.quantities.UNITS`."""
+        return SHAPES.get(self.coefficient, "length")
+
+    @property
+    def dimension_unit(self) -> str:
+        """SI unit of a dimension of the chip."""
+        return "rad" if self.quantity == "angle" else "m"
+
+    def within(self, owner: str) -> str:
+        """The name as it is told of one `owner`: without it, or in full where it belongs to another."""
+        return self.local if self.owner == owner else str(self)
+
+    def part_of(self, value: complex) -> float:
+        """The real or the imaginary part of a complex `value`, whichever the number is."""
+        return value.imag if self.is_loss else value.real
+
+
+def real_part(values: Mapping[str, complex], name: str) -> float:
+    """The number called `name` among complex `values`: a real part, or with ``.loss`` an imaginary one."""
+    parsed = ParameterName.parse(name)
+    return parsed.part_of(complex(values[parsed.key]))
+
+
+def placed(values: Mapping[str, complex], numbers: Mapping[str, float]) -> dict[str, complex]:
+    """Complex `values` with real `numbers`, by parameter name, in the place of the parts they are."""
+    result = dict(values)
+    for name, number in numbers.items():
+        parsed = ParameterName.parse(name)
+        old = complex(result[parsed.key])
+        result[parsed.key] = complex(old.real, number) if parsed.is_loss else complex(number, old.imag)
+    return result

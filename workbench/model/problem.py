@@ -1,0 +1,334 @@
+"""Where geometry and materials meet: a chip in one of its states becomes a mesh, a tuple of terms and values."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from geometry.chip import Chip, State
+from geometry.chip_section import chip_section
+from geometry.free_section import FreeSection
+from geometry.mesh import SectionMesh
+from geometry.names import CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, OUTSIDE, TRANSDUCER, VACUUM
+from geometry.section import Section
+from materials.assumed import with_assumed_loss
+from materials.kinds import Fluid, IsotropicSolid, Piezoelectric
+from materials.registry import Material, Registry
+from materials.use import check_use
+from workbench.files.errors import InputError
+from workbench.model.discretisation import ACCURACY, Discretisation, discretisation
+from workbench.model.job_size import check_size
+from workbench.model.particles import STIFF, Particle, breathing_frequency, particle_from
+from workbench.model.shaped_mesh import meshed, shaped
+from workbench.physics import absorption, boundary_layer, electrodes, fluid, piezoelectric, solid
+from workbench.physics.term import Term
+from workbench.results.brief import Brief
+
+
+class LeftOutWarning(UserWarning):
+    """A part of a solid does not turn about the axis and is not in the model: a port, a chamfer on one side."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Brief):
+    """All that is needed to predict a spectrum: mesh, terms, and the value of every parameter by name.
+
+    ``materials`` holds what fills each region (a vacuum is absent); ``values`` the complex parameters
+    ``<material>.<property>`` in SI units, e^{-i w t}; ``band`` the two ends (Hz) of the frequencies the mesh was made
+    for, with that ``discretisation`` (None: a mesh of the caller's own).
+    """
+
+    mesh: SectionMesh
+    terms: tuple[Term, ...]
+    values: Mapping[str, complex]
+    band: tuple[float, float]
+    materials: Mapping[str, Material]
+    name: str = ""
+    discretisation: Discretisation | None = None
+
+    def with_values(self, values: Mapping[str, complex]) -> Problem:
+        """The same problem with other parameter values.
+
+        Raises:
+            KeyError: a name the problem does not have.
+        """
+        unknown = sorted(set(values) - set(self.values))
+        if unknown:
+            raise KeyError(f"unknown parameters {', '.join(unknown)}; known: {', '.join(sorted(self.values))}")
+        return replace(self, values={**self.values, **values})
+
+    def with_terms(self, terms: tuple[Term, ...], values: Mapping[str, complex]) -> Problem:
+        """The same problem with more terms, and the values of the parameters they bring in.
+
+        Raises:
+            ValueError: a term the problem has already, or a value it has already (:meth:`with_values` changes one).
+            KeyError: a parameter of the terms without a value, or a value that none of them needs.
+        """
+        for term in terms:
+            if term in self.terms or terms.count(term) > 1:
+                raise ValueError(f"the model has the term {term!r} already")
+        known = sorted(set(values) & set(self.values))
+        if known:
+            raise ValueError(f"the problem has values of {', '.join(known)} already; change them by `with_values`")
+        needed = {name for term in terms for i in term.integrals() for name in i.coefficient.parameters}
+        lacking = sorted(needed - set(values) - set(self.values))
+        if lacking:
+            raise KeyError(f"no value of {', '.join(lacking)}, which the terms {', '.join(map(repr, terms))} need")
+        unused = sorted(set(values) - needed)
+        if unused:
+            raise KeyError(f"no term of those added has the parameters {', '.join(unused)}; "
+                           f"theirs: {', '.join(sorted(needed))}")
+        return replace(self, terms=(*self.terms, *terms), values={**self.values, **values})
+
+
+def with_boundary_layers(problem: Problem) -> Problem:
+    """`problem` with the boundary layers that its cavity's fluid has on every solid wall, as far as it states its own
+    constants: a viscous layer, and a thermal one."""
+    fluid_there = problem.materials.get(CAVITY)
+    if not isinstance(fluid_there, Fluid):
+        return problem
+    viscous = fluid_there.shear_viscosity is not None
+    thermal = viscous and None not in (fluid_there.heat_capacity_ratio, fluid_there.thermal_conductivity,
+                                       fluid_there.heat_capacity)
+    terms: list[Term] = []
+    for contact in problem.terms:
+        if isinstance(contact, fluid.SolidFluidContact) and contact.fluid == CAVITY:
+            where = (contact.boundary, contact.solid, CAVITY, fluid_there.name)
+            terms += [boundary_layer.ViscousBoundaryLayer(*where)] if viscous else []
+            terms += [boundary_layer.ThermalBoundaryLayer(*where)] if thermal else []
+    return problem.with_terms(tuple(terms), {})
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FilledChip(Brief):
+    """A chip in one of its states: ``materials`` is what fills each region (a vacuum is absent).
+
+    ``particle`` is what the state names to be moved, if anything; ``findings`` what was assumed of the materials.
+    """
+
+    chip: Chip
+    state: State
+    materials: Mapping[str, Material]
+    particle: Particle | None = None
+    findings: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Chip and state, for messages."""
+        return f"{self.chip.name}, {self.state.name}"
+
+    @cached_property
+    def section(self) -> Section | FreeSection:
+        """The half section of the chip."""
+        return chip_section(self.chip)
+
+
+def fill(chip: Chip, state: str | None = None, registry: Registry | None = None) -> FilledChip:
+    """The chip in a state, the last one of its file if none is named, with materials of the package by default.
+
+    A density written in the chip file replaces the material's own. The state's temperature is that of what fills the
+    cavity. A lossless ceramic has an assumed loss where the registry has ``assumed_losses``.
+
+    Raises:
+        InputError: unknown state or material, a transducer that is not piezoelectric, one material given two densities,
+            a solid layer without a shear modulus, or a particle that is no sphere of a small compressible solid or
+            fluid.
+    """
+    chosen, registry = chip.state(state), Registry() if registry is None else registry
+    found: dict[str, Material] = {}
+    findings: list[str] = []
+    for region, name in chip.materials(chosen.name).items():
+        if name == VACUUM:
+            continue
+        material = _load(chip, chosen, region, name, registry, findings)
+        density = None if region == CAVITY else chip.layer(region).density
+        if density is not None:
+            material = replace(material, density=density)
+        _check_kind(chip, region, name, material)
+        if registry.assumed_losses:
+            material, assumed = with_assumed_loss(material)
+            findings.append(assumed)
+        if isinstance(material, Piezoelectric) and region != TRANSDUCER:
+            findings.append(f"{region} of {material.name} is a passive layer: its whole surface is an electrode at "
+                            "ground, so that it is short-circuited")
+        for other, known in found.items():
+            if known.name == material.name and known != material:
+                raise InputError(chip.file, f"density of {region}", material.density,
+                                 f"the {known.density:g} kg/m^3 that {other} gives the same material {known.name!r}")
+        found[region] = material
+    particle = _particle(chip, chosen, found.get(CAVITY), registry, findings)
+    device = FilledChip(chip, chosen, found, particle, tuple(dict.fromkeys(filter(None, findings))))
+    _check_passive_layers(device)
+    return device
+
+
+def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
+    """Refuse a material of a kind that the region cannot be of."""
+    if region == TRANSDUCER and not isinstance(material, Piezoelectric):
+        raise InputError(chip.file, f"material of {region}", name,
+                         f"a piezoelectric material; this is {_kind(material)}")
+    if region == CAVITY and isinstance(material, Piezoelectric):
+        raise InputError(chip.file, f"material of {region}", name, f"a solid or a fluid; this is {_kind(material)}")
+    if isinstance(material, IsotropicSolid) and not complex(material.shear_modulus).real > 0.0:
+        raise InputError(chip.file, f"material of {region}", name, "a solid with a shear modulus, or for what has none "
+                         'an entry of kind = "fluid"')
+
+
+def _kind(material: Material) -> str:
+    match material:
+        case Piezoelectric():
+            return "a piezoelectric one"
+        case IsotropicSolid():
+            return "an isotropic solid"
+        case Fluid():
+            return "a fluid"
+    return f"a {type(material).__name__}"
+
+
+def _check_passive_layers(device: FilledChip) -> None:
+    """Refuse a passive piezoelectric layer on the live electrode, which would drive it."""
+    passive = [region for region, material in device.materials.items()
+               if region != TRANSDUCER and isinstance(material, Piezoelectric)]
+    if not passive:
+        return
+    electrodes = {each.name: each for each in device.section.electrodes}
+    live = electrodes[ELECTRODE_LIVE]
+    touching = {each.region for each in device.section.rectangles if each.r_inner < live.r_outer
+                and each.r_outer > live.r_inner and live.z in (each.z_bottom, each.z_top)}
+    for region in passive:
+        if region in touching:
+            raise InputError(device.chip.file, f"material of {region}", device.materials[region].name,
+                             "a layer that is not on the live electrode, which would drive it: turn the transducer "
+                             "over by electrodes.live, or put a bond between them")
+
+
+def _particle(
+    chip: Chip, state: State, fluid: Material | None, registry: Registry, findings: list[str]
+) -> Particle | None:
+    """The particle that a state names, if any, checked against the fluid that carries it.
+
+    Raises:
+        InputError: a material that no such particle is made of, a fluid without viscosity, or a particle that
+            resonates in the band.
+    """
+    if state.particle is None or state.particle_radius is None or not isinstance(fluid, Fluid):
+        return None
+    where = f"states.{state.name}.particle"
+    try:
+        material = registry.load(state.particle, notes=findings)
+        if material.temperature is not None and state.temperature is not None:
+            material = registry.load(state.particle, temperature=state.temperature, notes=findings)
+    except InputError as error:
+        if error.source == "materials" and error.field == "name":
+            raise InputError(chip.file, where, state.particle, error.expected, error.nearest) from error
+        raise
+    if not isinstance(material, IsotropicSolid | Fluid):
+        raise InputError(chip.file, where, state.particle, "an isotropic solid (a bead), or a fluid or anything else "
+                         f"given by density and compressibility (a droplet, a cell); this is {_kind(material)}")
+    if fluid.shear_viscosity is None:
+        raise InputError(chip.file, where, state.particle, f"no particle, or a shear_viscosity in the entry of "
+                         f"{fluid.name}: drag and the moving of a particle rest on it")
+    made = particle_from(material, state.particle_radius)
+    resonance, highest = breathing_frequency(made, fluid), chip.band[1]
+    if isinstance(material, Fluid) and highest > STIFF * resonance:
+        raise InputError(chip.file, where, state.particle, "a droplet or cell that breathes far above the band: one of "
+                         f"{2e6 * made.radius:.3g} um resonates at {resonance / 1e6:.3g} MHz, as a bubble does, and "
+                         f"the band reaches {highest / 1e6:.3g} MHz. Gor'kov's formula holds below {STIFF:g} of it")
+    return made
+
+
+def _load(
+    chip: Chip, state: State, region: str, name: str, registry: Registry, findings: list[str]
+) -> Material:
+    """The material, with a mistake in its name or temperature reported where it was made: in the chip file."""
+    temperature = state.temperature if region == CAVITY else None
+    try:
+        return registry.load(name, temperature=temperature, notes=findings)
+    except InputError as error:
+        if error.source == "materials" and error.field == "name":
+            raise InputError(chip.file, f"material of {region}", name, error.expected, error.nearest) from error
+        if temperature is not None and "temperature" in error.field:
+            field = f"states.{state.name}.temperature"
+            raise InputError(chip.file, field, error.value, f"{error.expected}, by {name}") from error
+        raise
+
+
+def base_model(mesh: SectionMesh, materials: Mapping[str, Material]) -> tuple[Term, ...]:
+    """The terms of the base model: solids, fluids, their contacts, pressure-release rims, electrodes.
+
+    A fluid whose viscosities are known absorbs sound in its bulk accordingly; one without is lossless. A piezoelectric
+    layer that is not the transducer is short-circuited (`electrodes.ShortCircuit`).
+
+    Regions absent from `materials` hold nothing; the walls around them are traction-free.
+    """
+    terms: list[Term] = []
+    for region, material in materials.items():
+        match material:
+            case Piezoelectric():
+                terms.append(piezoelectric.PiezoelectricSolid(region, material.name))
+            case IsotropicSolid():
+                terms.append(solid.ElasticSolid(region, material.name))
+            case Fluid():
+                terms.append(fluid.AcousticFluid(region, material.name))
+                if material.diffusivity_of_sound is not None:
+                    terms.append(absorption.BulkAbsorption(region, material.name))
+    for boundary in mesh.section.boundary_names():
+        sides = boundary.split("|")
+        if len(sides) == 2:
+            fluids = [side for side in sides if isinstance(materials.get(side), Fluid)]
+            empty = [side for side in sides if side == OUTSIDE or side not in materials]
+            if len(fluids) == 1 and empty:
+                terms.append(fluid.PressureRelease(boundary))
+            elif len(fluids) == 1:
+                (other,) = (side for side in sides if side != fluids[0])
+                terms.append(fluid.SolidFluidContact(boundary, other, fluids[0]))
+    passive = [region for region, material in materials.items()
+               if region != TRANSDUCER and isinstance(material, Piezoelectric)]
+    terms += [electrodes.ShortCircuit(boundary) for boundary in mesh.section.boundary_names()
+              if set(boundary.split("|")) & set(passive)]
+    terms.append(electrodes.ElectrodePotential(ELECTRODE_LIVE, ELECTRODE_GROUND))
+    return tuple(terms)
+
+
+def build(
+    device: FilledChip,
+    *,
+    band: tuple[float, float] | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+    skins: Mapping[str, float] | None = None,
+    radii: Sequence[float] = (),
+) -> Problem:
+    """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
+
+    The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins`
+    and `radii` as in `geometry.mesh_size.MeshSize`.
+
+    Raises:
+        InputError: see `workbench.model.discretisation.discretisation`; or a model this machine has no memory for
+            (`workbench.model.job_size`).
+        MeshError: the mesh could not be made as the section asks.
+    """
+    fineness = discretisation(accuracy)
+    low, high = device.chip.band if band is None else band
+    check_use(device.materials.values(), band=(low, high))
+    check_size(device.section, device.materials, fineness, (low, high), source=device.chip.file, skins=skins,
+               radii=radii)
+    size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii)
+    for note in device.section.notes if isinstance(device.section, FreeSection) else ():
+        warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
+    mesh = shaped(meshed(device.section, size), device.chip)
+    made = problem(mesh, device.materials, (low, high), name=device.name)
+    return replace(made, discretisation=fineness)
+
+
+def problem(
+    mesh: SectionMesh, materials: Mapping[str, Material], band: tuple[float, float], *, name: str = ""
+) -> Problem:
+    """The base model on a given mesh."""
+    values = {f"{m.name}.{key}": value for m in materials.values() for key, value in m.parameters().items()}
+    for material in materials.values():
+        if isinstance(material, Fluid) and material.diffusivity_of_sound is not None:
+            values[f"{material.name}.diffusivity_of_sound"] = complex(material.diffusivity_of_sound)
+    return Problem(mesh, base_model(mesh, materials), values, band, dict(materials), name)

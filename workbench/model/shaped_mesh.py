@@ -1,0 +1,82 @@
+"""Meshes of chips whose layers are no discs with plane faces and upright sides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem import Dofs
+
+from geometry.chip import Chip
+from geometry.free_mesh import mesh_free
+from geometry.free_section import FreeSection
+from geometry.mesh import MeshError, SectionMesh, mesh_section
+from geometry.mesh_size import MeshSize
+from geometry.section import Section
+from geometry.shapes import moved
+from workbench.fem.elements import Lagrange
+from workbench.fem.places import areas, mapped
+
+#: Nodes of one place are as close as rounding leaves them, relative to the section.
+TORN = 1e-12
+
+
+def meshed(section: Section | FreeSection, size: MeshSize) -> SectionMesh:
+    """The mesh of a section, whichever kind it is: rectangles go to a tensor mesh.
+
+    Raises:
+        InputError: no speed is given for a region of the section.
+        MeshError: the mesh could not be made as the section asks.
+    """
+    return mesh_section(section, size) if isinstance(section, Section) else mesh_free(section, size)
+
+
+def coordinates_of(mesh: SectionMesh, chip: Chip) -> NDArray[np.float64] | None:
+    """Coordinates (2, nodes, cells) in metres of a mesh of a chip's straight section as the layers of the chip are
+    shaped, folded cells or not; None where no layer has a shape.
+
+    Raises:
+        MeshError: a side is moved as another one is not.
+    """
+    element = Lagrange(mesh.order)
+    coordinates = moved(mesh, chip, np.array(element.doflocs).T)
+    if coordinates is not None:
+        _check_whole(mesh, element, coordinates)
+    return coordinates
+
+
+def shaped(mesh: SectionMesh, chip: Chip) -> SectionMesh:
+    """The mesh of a chip's straight section as the layers of the chip are shaped.
+
+    Raises:
+        MeshError: a cell is folded: a shape reaches beyond what is beside it.
+    """
+    coordinates = coordinates_of(mesh, chip)
+    if coordinates is None:
+        return mesh
+    result = replace(mesh, coordinates=coordinates)
+    area = node_areas(result, np.arange(coordinates.shape[2]))
+    if area.min() <= 0.0:
+        cell, node = np.unravel_index(int(np.argmin(area)), area.shape)
+        r, z = 1e3 * coordinates[:, node, cell]
+        raise MeshError(f"the shape of chip {chip.name!r} folds its section at r = {r:.4g} mm, z = {z:.4g} mm: a side "
+                        "reaches beyond what is beside it")
+    return result
+
+
+def node_areas(mesh: SectionMesh, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    """What an area in local coordinates is multiplied by at the nodes of some cells: (cells, nodes)."""
+    return areas(mapped(mesh, cells, np.array(Lagrange(mesh.order).doflocs).T)[1])
+
+
+def _check_whole(mesh: SectionMesh, element: Lagrange, coordinates: NDArray[np.float64]) -> None:
+    """Refuse coordinates (2, nodes, cells) that tear cells apart: a side that is moved as another one is not."""
+    dofs = Dofs(mesh.mesh, element).element_dofs
+    shared = np.empty((2, int(dofs.max()) + 1))
+    shared[:, dofs] = coordinates
+    torn = np.abs(shared[:, dofs] - coordinates).max(axis=0)
+    if torn.max() > TORN * np.ptp(coordinates):
+        node, cell = np.unravel_index(int(np.argmax(torn)), torn.shape)
+        r, z = 1e3 * coordinates[:, node, cell]
+        raise MeshError(f"the shapes of layers tear the section apart at r = {r:.4g} mm, z = {z:.4g} mm")

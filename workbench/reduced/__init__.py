@@ -1,0 +1,1 @@
+"""Reduced models: the same system on a small basis of its own solutions."""

@@ -1,0 +1,500 @@
+"""A chip's spectrum as a function of its lengths, moduli and losses, anywhere within ranges, in a fraction of a second.
+
+    model = range_model(read_chip("chip.toml"), "filled", {"substrate.thickness": (0.7e-3, 1.0e-3),
+                                                           "pla.shear_modulus": (0.8e9, 1.1e9)})
+    model({"substrate.thickness": 0.8e-3}).impedance
+
+The basis of a reduced model is grown for the ranges (weak greedy: Rozza, Huynh and Patera 2008, Arch. Comput. Methods
+Eng. 15, 229): at points spread evenly over them the error is estimated at frequencies all over the band, and where it
+is largest the full model is solved. Whether the model is good enough is what these solves say, since an estimate
+bounds the error by a factor of its own. What does not move is summed once, so that a model of few parameters is small.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import time
+import zipfile
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from geometry.chip import Chip
+from geometry.names import whole
+from geometry.stretch import movable, tied
+from materials.registry import Registry
+from workbench.fem.coefficients import Coefficients
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.reduced_operators import ReducedOperators
+from workbench.fem.solve import System, one_thread
+from workbench.files.errors import InputError, choose
+from workbench.files.writing import replacing
+from workbench.model.dimensions import flexible_within
+from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.model.numbers import ParameterName, placed, real_part
+from workbench.model.problem import Problem, build, fill
+from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
+from workbench.reduced.energy_norm import energy_matrix
+from workbench.reduced.predictor import Prediction
+from workbench.reduced.reduction import ReducedModel, covering, smallest_part
+from workbench.results.brief import Brief
+from workbench.results.notebook import Shown, Summary
+from workbench.results.spectrum import Origin, Spectrum
+
+if TYPE_CHECKING:
+    import xarray
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ranges = Mapping[str, tuple[float, float]]
+Progress = Callable[[float], None]
+
+#: Frequencies at which errors are estimated while a model grows, points of the ranges looked at in a round, and solved.
+WATCHED, LOOKED_AT, SOLVED = 61, 32, 12
+
+#: Frequencies and vectors of the first solves, in the middle of the ranges; vectors from each of the others.
+FIRST, FIRST_DEPTH, DEPTH = 6, 8, 5
+
+#: The energy of what is left out of a basis bounds the error of Z many times over: over wide ranges by some 60 times,
+#: measured (`tests/benchmarks/range_model.py`), of which this share is used. Full solves confirm what comes of it.
+SLACK = 30.0
+
+#: Most full solves of a model, unless told otherwise.
+LIMIT = 400
+
+#: What a stored model begins with; raise it where the layout changes.
+FORMAT = 1
+
+
+class OutOfRange(ValueError):
+    """A parameter outside the range that a model was made for."""
+
+
+class NotCovered(RuntimeError):
+    """A range model that did not reach its tolerance. Carries the ``model``, whose ``error`` is what it reached."""
+
+    def __init__(self, model: RangeModel) -> None:
+        super().__init__(f"the range model is off by {100.0 * model.error:.2g} % where it was checked last, after "
+                         f"{model.reduced.solves} full solves and at rank {model.rank}, above the tolerance of "
+                         f"{100.0 * model.tolerance:.2g} %; narrow the ranges, or allow more solves")
+        self.model = model
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (NotCovered, (self.model,))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Response(Shown):
+    """A spectrum of a range model: ``values`` the numbers asked for, by name, and the ``prediction`` made for them."""
+
+    values: Mapping[str, float]
+    prediction: Prediction
+
+    @property
+    def frequency(self) -> Real:
+        """(n,) Hz."""
+        return self.prediction.solution.frequency
+
+    @property
+    def impedance(self) -> Complex:
+        """(n,) ohm, e^{+j w t}."""
+        return self.prediction.impedance
+
+    @property
+    def error(self) -> Real:
+        """Estimated relative error (n,) of the impedance, against the mesh's own full solution."""
+        return self.prediction.error
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """The impedance as a spectrum."""
+        return Spectrum(self.frequency, self.impedance, origin=Origin("simulated"))
+
+    def summary(self) -> Summary:
+        """The numbers asked for and the estimated error, for a notebook."""
+        rows = [(name, f"{value:.6g}") for name, value in self.values.items()]
+        rows.append(("estimated error of Z", f"{100.0 * float(self.error.max()):.1g} %"))
+        return Summary("Range model", tuple(rows), {"simulated": self.spectrum})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The spectrum with the estimated ``error`` (1), and the numbers asked for as attributes (SI)."""
+        return self.spectrum.to_xarray().assign(error=("frequency", self.error)).assign_attrs(self.values)
+
+    def gradient(self, names: tuple[str, ...] | None = None) -> Complex:
+        """d Z / d number (n, len(names)), ohm over the number's SI unit, by all that the model has if not named."""
+        names = tuple(self.values) if names is None else names
+        parsed = [ParameterName.parse(name) for name in names]
+        keys = tuple(dict.fromkeys(name.key for name in parsed))
+        slopes = np.conj(self.prediction.solution.parameter_gradient(self.prediction.values, keys))
+        columns = [slopes[:, keys.index(name.key)] * (-1j if name.is_loss else 1.0) for name in parsed]
+        return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeModel(Brief):
+    """The spectrum of one problem for parameters within ``ranges`` (SI, by name, ``.loss`` for imaginary parts).
+
+    ``frequency`` (n,) Hz is where it answers; ``tolerance`` the relative error it was made for, ``error`` the largest
+    found by full solves where it was checked last (where estimates were largest), ``seconds`` what it took.
+    """
+
+    problem: Problem
+    ranges: Ranges
+    frequency: Real
+    reduced: ReducedModel
+    tolerance: float
+    error: float
+    seconds: float
+
+    @property
+    def rank(self) -> int:
+        """Unknowns of the reduced model."""
+        return self.reduced.operators.size
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.ranges)
+
+    def __call__(self, values: Mapping[str, float] | None = None) -> Response:
+        """The spectrum at these numbers; those not given are the problem's own.
+
+        Raises:
+            KeyError: a name that the model has no range for.
+            OutOfRange: a number outside its range.
+        """
+        numbers = numbers_in_ranges(self.ranges, self.problem.values, values or {})
+        placed_there = placed(self.problem.values, numbers)
+        solution = self.compact.solve(self.frequency, placed_there)
+        return Response(numbers, Prediction(solution, self.compact, placed_there))
+
+    @cached_property
+    def compact(self) -> ReducedModel:
+        """The reduced model with what no parameter of the ranges moves summed up."""
+        return compacted(self.reduced, range_keys(self.ranges), self.problem.values)
+
+    def grown(
+        self, tolerance: float | None = None, *, limit: int = LIMIT, seed: int = 1, progress: Progress | None = None
+    ) -> RangeModel:
+        """A model of the same ranges that has been checked at further points, and is larger where that asks for it.
+
+        Raises:
+            NotCovered: `limit` further solves were not enough.
+        """
+        return _last(_growth(self, self.tolerance if tolerance is None else tolerance, limit, seed, progress))
+
+    def save(self, path: Path | str) -> None:
+        """Keep the model in a file, to be read by :func:`load_range_model` with the chip it is of."""
+        content = {"format": FORMAT, "ranges": dict(self.ranges), "tolerance": self.tolerance, "error": self.error,
+                   "seconds": self.seconds, "solves": self.reduced.solves, "residual": self.reduced.residual,
+                   "problem": fingerprint(self.problem)}
+        with replacing(Path(path)) as written:
+            np.savez(written, content=np.frombuffer(json.dumps(content).encode(), dtype=np.uint8),
+                     frequency=self.frequency, basis=self.reduced.basis, weights=self.reduced.weights,
+                     test=self.reduced.test, matrices=self.reduced.operators.matrices, sketch=self.reduced.sketch)
+
+
+def range_model(
+    chip: Chip,
+    state: str | None,
+    ranges: Ranges,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 241,
+    tolerance: float = 1e-3,
+    limit: int = LIMIT,
+    seed: int = 0,
+    progress: Progress | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+) -> RangeModel:
+    """A model of a chip's spectrum over `ranges` of its lengths and of its materials' coefficients.
+
+    Args:
+        state: name of the state; the last one of the file if None.
+        ranges: lowest and highest number (SI) by name: ``substrate.thickness``, ``cavity.radius``,
+            ``<material>.shear_modulus``, ``<material>.shear_modulus.loss``. Of radii that coincide one is named.
+        points: frequencies of the band at which it answers.
+        tolerance: relative error of the impedance, against the full solution on the same mesh.
+        limit: most full solves.
+        seed: of the points that it is grown and checked at.
+        accuracy: of the mesh, see `discretisation`.
+
+    Raises:
+        InputError: something in the chip or its materials, or a range that names nothing or holds no number.
+        NotCovered: `limit` solves were not enough; the error carries the model.
+    """
+    model = _first(chip, state, ranges, registry, band, points, tolerance, accuracy)
+    return _last(_growth(model, tolerance, limit, seed, progress))
+
+
+def growing_model(
+    chip: Chip,
+    state: str | None,
+    ranges: Ranges,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 241,
+    tolerance: float = 1e-3,
+    limit: int = LIMIT,
+    seed: int = 0,
+    accuracy: float | Discretisation = ACCURACY,
+) -> Iterator[RangeModel]:
+    """:func:`range_model` with every model on the way to the last one, for those who cannot wait.
+
+    The first is of the middle of the ranges alone; its ``error`` is infinite, since no full solve has checked it. Each
+    further one has that of the model before it.
+
+    Raises:
+        InputError, NotCovered: as of :func:`range_model`.
+    """
+    model = _first(chip, state, ranges, registry, band, points, tolerance, accuracy)
+    yield model
+    yield from _growth(model, tolerance, limit, seed, None)
+
+
+def _first(
+    chip: Chip, state: str | None, ranges: Ranges, registry: Registry | None, band: tuple[float, float] | None,
+    points: int, tolerance: float, accuracy: float | Discretisation,
+) -> RangeModel:
+    """The model that a range model grows from, of the middle of the ranges and of first derivatives there."""
+    started = time.perf_counter()
+    low, high = chip.band if band is None else band
+    plain = build(fill(chip, state, registry), band=(low, high), accuracy=accuracy)
+    problem, ranges = with_ranges(plain, chip, ranges)
+    frequency = np.linspace(low, high, points)
+    centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
+    moves: dict[str, float] = {}
+    for number, (lowest, highest) in ranges.items():
+        key = ParameterName.parse(number).key
+        moves[key] = max(moves.get(key, 0.0), 0.5 * (highest - lowest))
+    operators = assemble(problem.mesh, problem.terms)
+    first = covering(operators, frequency, centre, moves, tolerance=SLACK * tolerance, nodes=FIRST, depth=FIRST_DEPTH)
+    return RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
+
+
+def numbers_in_ranges(ranges: Ranges, own: Mapping[str, complex], values: Mapping[str, float]) -> dict[str, float]:
+    """A number for each of `ranges`: that of `values`, or else the one among the `own` complex parameters.
+
+    Raises:
+        KeyError: a name that there is no range for.
+        OutOfRange: a number outside its range.
+    """
+    numbers = {name: real_part(own, name) for name in ranges} | dict(values)
+    for name, number in numbers.items():
+        if name not in ranges:
+            raise KeyError(f"the model has no range for {name!r}; it has {', '.join(ranges)}")
+        low, high = ranges[name]
+        if not low - 1e-9 * abs(low) <= number <= high + 1e-9 * abs(high):
+            raise OutOfRange(f"{name} is {number:g}; the model was made for {low:g} to {high:g}")
+    return numbers
+
+
+def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, Ranges]:
+    """`problem` with the lengths among its values that `ranges` name, and the ranges by the names they have there.
+
+    Raises:
+        InputError: a name that is neither a coefficient nor a length, a range that holds no number, or two ranges for
+            radii that coincide.
+    """
+    first, lengths = tied(chip), chip.dimensions()
+    flexed = flexible_within(problem, chip, ranges)
+    found: dict[str, tuple[float, float]] = {}
+    for key, ends in ranges.items():
+        known = first.get(key, key)
+        value = ParameterName.parse(known).key
+        choose(value, {*flexed.values, *lengths}, source=chip.file, field="range")
+        if value not in flexed.values:
+            raise InputError(chip.file, f"range of {key}", key, "a coefficient, or a length that the spectrum feels")
+        low, high = map(float, ends)
+        if not low < high:
+            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}", "a lower number, then a higher one")
+        if known in first and movable(chip, known, low, high) != (low, high):
+            least, most = movable(chip, known)
+            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g} m", "a range that keeps away from the "
+                             f"next radii, within {least:g} to {most:g} m")
+        if not low <= real_part(flexed.values, known) <= high:
+            raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}",
+                             f"a range that holds the present {real_part(flexed.values, known):g}")
+        found[known] = (low, high)
+    return flexed, found
+
+
+def range_keys(ranges: Ranges) -> set[str]:
+    """The complex values that numbers with `ranges` are parts of."""
+    return {ParameterName.parse(name).key for name in ranges}
+
+
+def _last(models: Iterator[RangeModel]) -> RangeModel:
+    """The last of some models, of which there is one at least."""
+    (found,) = deque(models, maxlen=1)
+    return found
+
+
+def _growth(
+    model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress | None
+) -> Iterator[RangeModel]:
+    """The models that `model` becomes round by round, the last within `tolerance`."""
+    started = time.perf_counter()
+    operators, reduced, ranges = model.reduced.full, model.reduced, model.ranges
+    low, high = (np.array(ends) for ends in zip(*ranges.values(), strict=True))
+    sampler = qmc.Sobol(len(ranges), seed=seed)
+    watched = np.linspace(model.frequency[0], model.frequency[-1], WATCHED)
+    spent, error, first, share = 0, np.inf, 0.0, 0.0
+    moving = range_keys(ranges)
+    with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(2, os.cpu_count() or 1))) as pool:
+        while True:
+            points = low + (high - low) * sampler.random(LOOKED_AT)
+            values = [placed(model.problem.values, dict(zip(ranges, map(float, x), strict=True))) for x in points]
+            compact = compacted(reduced, moving, model.problem.values)
+            seen = list(pool.map(partial(_worst, compact, watched), values))
+            chosen = sorted(range(len(values)), key=lambda k: -seen[k][0])[:SOLVED]
+            jobs = [(values[k], float(watched[seen[k][1]])) for k in chosen]
+            solved = list(pool.map(lambda job: _solved(operators, *job), jobs))
+            spent += len(solved)
+            off = [abs(seen[k][2] / charge - 1.0) for k, (_, charge, _) in zip(chosen, solved, strict=True)]
+            error = max(off)
+            first = first or error
+            residual = max(reduced.residual, *(each for _, _, each in solved))
+            reduced = replace(reduced, solves=reduced.solves + len(solved), residual=residual)
+            if progress is not None and first > tolerance:
+                # How much of the way, in orders of magnitude, is behind.
+                share = max(share, float(np.clip(np.log(first / error) / np.log(first / tolerance), 0.0, 0.99)))
+                progress(share)
+            done = replace(model, reduced=reduced, tolerance=tolerance, error=float(error),
+                           seconds=model.seconds + time.perf_counter() - started)
+            if error <= tolerance:
+                if progress is not None:
+                    progress(1.0)
+                yield done
+                return
+            if spent >= limit:
+                raise NotCovered(done)
+            reduced = reduced.grown(np.concatenate([states for states, _, _ in solved], axis=1), None,
+                                    [(watched, value) for value, _ in jobs], smallest_part(SLACK * tolerance))
+            yield replace(done, reduced=reduced)
+
+
+def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]) -> tuple[float, int, complex]:
+    """The largest estimated error of a model, the index of its frequency, and the charge there."""
+    solution, error, index = model.worst(frequencies, values)
+    return error, index, complex(solution.charge[index])
+
+
+def _solved(
+    operators: FullOperators, values: Mapping[str, complex], frequency: float
+) -> tuple[Complex, complex, float]:
+    """A full state and its neighbours in frequency (size, n), its charge, and its residual."""
+    system = System(operators, values)
+    states, residual = system.krylov(frequency, DEPTH)
+    return states, system.charge(frequency, states[:, 0]), residual
+
+
+def compacted(
+    model: ReducedModel, moving: set[str], values: Mapping[str, complex], *, by_place: bool = False
+) -> ReducedModel:
+    """`model` for parameters of which only those named `moving` change: what depends on them alike is one integral.
+
+    It predicts and is judged as the other; it has no integrals of the full model, and cannot grow. With `by_place` each
+    region and boundary keeps integrals of its own.
+    """
+    groups: dict[tuple[Coefficient, str], dict[int, complex]] = {}
+    for q, integral in enumerate(model.operators.integrals):
+        coefficient, constant = _separated(integral.coefficient, moving, values)
+        if constant != 0.0:
+            place = whole(integral.place) if by_place else ""
+            groups.setdefault((coefficient, place), {})[q] = constant
+    integrals: list[Integral] = []
+    weights: list[Real] = []
+    for (coefficient, place), members in groups.items():
+        constants = np.zeros(len(model.operators.integrals), dtype=complex)
+        constants[list(members)] = list(members.values())
+        for turn, each in ((1.0, constants.real), (1j, constants.imag)):
+            if each.any():
+                integrals.append(Integral(times(coefficient, Monomial(turn, 0)), place, ()))
+                weights.append(each)
+    combine = model.operators.by_form(np.array(weights, dtype=complex)).real
+    matrices = np.tensordot(combine, model.operators.matrices, axes=1)
+    operators = ReducedOperators(tuple(integrals), Coefficients.of(integrals), matrices, np.arange(len(integrals)))
+    return replace(model, operators=operators, sketch=np.tensordot(combine, model.sketch, axes=1))
+
+
+def _separated(
+    coefficient: Coefficient, moving: set[str], values: Mapping[str, complex]
+) -> tuple[Coefficient, complex]:
+    """What of a coefficient depends on frequency or on parameters that move, and the constant rest."""
+    constant, kept = 1.0 + 0.0j, list[Constant]()
+    while isinstance(coefficient, Times):
+        if moving & set(coefficient.second.parameters):
+            kept.append(coefficient.second)
+        else:
+            constant *= coefficient.second.constant(values)
+        coefficient = coefficient.first
+    if isinstance(coefficient, Monomial):
+        still = tuple((name, power) for name, power in coefficient.factors if name not in moving)
+        constant *= Monomial(coefficient.scale, 0, still).constant(values)
+        coefficient = Monomial(1.0, coefficient.omega_power,
+                               tuple((name, power) for name, power in coefficient.factors if name in moving))
+    elif isinstance(coefficient, Formula) and not moving & set(coefficient.parameters):
+        constant *= coefficient.constant(values)
+        coefficient = Monomial(1.0, coefficient.omega_power)
+    for each in reversed(kept):
+        coefficient = times(coefficient, each)
+    return coefficient, constant
+
+
+def fingerprint(problem: Problem) -> str:
+    """What tells a problem from others: its mesh, its terms and its values."""
+    found = hashlib.sha256()
+    found.update(np.ascontiguousarray(problem.mesh.mesh.p).tobytes())
+    found.update(np.ascontiguousarray(problem.mesh.mesh.t).tobytes())
+    if problem.mesh.coordinates is not None:
+        found.update(np.ascontiguousarray(problem.mesh.coordinates).tobytes())
+    found.update(repr((problem.mesh.order, problem.terms, sorted(problem.values.items()))).encode())
+    return found.hexdigest()
+
+
+def load_range_model(
+    path: Path | str, chip: Chip, state: str | None = None, *, registry: Registry | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+) -> RangeModel:
+    """A model that :meth:`RangeModel.save` has kept, with the chip it is of.
+
+    Raises:
+        InputError: the file is no such model, or one of another chip, state, material or mesh.
+    """
+    path = Path(path)
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            stored = {name: archive[name] for name in archive.files}
+        content = json.loads(stored["content"].tobytes())
+        ranges = {name: (float(low), float(high)) for name, (low, high) in content["ranges"].items()}
+        frequency = stored["frequency"]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(str(path), "file", repr(error), "a range model that was saved before") from error
+    if content.get("format") != FORMAT:
+        raise InputError(str(path), "format", content.get("format"), f"{FORMAT}; make the model again")
+    name = chip.state(state).name
+    band = float(frequency[0]), float(frequency[-1])
+    device = fill(chip, state, registry)
+    problem, _ = with_ranges(build(device, band=band, accuracy=accuracy), chip, ranges)
+    if fingerprint(problem) != content["problem"]:
+        raise InputError(str(path), "chip", f"{chip.name}, {name}", "the chip, state, materials and mesh that the "
+                         "model was made for")
+    operators = assemble(problem.mesh, problem.terms)
+    energy = energy_matrix(System(operators, problem.values), float(np.median(frequency)))
+    inner = ReducedOperators(operators.integrals, operators.coefficients, stored["matrices"], operators.forms)
+    reduced = ReducedModel(operators, inner, stored["basis"], stored["weights"], stored["test"], stored["sketch"],
+                           energy, content["solves"], content["residual"])
+    return RangeModel(problem, ranges, frequency, reduced, content["tolerance"], content["error"], content["seconds"])

@@ -1,0 +1,478 @@
+"""The main job in Python: a chip in one of its states becomes a spectrum, figures of merit, fields and traps.
+
+    result = simulate(read_chip("chip.toml"), "filled")
+    result.spectrum, result.figures, result.fields, result.traps
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+import geometry.mesh
+from geometry.chip import Chip
+from geometry.names import CAVITY
+from geometry.plausible import check_band
+from materials.assumed import is_lossless
+from materials.kinds import Fluid
+from materials.registry import Registry
+from workbench.acoustics.fields import Fields, fields
+from workbench.acoustics.forces import particle_forces
+from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
+from workbench.fem.capacitance import Capacitance, capacitance
+from workbench.fem.operators import FullOperators, assemble
+from workbench.fem.solve import NotConverged, Solution, solve_full, sweep
+from workbench.files.errors import InputError
+from workbench.model.discretisation import ACCURACY, ROWS, Discretisation
+from workbench.model.drive import Drive, VoltageDrive
+from workbench.model.job_size import check_points
+from workbench.model.problem import FilledChip, Problem, build, fill
+from workbench.reduced.reduction import ReducedModel, reduced
+from workbench.results.brief import Brief
+from workbench.results.merit import Figures, NoResonance, figures
+from workbench.results.notebook import Shown, Summary
+from workbench.results.spectrum import Origin, Spectrum
+from workbench.simulation.mesh_error import MeshErrorEstimate
+from workbench.simulation.mesh_error import estimate as mesh_error
+
+if TYPE_CHECKING:
+    import xarray
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Called with what is being done and the fraction of it that is done.
+Progress = Callable[[str, float], None]
+
+
+#: Frequencies within the half-power width of a resonance from which on its figures can be told. Doubled, grids that are
+#: right to 0.1 % would be accused.
+RESOLVED = 2
+
+#: Relative distances from a frequency at which the fields are solved where it does not converge: within a line of a
+#: quality factor of 1e4. Doubled, fields are further from the resonance and smaller.
+BESIDE = (1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
+
+#: Frequencies that may fail to converge for each one that does, and so many in any case, before a spectrum is given up:
+#: a model that is singular everywhere is not held by anything. Doubled, that takes twice as long to be said.
+HOLES, FEW = 0.5, 5
+#: Largest error of a mesh over its estimate: 1.2 to 2.9 for the meshes of all accuracies of the small example chip (of
+#: a singular corner one more order tells a part). Only said in the warning; doubled, it would frighten more.
+TOLD = 3.0
+
+
+class MeshTooCoarse(UserWarning):
+    """The mesh has fewer elements per wavelength than its discretisation at some frequency in some region, or leaves a
+    larger error than asked for."""
+
+
+def no_progress(_activity: str, _fraction: float) -> None:
+    """A :data:`Progress` that shows nothing."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Snapshot(Brief):
+    """One state of a chip at one frequency under one drive.
+
+    ``losses`` (W) dissipated by region, ``closure`` their relative difference from the electrical input power.
+    ``traps`` is None without a fluid-filled cavity and a particle. ``residual`` is the scaled residual of the solve.
+    ``findings`` are sentences on what was assumed of the materials, and on what could not be solved as asked.
+    """
+
+    chip: Chip
+    state: str
+    problem: Problem
+    fields: Fields
+    losses: Mapping[str, float]
+    closure: float
+    traps: TrapReport | None
+    residual: float
+    findings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulation(Snapshot, Shown):
+    """One state of a chip, simulated over a band; the snapshot is at f0, or at the frequency asked for.
+
+    ``figures`` is None where the band has no resonance, and ``no_resonance`` says why. ``error`` is the largest
+    estimated relative error of the impedance by the reduced model (0 for a full solve), ``mesh_error`` that by the mesh
+    (of ln Z; None after full solves, whose states are not kept), ``solves`` the number of full solves, ``residual``
+    the largest scaled residual of one. ``capacitance`` of the electrodes. ``seconds`` by step. ``left_out`` (Hz) are
+    the frequencies asked for that the spectrum lacks, because the solve there did not converge.
+    """
+
+    operators: FullOperators
+    spectrum: Spectrum
+    figures: Figures | None
+    no_resonance: str
+    error: float
+    mesh_error: MeshErrorEstimate | None
+    solves: int
+    capacitance: Capacitance
+    seconds: Mapping[str, float]
+    left_out: tuple[float, ...] = ()
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns of the full model."""
+        return self.operators.size
+
+    def summary(self) -> Summary:
+        """Figures of merit, traps and the model's accuracy, for a notebook."""
+        merit = self.figures
+        rows = [("f0, Z_min, Q", self.no_resonance if merit is None else
+                 f"{merit.f0 / 1e6:.6g} MHz, {merit.z_min:.4g} ohm, {merit.q:.4g}"),
+                ("fields", f"{self.fields.frequency / 1e6:.6g} MHz, {self.fields.drive}")]
+        if self.traps is not None:
+            rows += [("trap", f"r {1e3 * trap.radius:.3g} mm, {1e3 * trap.above_floor:.3g} mm above the floor, barrier "
+                      f"{barrier_words(trap.barrier)}, {100.0 * trap.share:.0f} % of the cavity")
+                     for trap in self.traps.traps[:3]]
+        rows += [("finding", text) for text in self.findings]
+        rows.append(("estimated error of Z", f"{100.0 * self.error:.1g} % by the reduced model" + (
+            "" if self.mesh_error is None else f", {100.0 * self.mesh_error.rms:.1g} % rms by the mesh")))
+        return Summary(f"{self.chip.name}, {self.state}", tuple(rows), {self.state: self.spectrum})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The spectrum (:meth:`Spectrum.to_xarray`) with the figures of merit as attributes (Hz, ohm, 1)."""
+        found = self.spectrum.to_xarray().assign_attrs(chip=self.chip.name, state=self.state,
+                                                       estimated_relative_error=self.error)
+        if self.figures is not None:
+            found = found.assign_attrs(f0_hz=self.figures.f0, z_min_ohm=self.figures.z_min, q=self.figures.q)
+        return found
+
+
+def frequency_grid(band: tuple[float, float], points: int) -> Real:
+    """`points` equally spaced frequencies (Hz) over `band`, both ends included.
+
+    Raises:
+        InputError: fewer than 5 points, or a band that is not rising and positive.
+    """
+    low, high = band
+    if points < 5:
+        raise InputError("simulate", "points", points, "at least 5 frequencies")
+    check_points(points, source="simulate")
+    if not 0.0 < low < high < np.inf:
+        raise InputError("simulate", "band", f"{low:g} to {high:g} Hz", "a rising band of positive frequencies")
+    return np.linspace(low, high, points)
+
+
+def band_of(chip: Chip, band: tuple[float, float] | None) -> tuple[float, float]:
+    """The band (Hz) asked for, or the chip's own.
+
+    Raises:
+        InputError: a band that nobody drives such a chip in, and that the chip does not list as unusual.
+    """
+    if band is None:
+        return chip.band
+    if 0.0 < band[0] < band[1] and "band" not in chip.unusual:
+        check_band(chip.layers, band, chip.file, "band")
+    return band
+
+
+class Laps:
+    """Seconds spent on one step after the other, by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._started = time.perf_counter()
+
+    def __call__(self, name: str) -> None:
+        """The step called `name` ends now."""
+        now = time.perf_counter()
+        self.seconds[name], self._started = now - self._started, now
+
+
+def simulate(
+    chip: Chip,
+    state: str | None = None,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 481,
+    at: float | None = None,
+    full: bool = False,
+    tolerance: float = 1e-4,
+    drive: Drive | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+    on_point: Callable[[float, complex], None] | None = None,
+    known: Mapping[float, complex] | None = None,
+    on_spectrum: Callable[[Spectrum], None] = lambda _spectrum: None,
+    progress: Progress = no_progress,
+    assumed_losses: bool = True,
+) -> Simulation:
+    """Simulate a chip in one of its states. Frequencies at which no solve converges are left out; a finding names them.
+
+    Args:
+        state: name of the state; the last one of the file if not given.
+        band: two frequencies (Hz); the chip's own if not given. The mesh is made for its upper end.
+        at: frequency (Hz) of the fields; f0 if not given, the middle of the band if there is no resonance.
+        full: solve every frequency instead of the reduced model; `on_point` is then called with every frequency and
+            impedance (e^{+j w t}) as soon as it is known, and points in `known` are not solved again.
+        tolerance: relative error of the reduced model's impedance.
+        drive: how the device is driven; 10 Vpp at the electrodes if not given.
+        accuracy: relative error of Z that the mesh is made for, or a discretisation.
+        assumed_losses: give a ceramic without any loss that of `materials.assumed`; a finding says so.
+        on_spectrum: called with the spectrum as soon as it is known; again when the error of its mesh is.
+
+    Raises:
+        InputError: something in the chip, its materials or the arguments; a model there is no memory for.
+        NotConverged: the full solves converge at next to none of the frequencies, or nowhere near that of the fields.
+        NotEnriched: the reduced model did not reach its tolerance.
+    """
+    lap = Laps()
+    device = fill(chip, state, _assuming(registry, assumed_losses))
+    _check_tolerance(tolerance)
+    frequencies = frequency_grid(band_of(chip, band), points)
+    span = (float(frequencies[0]), float(frequencies[-1]))
+    progress("mesh", 0.0)
+    problem = build(device, band=span, accuracy=accuracy)
+    lap("mesh")
+    operators = assemble(problem.mesh, problem.terms)
+    lap("assembly")
+    error, of_mesh = 0.0, None
+    if full:
+        solved, impedance, solves, residual = _full_spectrum(
+            operators, frequencies, problem, known or {}, on_point, progress)
+        lap("spectrum")
+    else:
+        model, solution = reduced(operators, frequencies, problem.values, tolerance=tolerance, skip_singular=True,
+                                  progress=lambda fraction: progress("reduced model", fraction))
+        solved, impedance, solves, residual = solution.frequency, solution.impedance, model.solves, model.residual
+        error = float(model.error(solution).max())
+        lap("spectrum")
+        on_spectrum(Spectrum.from_solver(solved, impedance, origin=_origin(device, _reduced_to(error))))
+        of_mesh = _mesh_error(model, solved, problem, accuracy, progress)
+        lap("error of the mesh")
+    method = "full solves" if of_mesh is None else f"{_reduced_to(error)}, of its mesh {of_mesh.rms:.1e} rms"
+    spectrum = Spectrum.from_solver(solved, impedance, origin=_origin(device, method))
+    on_spectrum(spectrum)
+    merit, reason = _merit(spectrum)
+    frequency = at if at is not None else merit.f0 if merit is not None else 0.5 * (span[0] + span[1])
+    check_mesh(problem, frequency)
+    progress("fields", 0.0)
+    shot = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
+    lap("fields")
+    left_out = tuple(map(float, np.setdiff1d(frequencies, solved)))
+    progress("fields", 1.0)
+    return Simulation(
+        chip=chip, state=shot.state, problem=problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
+        traps=shot.traps, residual=max(residual, shot.residual), operators=operators, spectrum=spectrum, figures=merit,
+        no_resonance=reason, error=error, mesh_error=of_mesh, solves=solves + 1, seconds=lap.seconds,
+        capacitance=capacitance(operators, problem.values), left_out=left_out,
+        findings=(*_left_out(device, left_out, frequencies.size), *_unresolved(spectrum, merit), *shot.findings),
+    )
+
+
+def _assuming(registry: Registry | None, assumed_losses: bool) -> Registry:
+    """The registry that a chip is filled from for its simulation."""
+    registry = registry or Registry()
+    return replace(registry, assumed_losses=assumed_losses or registry.assumed_losses)
+
+
+def _left_out(device: FilledChip, frequencies: tuple[float, ...], asked: int) -> tuple[str, ...]:
+    """A finding that names the `frequencies` (Hz), of so many `asked` for, at which nothing could be solved."""
+    if not frequencies:
+        return ()
+    listed = ", ".join(f"{f / 1e6:.6g}" for f in frequencies[:5]) + (" ..." if len(frequencies) > 5 else "")
+    return (f"{len(frequencies)} of {asked} frequencies are left out, because the solve there did not converge: "
+            f"{listed} MHz. {_undamped(device)}",)
+
+
+def _unresolved(spectrum: Spectrum, merit: Figures | None) -> tuple[str, ...]:
+    """A finding that next to no frequencies lie in the resonance; none where enough do."""
+    if merit is None:
+        return ()
+    width = merit.f2 - merit.f1
+    inside = merit.count_within(spectrum.frequency)
+    if inside >= RESOLVED:
+        return ()
+    enough = math.ceil((spectrum.frequency[-1] - spectrum.frequency[0]) / width * 2 * RESOLVED) + 1
+    return (f"{inside} of the {spectrum.frequency.size} frequencies lie within the resonance, which is "
+            f"{width / 1e3:.3g} kHz wide: f0, Z_min and Q may be far off; {enough} points, or a narrower band, would "
+            "show it.",)
+
+
+def _undamped(device: FilledChip) -> str:
+    """Why a solve may not converge, as far as the materials tell."""
+    lossless = [f"{material.name} ({region})" for region, material in device.materials.items()
+                if not isinstance(material, Fluid) and is_lossless(material)]
+    if not lossless:
+        return "The model is close to singular there: a resonance with next to no loss"
+    return f"A resonance without loss has no height: state a loss of {', '.join(lossless)}"
+
+
+def _check_tolerance(tolerance: float) -> None:
+    if not 0.0 < tolerance < 1.0:
+        raise InputError("simulate", "tolerance", tolerance, "a relative error between 0 and 1")
+
+
+def _mesh_error(
+    model: ReducedModel, frequencies: Real, problem: Problem, accuracy: float | Discretisation, progress: Progress
+) -> MeshErrorEstimate:
+    """The estimated error of the mesh, with a warning where it is above the one asked for."""
+    progress("error of the mesh", 0.0)
+    error = mesh_error(model, frequencies, problem.values)
+    if isinstance(accuracy, float) and error.rms > accuracy:
+        finer = [row for row in ROWS if row < accuracy]
+        remedy = "there is no finer one" if not finer else (
+            f'--accuracy "{100.0 * max(finer):g} %" (in Python accuracy={max(finer):g}) makes a finer one')
+        warnings.warn(f"{problem.name}: the mesh leaves an estimated {100.0 * error.rms:.2g} % rms in Z, above the "
+                      f"{100.0 * accuracy:g} % that it was made for; {remedy}. The error itself is "
+                      f"up to {TOLD:g} times its estimate where corners are sharp", MeshTooCoarse, stacklevel=3)
+    return error
+
+
+def _merit(spectrum: Spectrum) -> tuple[Figures | None, str]:
+    """The figures of a spectrum, or why there are none."""
+    try:
+        return figures(spectrum), ""
+    except NoResonance as missing:
+        return None, missing.reason
+
+
+def snapshot(
+    chip: Chip,
+    state: str | None,
+    frequency: float,
+    *,
+    registry: Registry | None = None,
+    band: tuple[float, float] | None = None,
+    drive: Drive | None = None,
+    accuracy: float | Discretisation = ACCURACY,
+    progress: Progress = no_progress,
+    assumed_losses: bool = True,
+) -> Snapshot:
+    """A chip in one of its states at one `frequency` (Hz): one full solve, no spectrum. See :func:`simulate`.
+
+    Raises:
+        InputError: something in the chip, its materials or the arguments.
+        NotConverged: the solve reached its tolerance neither there nor beside it.
+    """
+    device = fill(chip, state, _assuming(registry, assumed_losses))
+    progress("mesh", 0.0)
+    problem = build(device, band=band_of(chip, band), accuracy=accuracy)
+    check_mesh(problem, frequency)
+    progress("fields", 0.5)
+    operators = assemble(problem.mesh, problem.terms)
+    found = _snapshot(device, problem, operators, frequency, drive or VoltageDrive())
+    progress("fields", 1.0)
+    return found
+
+
+def _snapshot(
+    device: FilledChip, problem: Problem, operators: FullOperators, frequency: float, drive: Drive
+) -> Snapshot:
+    solution = _solved_near(operators, frequency, problem)
+    found = fields(problem, operators, solution, drive)
+    losses, closure = loss_budget(solution, abs(found.voltage))
+    findings = device.findings
+    if found.frequency != frequency:
+        findings = (f"the fields are of {found.frequency / 1e6:.8g} MHz, because the solve at "
+                    f"{frequency / 1e6:.8g} MHz did not converge. {_undamped(device)}", *findings)
+    return Snapshot(device.chip, device.state.name, problem, found, losses, closure, _traps(device, found),
+                    float(solution.residual[0]), findings)
+
+
+def _solved_near(operators: FullOperators, frequency: float, problem: Problem) -> Solution:
+    """The full solution at `frequency` (Hz), or at the nearest of :data:`BESIDE` where it does not converge there.
+
+    Raises:
+        NotConverged: nor there.
+    """
+    try:
+        return solve_full(operators, np.array([frequency]), problem.values)
+    except NotConverged as error:
+        for beside in BESIDE:
+            try:
+                return solve_full(operators, np.array([frequency * (1.0 + beside)]), problem.values)
+            except NotConverged:
+                continue
+        raise error
+
+
+def _full_spectrum(
+    operators: FullOperators, frequencies: Real, problem: Problem, known: Mapping[float, complex],
+    on_point: Callable[[float, complex], None] | None, progress: Progress,
+) -> tuple[Real, Complex, int, float]:
+    """The frequencies (Hz) that were solved, the impedance (e^{-i w t}) there, the number of solves, and the largest
+    residual.
+
+    Raises:
+        NotConverged: more frequencies than :data:`HOLES` of them do not converge.
+    """
+    impedance = np.conj(np.array([known.get(float(f), 0.0) for f in frequencies], dtype=np.complex128))
+    missing = np.flatnonzero(impedance == 0.0)
+    residual, done, failed = 0.0, 0, list[NotConverged]()
+
+    def leave_out(error: NotConverged) -> None:
+        failed.append(error)
+        if len(failed) > max(HOLES * done, FEW):
+            raise error
+
+    for solution in sweep(operators, frequencies[missing], problem.values, failed=leave_out):
+        done += 1
+        (index,) = np.flatnonzero(frequencies == solution.frequency[0])
+        impedance[index] = solution.impedance[0]
+        residual = max(residual, float(solution.residual[0]))
+        if on_point is not None:
+            on_point(float(frequencies[index]), complex(np.conj(impedance[index])))
+        progress("full spectrum", (done + len(failed)) / missing.size)
+    if failed and missing.size < 2 + len(failed):
+        raise failed[-1]
+    solved = impedance != 0.0
+    return frequencies[solved], impedance[solved], done, residual
+
+
+def check_mesh(problem: Problem, frequency: float) -> None:
+    """Warn, once for the problem, of every region with fewer elements per wavelength at `frequency` (Hz) than its
+    discretisation has. A mesh of the caller's own is not checked."""
+    made = problem.discretisation
+    if made is None:
+        return
+    wanted = made.elements_per_wavelength
+    speeds = {region: speed
+              for region, speed in made.mesh_speeds(problem.mesh.section.regions, problem.materials).items()
+              if np.isfinite(speed)}
+    counts = geometry.mesh.elements_per_wavelength(problem.mesh, speeds, frequency)
+    coarse = {region: count for region, count in counts.items() if count < wanted * (1.0 - 1e-9)}
+    if coarse:
+        listed = ", ".join(f"{count:.1f} in {region}" for region, count in coarse.items())
+        warnings.warn(f"{problem.name}: elements per wavelength at {frequency / 1e6:.4g} MHz: {listed}; wanted "
+                      f"{wanted:g}. Make the mesh for a band that reaches this frequency", MeshTooCoarse, stacklevel=3)
+
+
+def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], float]:
+    """Power (W) lost in every place by a solution at one frequency under an electrode voltage amplitude (V), and the
+    relative difference of the sum from the electrical input power."""
+    parts = solution.dissipation()[0] * voltage**2
+    losses: dict[str, float] = {}
+    for integral, power in zip(solution.operators.integrals, parts, strict=True):
+        if power != 0.0:
+            losses[integral.place] = losses.get(integral.place, 0.0) + float(power)
+    supplied = float(solution.input_power()[0]) * voltage**2
+    return losses, abs(sum(losses.values()) / supplied - 1.0) if supplied else 0.0
+
+
+def _traps(device: FilledChip, found: Fields) -> TrapReport | None:
+    fluid = device.materials.get(CAVITY)
+    if not isinstance(fluid, Fluid) or device.particle is None:
+        return None
+    return find_traps(particle_forces(found, device.particle, fluid=fluid, region=CAVITY))
+
+
+def _reduced_to(error: float) -> str:
+    """How a spectrum was found whose estimated relative error is at most so much."""
+    return f"reduced model, estimated relative error at most {error:.1e}"
+
+
+def _origin(device: FilledChip, method: str) -> Origin:
+    settings = {"chip": device.chip.name, "state": device.state.name, "method": method,
+                **{f"material of {region}": material.name for region, material in device.materials.items()}}
+    return Origin(kind="simulated", source=device.chip.file, settings=settings)
