@@ -30,7 +30,7 @@ from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.model.problem import build, fill
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.results.merit import NoResonance, figures
 from workbench.results.spectrum import Spectrum
 

@@ -75,7 +75,7 @@ def model() -> Any:
     return SimpleNamespace(campaign=campaign(), parameters=PARAMETERS, known=0, others=(), effects=(LEADS, GLASS),
                            whole=SimpleNamespace(solves=7), index=[p.name for p in PARAMETERS].index,
                            free=lambda effects: ([0, 1, 2], [2] if GLASS in effects else []),
-                           fitted=SimpleNamespace(refusals=[], recordings=()))
+                           refusals=[], fitted=SimpleNamespace(recordings=()))
 
 
 def estimate(name: str, value: float, unit: str, stated: float = 0.0, sigmas: float | None = None) -> FoundNumber:

@@ -18,8 +18,8 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.model.dimensions import flexible
 from workbench.model.problem import Problem
+from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Predictor
-from workbench.reduced.reduction import ReducedModel
 
 Real = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from workbench.fem.solve import solve_full
 from workbench.model.problem import Problem
 from workbench.physics import bubbles, electrodes, fluid, piezoelectric
 from workbench.physics.bubbles import AIR_IN_WATER, BubbleCompressibility, ResonantBubbles, WoodBubbles
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 
 LIQUID: dict[str, complex] = {"water.density": 998.0, "water.sound_speed": 1482.0, "water.shear_viscosity": 0.89e-3}
 GAS: dict[str, complex] = {f"gas.{name}": complex(value) for name, value in AIR_IN_WATER.items()}

@@ -49,7 +49,7 @@ from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import one_thread  # noqa: E402
 from workbench.model.problem import build, fill, with_boundary_layers  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
-from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.reduced.at_point import reduce  # noqa: E402
 from workbench.results.spectrum import Spectrum, write_csv  # noqa: E402
 
 EXAMPLE = ROOT / "examples" / "small_campaign"

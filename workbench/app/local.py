@@ -15,9 +15,9 @@ import numpy as np
 
 from workbench.fem.solve import Solution
 from workbench.model.numbers import placed
+from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Prediction
 from workbench.reduced.ranges import RangeModel, Ranges, Response
-from workbench.reduced.reduction import ReducedModel, narrowed
 
 #: Points of its range at which states are taken for one number, and for each of many, besides the centre; and of how
 #: many frequencies of the model one is used.
@@ -26,9 +26,8 @@ ALONG, AROUND, EVERY = 9, 2, 3
 NEAR = 0.125
 #: Up to so many unknowns a range model itself answers within some ten milliseconds.
 SMALL = 100
-#: Directions smaller than this, relative to the largest, are left out, of states over the root of their charge. On the
-#: reference chip the impedance is then off by 1e-3 at most; at three times as much by 6e-3.
-NEGLIGIBLE = 1e-3
+#: Error of Z that the basis is truncated to.
+LEFT_OUT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +96,8 @@ def local_model(
     for values in (centre, *points):
         if stopped():
             return None
-        found = compact.solve(watched, placed(model.problem.values, values))
-        states.append(found.states / np.sqrt(np.abs(found.charge)))
-    made = LocalModel(model, dict(centre), reach, narrowed(compact, np.concatenate(states, axis=1), NEGLIGIBLE))
+        states.append(compact.states(watched, placed(model.problem.values, values)))
+    made = LocalModel(model, dict(centre), reach, compact.truncated(np.concatenate(states, axis=1), LEFT_OUT))
     for name, (low, high) in reach.items():
         if stopped():
             return None

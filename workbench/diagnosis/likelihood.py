@@ -281,7 +281,7 @@ class Likelihood:
     def search(self, hypothesis: Hypothesis) -> FitSearch:
         """The least-squares problem under a hypothesis, with noise alone."""
         free, released = self.model.free(hypothesis.effects)
-        return FitSearch(self.objective, free=free, released=released)
+        return FitSearch(self.objective, free=free, released=released, refusals=self.model.refusals)
 
     def tempered(
         self, search: FitSearch, x: Real, level: float, *, smoothing: float = 0.0, accuracy: float = 0.0,

@@ -134,7 +134,7 @@ def fit_parameters(
     _check(recordings, parameters)
     show = progress or (lambda _text, _fraction: None)
     searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
-    scout = FitSearch(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
+    scout = FitSearch(Objective.of(searched, parameters, tolerance=COARSE), poisson=poisson)
     before = _start_spectra(scout, recordings)
     begins = [("start", scout.centre), *(starts or {}).items()]
     stages = len(begins) * len(scout.widths())
@@ -149,7 +149,7 @@ def fit_parameters(
     ends = [trial.end for trial in found if trial.end is not None]
     if not ends:
         raise FitError("no start could be predicted: " + found[0].reason)
-    search = FitSearch(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
+    search = FitSearch(Objective.of(recordings, parameters, tolerance=FINE), poisson=poisson)
 
     def refine(x: Real) -> Refined:
         show("refining", 0.6)
@@ -164,25 +164,33 @@ def fit_parameters(
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
                                                  coarser=None if coarse is None else scout.objective)
     left_out = uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
-    check = uncertainty.reduced_model_error(search.objective, minimum.x)
+    off, where, checks = uncertainty.reduced_model_error(search.objective, minimum.x)
+    check = off, where
     matches = _matches(recordings, before, minimum, noise)
     listed = listed_starts(found, best, scout, noise)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
-    solves = search.objective.solves + scout.objective.solves
+    solves = search.objective.solves + scout.objective.solves + checks
     show("done", 1.0)
     return FitResult(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out, check,
         minimum.converged, improved, minimum.iterations,
         (*_findings(minimum, improved, listed, matches, left_out, check), *estimated.findings, *assumed(parameters),
-         *refused_steps([*scout.objective.refusals, *search.objective.refusals])),
+         *refused_steps([*scout.refusals, *search.refusals])),
         time.perf_counter() - started, solves,
     )
 
 
 def _start_spectra(scout: FitSearch, recordings: Sequence[FitRecording]) -> list[NDArray[np.complex128]]:
-    """The impedance of every recording's start, as it would be recorded, on the mesh of the search."""
-    return [uncertainty.unrefined(scout.objective, scout.centre, index, recording.measured.frequency, COARSE)
-            for index, recording in enumerate(recordings)]
+    """The impedance of every recording's start, as it would be recorded, on the mesh of the search.
+
+    The search goes on with the models of that.
+    """
+    found = []
+    for index, recording in enumerate(recordings):
+        impedance, scout.objective = uncertainty.unrefined(
+            scout.objective, scout.centre, index, recording.measured.frequency, COARSE)
+        found.append(impedance)
+    return found
 
 
 def reweighted_descent(search: FitSearch, x: Real) -> tuple[Optimum, tuple[Noise, ...]]:

@@ -30,7 +30,7 @@ from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import Prepared
 from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.model.numbers import LOSS, ParameterName, placed
-from workbench.reduced.reduction import reduce
+from workbench.reduced.at_point import reduce
 from workbench.report.figures import figures_record, measured_figures
 from workbench.reproduction.fits import PaperFit
 from workbench.results.comparison import compare

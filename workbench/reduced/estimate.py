@@ -18,6 +18,9 @@ Complex = NDArray[np.complex128]
 #: Random projections of the residual: their mean square is below half of its norm's with a probability of 2 %.
 PROJECTIONS = 24
 
+#: How far above what is asked for an estimate may be
+SLACK = 30.0
+
 #: The estimate is this many times the squared norm of the residual: for the scatter of its random projections.
 SAFETY = 2.0
 
