@@ -75,7 +75,7 @@ class ReducedModel(Brief):
 
     def counted(self, *residuals: float) -> ReducedModel:
         """The model with a full solve more for each of the scaled residuals that they left."""
-        return replace(self, solves=self.solves + len(residuals), residual=max(self.residual, *residuals))
+        return replace(self, solves=self.solves + len(residuals), residual=max((self.residual, *residuals)))
 
     def joined(self, candidates: Iterable[tuple[Complex, float]]) -> ReducedModel:
         """The model that also spans vectors (size, n) of the full one, electrode included, over roots of charges.

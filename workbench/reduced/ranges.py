@@ -6,8 +6,9 @@
 
 The basis of a reduced model is enriched for the ranges (weak greedy: Rozza, Huynh and Patera 2008, Arch. Comput.
 Methods Eng. 15, 229): at points spread evenly over them the error is estimated at frequencies all over the band, and
-where it is largest the full model is solved. Whether the model is good enough is what these solves say, since an estimate
-bounds the error by a factor of its own. What does not move is summed once, so that a model of few parameters is small.
+where it is largest the full model is solved. Whether the model is good enough is what these solves say, since an
+estimate bounds the error by a factor of its own. What does not move is summed once, so that a model of few parameters
+is small.
 """
 
 from __future__ import annotations
