@@ -1,4 +1,4 @@
-"""The text of a chip file: what `geometry.chip.read_chip` reads back to the same chip."""
+"""The text of a chip file, which `geometry.chip.read_chip` reads back to an equal chip."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from geometry.profile import ASYMMETRY, AXES, Corner, Outline, Placement, Profil
 from workbench.files.quantities import format_quantity
 from workbench.files.writing import write_atomic
 
-#: What stands behind a key: texts, numbers, flags, and tables and lists of these.
+#: Value of a key: texts, numbers, flags, and tables and lists of these.
 Entry = str | float | bool | Mapping[str, "Entry"] | list["Entry"]
 
 
 def write_chip(chip: Chip, path: Path | str) -> Path:
-    """Write `chip` to `path` as a chip file, whole or not at all. Comments of the file it was read from are not kept.
+    """Write `chip` to `path` as a chip file, whole or not at all. Comments of an earlier file are not kept.
 
     Raises:
         OSError: the file cannot be written.
@@ -40,7 +40,7 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
     head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
     parts = [_table("[chip]", head)]
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
-        # A bottom is written only where the layer does not start where the one below ends, to the last digit.
+        # A bottom is written only if the layer does not start exactly at the end of the one below.
         resting = (0.0 if below is None else below.z_top) == layer.z_bottom
         parts.append(_table("[[layers]]", _layer(layer, chip.electrodes, folder, with_bottom=not resting)))
     if chip.ports is not None:
@@ -54,7 +54,7 @@ def _table(heading: str, content: Mapping[str, Entry]) -> str:
 
 
 def _heading(*names: str) -> str:
-    """The heading of a table, its names quoted where they must be."""
+    """The heading of a table, with names quoted if necessary."""
     nested: dict[str, object] = {}
     for name in reversed(names):
         nested = {name: nested}
@@ -62,7 +62,7 @@ def _heading(*names: str) -> str:
 
 
 def _lines(content: Mapping[str, Entry]) -> Iterator[str]:
-    """One line a key, tables and lists on it; only a text of several lines keeps them."""
+    """One line per key, tables and lists included; only a text of several lines keeps them."""
     for key, value in content.items():
         if isinstance(value, str) and "\n" in value and "\r" not in value:
             yield tomli_w.dumps({key: value}, multiline_strings=True).rstrip("\n")
@@ -71,12 +71,12 @@ def _lines(content: Mapping[str, Entry]) -> Iterator[str]:
 
 
 def _assigned(key: str) -> str:
-    """The key with its equals sign, quoted where it must be."""
+    """The key with its equals sign, quoted if necessary."""
     return tomli_w.dumps({key: 0}).removesuffix("0\n")
 
 
 def _inline(value: Entry) -> str:
-    """The value on one line, as people write chip files: `tomli_w` gives tables and lists lines of their own."""
+    """The value on one line, as people write chip files. `tomli_w` would give tables and lists lines of their own."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_assigned(key)}{_inline(each)}" for key, each in value.items()) + " }"
     if isinstance(value, list):
@@ -85,7 +85,7 @@ def _inline(value: Entry) -> str:
 
 
 def _length(value: float) -> str:
-    # Films and gels in micrometres, all else in millimetres.
+    # Micrometres for films and gels, millimetres otherwise.
     return format_quantity(value, "length", ("um", "mm", "m") if abs(value) < 1e-4 else ("mm", "um", "m"))
 
 
@@ -138,7 +138,7 @@ def _profile(profile: Profile, folder: Path) -> Entry:
 
 
 def placement_keys(placement: Placement) -> dict[str, Entry]:
-    """The keys of a profile that say how its solid stands, those that are not as usual."""
+    """The keys of a profile that place its solid, without those at their usual value."""
     found: dict[str, Entry] = {}
     if placement.axis != AXES["z"]:
         named = next((name for name, axis in AXES.items() if axis == placement.axis), None)

@@ -1,4 +1,4 @@
-"""TOML text that is read back as exactly what was written."""
+"""TOML text that reads back exactly as it was written."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from decimal import Decimal
 
 
 def quoted(text: str) -> str:
-    """A TOML text. The escapes of JSON are TOML's, but for the DEL that JSON leaves as it is."""
+    """A TOML text. The escapes of JSON are TOML's, except for DEL, which JSON leaves as it is."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def toml_number(value: float) -> str:
-    """A TOML float, to the last bit; in powers of ten where that is shorter to read."""
+    """A TOML float, exact to the last bit; in powers of ten if that is shorter."""
     value = float(value)
     if value == 0.0 or 1e-3 <= abs(value) < 1e6 or not math.isfinite(value):
         return repr(value)
@@ -22,10 +22,10 @@ def toml_number(value: float) -> str:
 
 
 def array(items: list[str]) -> str:
-    """A TOML array of items that are TOML already."""
+    """A TOML array of items that are already TOML."""
     return f"[{', '.join(items)}]"
 
 
 def inline(pairs: dict[str, str]) -> str:
-    """A TOML table on one line, of values that are TOML already."""
+    """A TOML table on one line, of values that are already TOML."""
     return f"{{ {', '.join(f'{key} = {value}' for key, value in pairs.items())} }}"
