@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from rich.console import Console
 
 from geometry.chip import Chip
 from geometry.dimension import Dimension
@@ -19,11 +21,13 @@ from geometry.mesh import SectionMesh
 from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
+from workbench.commands.terminal import table_parts
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import System
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
 from workbench.physics.term import Condition, Term
+from workbench.report.page import TextTable
 
 #: A transducer the size of a pea, as a chip file.
 DISC = """
@@ -176,6 +180,14 @@ class Wire:
 
 #: What tables are drawn with.
 _DRAWN = re.compile("[┏┳┓┡╇┩└┴┘━─┃│]")
+
+
+def table_lines(title: str, table: TextTable, *, width: int = 80) -> list[str]:
+    """The lines of a table as it is printed on a terminal of that width."""
+    console = Console(width=width, file=io.StringIO(), color_system=None)
+    with console.capture() as shown:
+        console.print(*table_parts(title, table, width=width), sep="\n")
+    return shown.get().rstrip("\n").split("\n")
 
 
 def check_table(lines: list[str], title: str, columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support import check_table
+from support import check_table, table_lines
 
-from workbench.commands.terminal import print_table, table_lines
+from workbench.commands.terminal import print_table
 from workbench.fitting.batch import BatchColumn
 from workbench.report.figures import FIGURE_COLUMNS
 from workbench.report.fit_batch import batch_columns_table, devices_table
@@ -75,7 +75,7 @@ def test_a_table_that_fits_is_not_wrapped() -> None:
         "│                      │ 1.5        │",
         "└──────────────────────┴────────────┘"]
     # One character less: the heading is wrapped between words, the name is whole.
-    assert "┃ name                 ┃ value     ┃" in table_lines("", table, width=36)
+    assert "┃ name                 ┃ (mm)      ┃" in table_lines("", table, width=36)
     # Names break behind their dots, numbers do not.
     narrow = table_lines("", table, width=24)
     assert [line[:15] for line in narrow if line.startswith(("│ tr", "│ th"))] == ["│ transducer. │", "│ thickness   │"]
