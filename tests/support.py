@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,9 @@ from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.commands.terminal import table_parts
+from workbench.design.uncertainty import Input, Uncertainty
 from workbench.fem.operators import FullOperators
-from workbench.fem.solve import System
+from workbench.fem.solve import Solution, System
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
 from workbench.physics.term import Condition, Term
@@ -180,6 +181,17 @@ class Wire:
 
 #: What tables are drawn with.
 _DRAWN = re.compile("[┏┳┓┡╇┩└┴┘━─┃│]")
+
+
+def impedance_gradient(solution: Solution) -> NDArray[np.complex128]:
+    """Derivatives dZ/dg_q (n, integrals) by every complex coefficient g_q, e^{-i w t}."""
+    # Z = i / (w Q), dQ = -x^T A_q x dg.
+    return np.asarray((1j / (solution.omega * solution.charge**2))[:, None] * solution.forms)
+
+
+def independent(inputs: Sequence[Input]) -> Uncertainty:
+    """Uncertain numbers that have nothing to do with each other."""
+    return Uncertainty(tuple(inputs), np.eye(len(inputs)))
 
 
 def table_lines(title: str, table: TextTable, *, width: int = 80) -> list[str]:

@@ -104,11 +104,6 @@ class Uncertainty:
         if mixed:
             raise ValueError(f"{', '.join(mixed)}: only normal laws can be correlated")
 
-    @classmethod
-    def independent(cls, inputs: Sequence[Input]) -> Uncertainty:
-        """Inputs that have nothing to do with each other."""
-        return cls(tuple(inputs), np.eye(len(inputs)))
-
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(each.name for each in self.inputs)
