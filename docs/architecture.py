@@ -31,12 +31,12 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "instruments": ("workbench.instruments",),
     "simulation": ("workbench.simulation",),
     "jobs": ("workbench.jobs",),
-    "report": ("workbench.report",),
     "bench": ("workbench.bench",),
     "fitting": ("workbench.fitting", "workbench.reproduction"),
     "render": ("workbench.render",),
     "diagnosis": ("workbench.diagnosis",),
     "design": ("workbench.design",),
+    "report": ("workbench.report",),
     "live view": ("workbench.app",),
     "commands": ("workbench.commands", "workbench.cli", "workbench.__main__"),
 }

@@ -250,6 +250,6 @@ def test_the_status_says_that_it_is_no_verdict(
 ) -> None:
     found = SimpleNamespace(provisional=object(), interrupted=interrupted)
     monkeypatch.setattr(command, "diagnose", lambda *_given, **_named: found)
-    for name in ("record", "contributions", "write_diagnosis_report", "print_diagnosis"):
+    for name in ("diagnosis_record", "contributions", "write_diagnosis_report", "print_diagnosis"):
         monkeypatch.setattr(command, name, lambda *_given: {})
     assert main(["diagnose", str(SMALL_CAMPAIGN), "-o", str(tmp_path / "out")]) == status
