@@ -97,11 +97,6 @@ class Solution(Brief):
         """
         return 1.0 / self.admittance
 
-    def impedance_gradient(self) -> Complex:
-        """Derivatives dZ/dg_q (n, integrals) by every complex coefficient g_q, e^{-i w t}."""
-        # Z = i / (w Q), dQ = -x^T A_q x dg.
-        return (1j / (self.omega * self.charge**2))[:, None] * self.forms
-
     def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
         """Derivatives dZ/dtheta (n, len(names)) by complex parameters, e^{-i w t}.
 
