@@ -19,7 +19,7 @@ from geometry.names import COLUMN, LEVEL, part_name
 from geometry.parts import largest_shape
 from geometry.section import cut_section
 
-#: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are shorter.
+#: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are a ninth shorter.
 KEPT = 0.1
 
 

@@ -24,8 +24,8 @@ MODELS: Mapping[str, float] = {"FY3206S": 6e6, "FY3212S": 12e6, "FY3220S": 20e6,
 #: The instruments take nine digits of 0.01 Hz without exception; not every firmware takes a tenth.
 HIGHEST_FREQUENCY = 9_999_999.99
 
-#: Largest deviation, in units of the resolution, of a value that counts as a whole number of steps. Doubled, a typed
-#: digit of one ten-thousandth of a step would pass unnoticed; the setting would not change.
+#: Largest deviation, in units of the resolution, of a value that counts as a whole number of steps: the rounding of a
+#: decimal fraction. Doubled, nothing changes.
 ROUNDING = 1e-4
 
 
