@@ -9,7 +9,7 @@ from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, LengthUncertainty, 
 from geometry.chip import Chip
 from geometry.dimension import Dimension
 from geometry.names import CAVITY
-from geometry.stretch import movable, tied
+from geometry.stretch import admissible_range, canonical_names
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
@@ -149,7 +149,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         InputError: a name that is no number the spectrum depends on, one given twice, a range that cannot be read,
             does not hold the present number, or passes another radius.
     """
-    first, lengths = tied(chip), chip.dimensions()
+    first, lengths = canonical_names(chip), chip.dimensions()
     felt = {name: complex(each.value) for name, each in lengths.items() if name in first
             or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)
     found: dict[str, Control] = {}
@@ -195,14 +195,14 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         low, high = value - reach, value + reach
         if parsed.kind is ParameterKind.DIMENSION:
             known = length_uncertainty(name, Dimension(value, tolerance))
-            low, high = movable(chip, name, min(low, known.low), max(high, known.high))
+            low, high = admissible_range(chip, name, min(low, known.low), max(high, known.high))
             if low > known.low or high < known.high:
                 narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
                             f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
                             "stretched farther")
-    if parsed.kind is ParameterKind.DIMENSION and movable(chip, name, low, high) != (low, high):
+    if parsed.kind is ParameterKind.DIMENSION and admissible_range(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
-        low, high = movable(chip, name, low, high)
+        low, high = admissible_range(chip, name, low, high)
         raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "
                          "vanishes and no radius passes another")
     if not low < high or not low <= value <= high:

@@ -15,7 +15,7 @@ from geometry.chip import Chip
 from geometry.mesh import SectionMesh
 from geometry.names import CAVITY
 from geometry.section import cut_section
-from geometry.stretch import tied
+from geometry.stretch import canonical_names
 from materials.kinds import Fluid, Material
 from workbench.acoustics.fields import Fields, fields
 from workbench.acoustics.forces import particle_forces
@@ -63,7 +63,7 @@ def moved_chip(chip: Chip, values: Mapping[str, float]) -> Chip:
 
     An unchanged length keeps its tolerance and its note.
     """
-    first = tied(chip)
+    first = canonical_names(chip)
     return chip.with_dimensions({
         name: values[first.get(name, name)] for name in chip.dimensions() if first.get(name, name) in values})
 

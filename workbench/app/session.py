@@ -22,7 +22,7 @@ import numpy as np
 from geometry.chip import Chip
 from geometry.chip_file import write_chip
 from geometry.names import TRANSDUCER
-from geometry.stretch import movable, moving_together
+from geometry.stretch import admissible_range, moving_together
 from materials.kinds import IsotropicSolid
 from materials.registry import Registry
 from workbench.app.controls import REACH, Control, controls, is_inside, wraps
@@ -280,7 +280,7 @@ class Session:
                 raise InputError("live view", name, number, f"a finite number in {control.unit or 'no unit'}")
             low, high = control.farthest
             if control.is_length:
-                low, high = movable(self.chip, name, low, high)
+                low, high = admissible_range(self.chip, name, low, high)
             if not low <= number <= high:
                 raise InputError("live view", name, control.told(number), f"{control.told(low)} to "
                                  f"{control.told(high)}, to which the mesh can be stretched")
@@ -303,7 +303,7 @@ class Session:
             for name in names:
                 wider = self._controls[name].reaching(self._values[name])
                 if wider.is_length:
-                    low, high = movable(self.chip, name, wider.low, wider.high)
+                    low, high = admissible_range(self.chip, name, wider.low, wider.high)
                     wider = replace(wider, low=low, high=high)
                 self._controls[name] = wider
             return names

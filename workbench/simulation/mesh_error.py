@@ -153,7 +153,7 @@ def _surplus(operators: FullOperators) -> _Surplus:
         basis += _map(nodes, own[:, where], functions, rows, numbering[component], basis.shape)
     # The electrode, whose nodes share one unknown.
     voltage = sparse.csr_array(([1.0], ([finer.size - 1], [operators.size - 1])), shape=embedding.shape)
-    part = finer.of(np.array([q for q, integral in enumerate(finer.integrals) if not integral.facing], dtype=int))
+    part = finer.of(np.array([q for q, integral in enumerate(finer.integrals) if not integral.opposite], dtype=int))
     places = {name: _restricted(place, fine.element_dofs[:, place.elements], own[:, place.elements], functions)
               for name, place in part.places.items()}
     return _Surplus(finer, embedding + voltage, basis,
