@@ -16,6 +16,7 @@ import numpy as np
 
 from geometry.chip import read_chip
 from workbench.bench.impedance import impedance
+from workbench.bench.pairs import degrees
 from workbench.bench.rig import Rig, marker_path
 from workbench.bench.setup import BenchSetup, read_bench
 from workbench.bench.sine_fit import NoSine, fit_sines
@@ -123,7 +124,7 @@ def _check_signals(setup: BenchSetup, rig: Rig) -> list[str]:
         try:
             fit = fit_sines([total, reference], frequency=frequency)
             z = impedance([fit], setup.reference.resistance).value
-            print_line(f"impedance      {abs(z):.4g} ohm at {math.degrees(math.atan2(z.imag, z.real)):.1f} degrees, "
+            print_line(f"impedance      {abs(z):.4g} ohm at {degrees(z):.1f} degrees, "
                        "without compensation")
             if abs(fit.frequency / frequency - 1.0) > 1e-3:
                 found.append(f"the signals have {fit.frequency:.0f} Hz instead of {frequency:.0f} Hz: is this "

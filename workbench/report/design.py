@@ -23,7 +23,7 @@ from workbench.design.search import Optimum
 from workbench.render.designs import Course, draw_descents, draw_front
 from workbench.render.gallery import draw_chip, draw_state
 from workbench.render.plots import draw_spectra
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, with_unit, write_report
 
 #: Optima of one choice that a report lists.
 LISTED = 8
@@ -269,8 +269,7 @@ def _front(found: Design, folder: Path) -> Picture:
 
 
 def _label(objective: DesignObjective) -> str:
-    shown = reported_figure(objective.figure).shown
-    return f"{objective.figure} ({shown})" if shown else objective.figure
+    return with_unit(objective.figure, reported_figure(objective.figure).shown)
 
 
 def write_design_report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> Path:

@@ -146,6 +146,11 @@ def number_text(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}" if math.isfinite(value) else str(value)
 
 
+def with_unit(name: str, unit: str) -> str:
+    """A heading: the name with its unit in brackets, if it has one."""
+    return f"{name} ({unit})" if unit else name
+
+
 def write_json(path: Path, record: Mapping[str, Any]) -> Path:
     """Write a record as JSON, whole or not at all."""
     write_atomic(path, json.dumps(record, indent=2, allow_nan=False) + "\n")

@@ -18,7 +18,7 @@ from workbench.files.quantities import finite
 from workbench.files.writing import replacing
 from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.render.tolerances import draw_tolerance
-from workbench.report.page import Block, Note, TextTable, number_text, write_report
+from workbench.report.page import Block, Note, TextTable, number_text, with_unit, write_report
 
 
 def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
@@ -96,8 +96,7 @@ def sensitivities_table(found: Tolerance) -> TextTable:
     """How far each number moves each figure, by its standard uncertainty or by one per cent, largest first in the first
     figure."""
     known = found.sensitivities
-    heads = [f"{each.label} ({change_unit(each.figure)[0]})" if each.figure.shown else each.label
-             for each in found.asked]
+    heads = [with_unit(each.label, change_unit(each.figure)[0]) for each in found.asked]
     changes = {each.label: known.changes(each.label) / change_unit(each.figure)[1] for each in found.asked}
     rows = []
     for k in known.ranked(found.asked[0].label):
