@@ -94,7 +94,7 @@ def _check(options: argparse.Namespace, console: Console) -> int:
 
 
 def _check_signals(setup: BenchSetup, rig: Rig) -> list[str]:
-    """What is wrong with the signals at the middle of the sweep, driven as gently as the bench's file allows."""
+    """Faults of the signals at the middle of the sweep, driven as gently as the bench's file allows, in words."""
     frequency = round(0.5 * (setup.sweep.low + setup.sweep.high), 2)
     amplitude = math.floor(100.0 * min(*setup.levels, setup.safe_amplitude) + 1e-9) / 100.0
     rig.drive(frequency, amplitude)
@@ -173,7 +173,7 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
 
 
 def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, str]:
-    """What is between the clips, and its name."""
+    """The device between the clips, and its name."""
     match options.connect:
         case "device":
             pass

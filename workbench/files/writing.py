@@ -81,7 +81,7 @@ def _number(error: OSError) -> int | None:
 
 
 def remedy(error: OSError, output: Path | None = None) -> str:
-    """What happened to a file, and what to do about it; `output` is where a command writes, if it does."""
+    """An error of a file in words, and what to do about it; `output` is where a command writes, if it does."""
     if error.errno is None:
         return str(error)
     where = error.filename if error.filename is not None else output

@@ -136,7 +136,7 @@ def _cell(text: str, *, first: bool) -> str:
 
 
 def _legend(meanings: Mapping[str, str]) -> str:
-    """What headings mean, below their table; nothing where there are none."""
+    """HTML of the meanings of headings, below their table; empty where there are none."""
     rows = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(words)}</dd>" for name, words in meanings.items())
     return f'<dl class="legend">{rows}</dl>' if rows else ""
 

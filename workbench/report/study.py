@@ -56,7 +56,7 @@ def extremes_table(result: StudyResult) -> TextTable:
 
 
 def _place(result: StudyResult, row: int) -> str:
-    """What varies, at one row of the table."""
+    """The values of what varies, at one row of the table."""
     told = []
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
@@ -132,7 +132,7 @@ def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
 
 
 def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], list[StudyColumn]]:
-    """What varies, and the figures, at the points of one state in the units they are shown in."""
+    """Columns of what varies and of the figures, at the points of one state, in the units they are shown in."""
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
         StudyColumn(with_unit(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
