@@ -1,4 +1,4 @@
-"""The text of a chip file: what `geometry.chip.read_chip` reads back to the same chip."""
+"""The text of a chip file, which `geometry.chip.read_chip` reads back to an equal chip."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from workbench.files.writing import write_atomic
 
 
 def write_chip(chip: Chip, path: Path | str) -> Path:
-    """Write `chip` to `path` as a chip file, whole or not at all. Comments of the file it was read from are not kept.
+    """Write `chip` to `path` as a chip file, whole or not at all. Comments of an earlier file are not kept.
 
     Raises:
         OSError: the file cannot be written.
@@ -35,7 +35,7 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
     head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
     parts = [toml_table("[chip]", head)]
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
-        # A bottom is written only where the layer does not start where the one below ends, to the last digit.
+        # A bottom is written only if the layer does not start exactly at the end of the one below.
         resting = (0.0 if below is None else below.z_top) == layer.z_bottom
         parts.append(toml_table("[[layers]]", _layer(layer, chip.electrodes, folder, with_bottom=not resting)))
     if chip.ports is not None:
@@ -45,7 +45,7 @@ def chip_text(chip: Chip, folder: Path = Path()) -> str:
 
 
 def _length(value: float) -> str:
-    # Films and gels in micrometres, all else in millimetres.
+    # Micrometres for films and gels, millimetres otherwise.
     return format_quantity(value, "length", ("um", "mm", "m") if abs(value) < 1e-4 else ("mm", "um", "m"))
 
 
@@ -98,7 +98,7 @@ def _profile(profile: Profile, folder: Path) -> TomlEntry:
 
 
 def placement_keys(placement: Placement) -> dict[str, TomlEntry]:
-    """The keys of a profile that say how its solid stands, those that are not as usual."""
+    """The keys of a profile that place its solid, without those at their usual value."""
     found: dict[str, TomlEntry] = {}
     if placement.axis != AXES["z"]:
         named = next((name for name, axis in AXES.items() if axis == placement.axis), None)

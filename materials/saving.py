@@ -1,4 +1,4 @@
-"""A fit becomes an entry: a new version in a folder of the user's, in the same form as every other entry."""
+"""Saving of a fit as an entry: a new version in a folder of the user's, in the form of every other entry."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from workbench.files.toml import TomlEntry, toml_lines, toml_table
 
 
 def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Material:
-    """`start` with the numbers that a fit has found, ready to be saved.
+    """The material `start` with the numbers that a fit has found, ready to be saved.
 
     Args:
-        start: the material that the fit set out from, with the density it was fitted with.
-        estimates: by field name; of each :class:`Value` the number, the uncertainties, the ends of the intervals, the
-            status and the note are used (SI). What is not in it was held fixed and keeps its source.
-        fit: how they were found; its ``density`` is filled in here.
+        start: the material that the fit started from, with the density it was fitted with.
+        estimates: by field name; each :class:`Value` gives the number, the uncertainties, the ends of the intervals,
+            the status and the note (SI). A number without an estimate was held fixed and keeps its source.
+        fit: the description of the fit; its ``density`` is filled in here.
 
     Raises:
-        KeyError: an estimate of something that the material has not.
+        KeyError: an estimate of a number that the material does not have.
     """
     numbers = start.parameters()
     unknown = sorted(set(estimates) - set(numbers))
@@ -66,11 +66,10 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
 
 
 def save_fit(material: Material, name: str, *, folder: Path) -> str:
-    """Save a fitted material as the next version of `name`; the name of that version, such as ``pzt4/disc_7@2``.
+    """Save a fitted material as the next version of `name`, and return its full name, such as ``pzt4/disc_7@2``.
 
-    Nothing that is there is changed. Any number of runs may save at once, and one that is killed leaves no part of an
-    entry (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in
-    place.
+    No existing file is changed. Any number of runs may save at once, and one that is killed leaves no part of an entry
+    (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in place.
 
     Args:
         material: as :func:`fitted` makes it.
@@ -109,7 +108,7 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
 
 
 def entry_text(material: Material) -> str:
-    """The entry file of a fitted material: SI units, every number to the last bit.
+    """The entry file of a fitted material as text: SI units, every number exact to the last bit.
 
     Raises:
         ValueError: the material has no fit, or a number without a :class:`Value`.
@@ -175,7 +174,7 @@ def _value_table(value: Value, head: Mapping[str, str]) -> dict[str, TomlEntry]:
 
 
 def _fit_tables(fit: Fit) -> list[str]:
-    """``[fit]`` with its tables before it and ``date`` last, so that a file that lost its end is missed."""
+    """``[fit]`` with its tables before it and ``date`` last, so that a file that lost its end is noticed."""
     tables = []
     if fit.sample:
         tables.append(toml_table("[fit.sample]", fit.sample))

@@ -40,7 +40,7 @@ from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.descent import Candidate  # noqa: E402
 from workbench.diagnosis.device import Model, device_model  # noqa: E402
-from workbench.diagnosis.findings import Begun  # noqa: E402
+from workbench.diagnosis.findings import InitialOptimum  # noqa: E402
 from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
 from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
 from workbench.diagnosis.state import StateFit  # noqa: E402
@@ -136,7 +136,7 @@ def named(value: Any) -> Any:
             return [named(each) for each in value]
         case Candidate():
             return [value.hypothesis.name, *(each.x.tobytes() for each in value.ends)]
-        case Begun():
+        case InitialOptimum():
             return value.x.tobytes()
         case _:
             return repr(value)

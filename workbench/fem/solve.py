@@ -187,7 +187,7 @@ def one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factorised, symmetrically scaled system at one frequency, and what is needed to refine a solve."""
+    """A factorised, symmetrically scaled system at one frequency, with the matrix that refines a solve."""
 
     frequency: float
     matrix: sparse.csr_matrix
