@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +27,7 @@ from materials.versions import (
     withdrawal_text,
 )
 from workbench.files.errors import InputError
-from workbench.files.tables import FileTable
+from workbench.files.tables import FileTable, parse_toml
 from workbench.files.writing import write_atomic
 
 #: First line of the file, which identifies its format.
@@ -91,10 +90,7 @@ def import_entries(path: Path, *, folder: Path) -> tuple[Imported, ...]:
         if entry_file(PACKAGE_DATA, entry.name).exists():
             raise InputError(str(path), entry.name, entry.name, "a name that the package does not have")
         _refuse_other(path, entry, folder)
-        try:
-            table = tomllib.loads(entry.content)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(str(path), entry.name, str(error), "valid TOML") from None
+        table = parse_toml(entry.content, source=str(path), field=entry.name)
         parse_entry(table, entry.name, file=f"{path}, {entry.name}", references=references)
     return tuple(Imported(entry.name, _place(path, entry, folder)) for entry in entries)
 

@@ -95,11 +95,6 @@ class Piezoelectric(Heat):
         return (self.c11 - self.c12) / 2
 
     @property
-    def absolute_eps11(self) -> complex:
-        """Permittivity (F/m) at constant strain across the poling."""
-        return self.eps11 * VACUUM_PERMITTIVITY
-
-    @property
     def absolute_eps33(self) -> complex:
         """Permittivity (F/m) at constant strain along the poling."""
         return self.eps33 * VACUUM_PERMITTIVITY
@@ -185,13 +180,6 @@ class Fluid:
     def compressibility(self) -> float:
         """Isentropic compressibility (1/Pa): 1 / (density sound_speed^2)."""
         return 1.0 / (self.density * self.sound_speed**2)
-
-    @property
-    def thermal_diffusivity(self) -> float | None:
-        """Thermal conductivity / (density heat capacity) in m^2/s, or None if either is unknown."""
-        if self.thermal_conductivity is None or self.heat_capacity is None:
-            return None
-        return self.thermal_conductivity / (self.density * self.heat_capacity)
 
     @property
     def diffusivity_of_sound(self) -> float | None:

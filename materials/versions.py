@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from materials.lines import with_line_number
-from materials.toml import quoted
 from materials.value import date_text
 from workbench.files.errors import InputError
 from workbench.files.tables import FileTable
+from workbench.files.toml import toml_lines
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*/[A-Za-z0-9][A-Za-z0-9_-]*")
 _VERSION = re.compile(rf"({_NAME.pattern})@([1-9][0-9]*)")
@@ -82,7 +82,7 @@ def withdrawal_file(entry: Path) -> Path:
 
 def withdrawal_text(withdrawal: Withdrawal) -> str:
     """The content of the file of a withdrawal."""
-    return f"date = {quoted(withdrawal.date)}\nreason = {quoted(withdrawal.reason)}\n"
+    return "\n".join([*toml_lines({"date": withdrawal.date, "reason": withdrawal.reason}), ""])
 
 
 def read_withdrawal(entry: Path) -> Withdrawal | None:

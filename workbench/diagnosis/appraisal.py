@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 
@@ -30,9 +30,9 @@ from workbench.fitting.seen import log_ratio
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.workers import Processes, Workers
 from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.search.continuation import Progress
 
 Complex = NDArray[np.complex128]
-Progress = Callable[[str, float], None]
 
 
 def diagnose(

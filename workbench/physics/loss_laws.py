@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Dispersion, FreeParameter, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, Dispersion, FreeParameter, Integral, Product, Term, free_of
 
 _LOSS = ("from none to the largest loss factor of the polymers of Acevedo-Espinosa et al. (RP-UEIS), 0.26 of their "
          "epoxy in shear, at the moduli of their PLA, 0.93 and 3.57 GPa, and 1 MHz")
 
 #: Admissible added loss of a glassy polymer. `loss_exponent` lies between those of the two limiting laws.
 ADMISSIBLE: Mapping[str, Admissible] = {
-    "shear_kelvin_voigt": Admissible(0.0, 38.0, "Pa s", _LOSS),
-    "bulk_kelvin_voigt": Admissible(0.0, 148.0, "Pa s", _LOSS),
     "shear_fractional_loss": Admissible(0.0, 2.4e8, "Pa", _LOSS),
     "bulk_fractional_loss": Admissible(0.0, 9.3e8, "Pa", _LOSS),
     "loss_exponent": Admissible(
@@ -44,27 +42,6 @@ _FORMS: Mapping[str, tuple[Product, ...]] = {
 #: Exponent below which the closed form loses digits to cancellation and its series is used. With twice the value, the
 #: error of the series grows eightfold.
 SMALL = 1e-3
-
-
-@dataclass(frozen=True)
-class KelvinVoigt(Term):
-    """Dashpots beside the springs of an isotropic solid: moduli K - i w eta_b and G - i w eta_s, e^{-i w t}.
-
-        - i w eta_b tr(eps(v)) tr(eps(u)) - 2 i w eta_s dev(eps(v)) : dev(eps(u))
-
-    next to `solid.IsotropicSolid` on the same region (Auld, Acoustic Fields and Waves in Solids, 1973, section 3F). A
-    loss proportional to w demands no change of the real part. Parameters ``<material>.shear_kelvin_voigt`` and
-    ``.bulk_kelvin_voigt`` (Pa s; see :data:`ADMISSIBLE`).
-    """
-
-    region: str
-    material: str
-
-    def integrals(self) -> tuple[Integral, ...]:
-        return tuple(
-            Integral(Monomial(-1j, 1, ((f"{self.material}.{kind}_kelvin_voigt", 1),)), self.region, form)
-            for kind, form in _FORMS.items()
-        )
 
 
 @dataclass(frozen=True)

@@ -29,11 +29,6 @@ class MetricRow:
         """Difference 100 (simulated - measured) / measured in per cent: positive if the simulation is too high."""
         return 100.0 * (self.simulated - self.measured) / self.measured
 
-    @property
-    def error_percent(self) -> float:
-        """Error |simulated - measured| / measured in per cent, the paper's "Error (%)"."""
-        return abs(self.difference_percent)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Shown):

@@ -113,6 +113,14 @@ def figures(
     return Figures(f0, z_min, f0 / (f2 - f1), f1, f2, change, _antiresonance(seen, f0, f2 - f1))
 
 
+def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
+    """Figures of a recording, or why there are none."""
+    try:
+        return figures(spectrum), ""
+    except NoResonance as missing:
+        return None, missing.reason
+
+
 def _fine_grid(spectrum: Spectrum) -> NDArray[np.float64]:
     """The recorded frequencies with `_FINE` - 1 more between each two."""
     points = np.arange(len(spectrum.frequency))

@@ -13,8 +13,8 @@ from concealed.trial import make_trial
 
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import read_campaign
-from workbench.diagnosis.record import record
 from workbench.files.writing import write_atomic
+from workbench.report.diagnosis import diagnosis_record
 
 #: A diagnosis begins nothing new after so many minutes, and says what it knows by then.
 MINUTES = 8.0
@@ -40,5 +40,5 @@ def make_one(folder: Path, number: int, seed: int, mechanism: tuple[str, ...]) -
 def diagnose_one(trial: Path, result: Path) -> str:
     """Diagnose a trial into a file."""
     found = diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES)
-    write_atomic(result, json.dumps(record(found), indent=1) + "\n")
+    write_atomic(result, json.dumps(diagnosis_record(found), indent=1) + "\n")
     return ""
