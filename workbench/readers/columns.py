@@ -20,7 +20,7 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
 from workbench.readers.findings import Finding
-from workbench.readers.headings import understand
+from workbench.readers.headings import SYMBOLS, understand
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.sweep import ONE_FREQUENCY, Recorded, in_order
 from workbench.readers.text import (
@@ -39,9 +39,8 @@ from workbench.results.spectrum import Origin
 #: The setting of an origin that states the meaning of the columns of a table.
 READ_AS = "read as"
 
-#: Symbols by quantity.
-SYMBOLS: Mapping[str, str] = {"impedance": "Z", "admittance": "Y", "gain": "the gain", "reflection": "S11",
-                              "transmission": "S21"}
+#: Symbol or name of every quantity, for messages.
+QUANTITY_WORDS: Mapping[str, str] = {**SYMBOLS, "gain": "the gain"}
 
 #: A column map as an example for messages: its own keys, and its table `quantity`.
 EXAMPLE: tuple[Mapping[str, object], Mapping[str, object]] = (
@@ -218,7 +217,7 @@ def recorded(
 def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = MappingProxyType({})) -> str:
     """Text with the meaning of every column of a map, with unit and sign; `notes` by column give reasons."""
     quantity = columns.quantity
-    symbol = SYMBOLS.get(quantity.kind, "")
+    symbol = QUANTITY_WORDS.get(quantity.kind, "")
     if quantity.kind == "circuit":
         one, _, two = quantity.form.partition("-")
         meanings = ("the frequency", one, two)

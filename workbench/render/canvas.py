@@ -38,6 +38,13 @@ OTHER_COLOUR = "#cccccc"
 #: Free share of a photograph at each side. Doubled, a chip is 3 % smaller.
 MARGIN = 0.03
 
+#: Largest number of panels side by side in one picture: more would be too many to read.
+PANELS_ACROSS = 3
+
+#: Points of the raster along each side of a dot, which is their mean: edges and thin layers are smooth. Doubled, four
+#: times as many are computed.
+POINTS_PER_DOT = 2
+
 _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 

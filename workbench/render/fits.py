@@ -9,13 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import SIGNED_COLOURS, new_figure, save_figure
+from workbench.render.canvas import PANELS_ACROSS, SIGNED_COLOURS, new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, SpectrumLike, save_impedance, tidy
 
 Real = NDArray[np.float64]
-
-#: Largest number of panels side by side in one picture: more would be too many to read.
-PANELS_ACROSS = 3
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.render.canvas import PLAIN_COLOURS, new_figure, save_figure
-from workbench.render.fits import PANELS_ACROSS
+from workbench.render.canvas import PANELS_ACROSS, PLAIN_COLOURS, new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 
 if TYPE_CHECKING:

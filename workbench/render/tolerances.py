@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from workbench.design.figures import change_unit
 from workbench.design.uncertainty import amount
-from workbench.render.canvas import Picture, new_figure, save_figure
+from workbench.render.canvas import PANELS_ACROSS, Picture, new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 Real = NDArray[np.float64]
 
-#: Largest number of panels side by side in one picture: more would be too many to read.
-PANELS_ACROSS = 3
 #: Largest number of bars of a tornado: smaller influences are invisible.
 BARS = 12
 PASSED, FAILED = LINE_COLOURS[0], "#c9c9c9"
