@@ -115,11 +115,10 @@ class OfRim(Protocol):
 
 
 def hindered(share: complex, halfway: float) -> tuple[complex, complex]:
-    """The share a thin layer loses if it is missing over a share f of a ring, and its derivative: 1 - s c / (1 - (1 -
-    s) c).
+    """The share a thin layer loses if it is missing over a share f of a ring, and the derivative of this share by f.
 
-    c = 1 - f is the remaining share of area; s = `halfway` is the share of the layer that has half the effect of all of
-    it.
+    It is 1 - s c / (1 - (1 - s) c). c = 1 - f is the remaining share of area; s = `halfway` is the share of the layer
+    that has half the effect of all of it.
     """
     below = 1.0 - (1.0 - halfway) * (1.0 - share)
     return share / below, halfway / below**2

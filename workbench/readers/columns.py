@@ -203,9 +203,10 @@ def recorded(
         many = f"{len(rows.skipped)} lines" if len(rows.skipped) > 1 else "one line"
         found.append(Finding("no_rows", f"{many} below the first row left out as no rows: {said}"
                              + (" ..." if len(rows.skipped) > 3 else "")))
-    if rows.beyond is not None:
-        found.append(Finding("another_table", f"line {rows.beyond} "
-                             f"{text.lines[rows.beyond - 1].strip()[:60]!r} begins another table, which is not read"))
+    if rows.next_table is not None:
+        found.append(Finding("another_table", f"line {rows.next_table} "
+                             f"{text.lines[rows.next_table - 1].strip()[:60]!r} begins another table, "
+                             "which is not read"))
     if quantity.unsigned_losses(values[1], values[2]):
         found.append(Finding("unsigned_losses", f"{quantity.form}: D or Q is positive where the reactive element is "
                              "negative, hence taken to be written without its sign"))
