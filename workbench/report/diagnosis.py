@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.names import whole
+from geometry.names import parent_place
 from workbench.acoustics.fields import section_nodes
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.decision import NOT_FINISHED
@@ -134,7 +134,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     mesh = max((recording.problem.mesh for recording in found.model.fitted.recordings),
                key=lambda each: each.mesh.t.shape[1])
     nodes, _ = section_nodes(mesh)
-    marked = [name for name in dict.fromkeys(map(whole, found.where)) if name in nodes.regions]
+    marked = [name for name in dict.fromkeys(map(parent_place, found.where)) if name in nodes.regions]
     if marked:
         pictures.append(Picture(draw_marked(nodes, marked, folder / "where.png", title="Where it sits"),
                                 f"The section of the chip, with {' and '.join(marked)} marked"))
