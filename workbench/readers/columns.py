@@ -6,12 +6,11 @@ resistor and which way up the ratio is.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
+from workbench.files.toml import toml_lines
 from workbench.readers.findings import Finding
 from workbench.readers.headings import SYMBOLS, understand
 from workbench.readers.quantities import RecordedQuantity
@@ -261,13 +261,12 @@ def column_map_text(columns: ColumnMap, notes: Mapping[str | int, str] = Mapping
     return "; ".join(found)
 
 
-def map_text(fields_: Mapping[str, object], quantity: Mapping[str, object], doubts: Mapping[str, str]) -> str:
+def map_text(fields_: Mapping[str, Any], quantity: Mapping[str, Any], doubts: Mapping[str, str]) -> str:
     """The text of a column map for :func:`read_column_map`; `doubts` by key become comments beside it."""
     lines = []
     for content, head in ((fields_, ""), (quantity, "[quantity]")):
         lines += [head] if head else []
-        for key, value in content.items():
-            line = f"{key} = {json.dumps(value, ensure_ascii=False)}"
+        for key, line in zip(content, toml_lines(content), strict=True):
             lines.append(f"{line:<35} # {doubts[key]}" if key in doubts else line)
     return "\n".join(lines)
 

@@ -209,6 +209,22 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def panel_grid(
+    count: int, *, across: int, panel: tuple[float, float], margin: tuple[float, float], sharey: bool = False
+) -> tuple[Figure, NDArray[Any]]:
+    """A figure of `count` panels, `across` a row at most, and its axes (rows, columns), those without a panel hidden.
+
+    Every panel takes `panel` inches (width, height), the figure a `margin` besides.
+    """
+    columns = min(across, count)
+    rows = -(-count // columns)
+    figure = new_figure(margin[0] + panel[0] * columns, margin[1] + panel[1] * rows)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=sharey)
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    return figure, grid
+
+
 def save_figure(figure: Figure, path: Path, *, dots_per_inch: int = 150) -> Path:
     """Write `figure` as PNG or SVG, by the suffix of `path`, all at once; returns `path`.
 
