@@ -131,7 +131,7 @@ def test_the_spread_is_that_of_differences(session: Session) -> None:
 def test_a_hurried_spectrum_is_the_whole_one_without_tolerances(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("workbench.app.session.SMALL", 0)
+    monkeypatch.setattr("workbench.app.session.SMALL_RANK", 0)
     session.put({THICKNESS: 0.793e-3, RADIUS: 1.507e-3})
     hurried = session.spectrum(hurried=True)
     whole = session._best(session.values)(session.values)
@@ -148,7 +148,7 @@ def test_a_hurried_spectrum_is_the_whole_one_without_tolerances(
 def test_local_models_are_the_model_and_hold_for_one_number_at_a_time(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("workbench.app.local.SMALL", 0)
+    monkeypatch.setattr("workbench.app.local.SMALL_RANK", 0)
     session.move(THICKNESS, 0.805e-3)
     centre = session.values
     model = session._best(centre)

@@ -16,6 +16,7 @@ from workbench.diagnosis.campaign import NAMED
 from workbench.diagnosis.numbers import DIMENSIONS
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
+from workbench.files.toml import TomlEntry, toml_table
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
 from workbench.jobs.process import STAND_BACK, Send, stream
@@ -151,16 +152,18 @@ class Works:
         names = [each.name for each in session.controls
                  if (not self.free or each.name in self.free) and each.tolerance != 0.0]
         # Numbers that are not ticked are exact, whatever the chip's file states; the bench is not the chip's.
-        lines = ["[campaign]", f'known = "{NAMED}"', "", "[states.recorded]", f'chip = "{chip.name}"',
-                 f'state = "{session.state}"', 'recording = "recording.csv"', "", "[known]"]
+        known: dict[str, TomlEntry] = {}
         typed = session.typed_uncertainties()
         for each in parameters(session.problem, session.stated_chip(), session.transducer, names):
             parameter = known_to(each, typed.get(each.name))
             if parameter.prior is not None:
                 unit = next(name for name, factor in UNITS[DIMENSIONS[parameter.unit]].items() if factor == 1.0)
-                lines.append(f'"{parameter.name}" = "{parameter.prior!r} {unit}"')
+                known[parameter.name] = f"{parameter.prior!r} {unit}"
         path = folder / "campaign.toml"
-        write_atomic(path, "\n".join(lines) + "\n")
+        write_atomic(path, "\n".join([
+            toml_table("[campaign]", {"known": NAMED}),
+            toml_table("[states.recorded]", {"chip": chip.name, "state": session.state, "recording": "recording.csv"}),
+            toml_table("[known]", known)]))
         return path
 
 

@@ -13,6 +13,7 @@ from workbench.commands.terminal import print_line, print_table, progress_bars, 
 from workbench.design.goal import read_goal
 from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design, optimise
+from workbench.files.writing import write_json
 from workbench.model.problem import fill
 from workbench.report.design import (
     active_table,
@@ -24,7 +25,6 @@ from workbench.report.design import (
     summary_lines,
     write_design_report,
 )
-from workbench.report.page import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,6 +13,7 @@ from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.known_physics import contributions
 from workbench.diagnosis.outcome import Diagnosis
 from workbench.files.errors import InputError
+from workbench.files.writing import write_json
 from workbench.readers import READ_AS
 from workbench.report.diagnosis import (
     LEFT,
@@ -22,7 +23,6 @@ from workbench.report.diagnosis import (
     write_diagnosis_report,
     write_stopped,
 )
-from workbench.report.page import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console

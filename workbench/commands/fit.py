@@ -15,6 +15,7 @@ from workbench.commands.terminal import Show, print_line, print_table, progress_
 from workbench.fem.solve import one_thread
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_json
 from workbench.fitting.batch import (
     BatchMember,
     Job,
@@ -28,7 +29,6 @@ from workbench.jobs.workers import Task, Workers, begin_workers
 from workbench.readers import READ_AS
 from workbench.report.fit import derived_table, gel_table, match_table, parameter_table, without_prior
 from workbench.report.fit_batch import batch_columns_table, devices_table, summary_record, write_batch_report
-from workbench.report.page import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -17,12 +17,13 @@ from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.export import export_solids
 from workbench.commands.states import SIMULATED, run_state, write_fields
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
+from workbench.files.writing import write_json
 from workbench.jobs.interruption import Stopped
 from workbench.jobs.workers import Processes
 from workbench.model.discretisation import discretisation
 from workbench.model.job_size import job_size, memory_to_use
 from workbench.model.problem import fill
-from workbench.report.page import Picture, write_json
+from workbench.report.page import Picture
 from workbench.report.simulation import (
     gathering_record,
     simulated_figures_table,

@@ -16,8 +16,8 @@ from workbench.design.stated import Statement, parse_statement, read_statements,
 from workbench.design.tolerance import Tolerance, check_tolerance_request, tolerance
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
+from workbench.files.writing import write_json
 from workbench.model.problem import fill
-from workbench.report.page import write_json
 from workbench.report.tolerance import (
     drive_in_words,
     figures_table,

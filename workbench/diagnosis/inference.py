@@ -26,10 +26,10 @@ from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
 from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
+from workbench.diagnosis.profile_scan import corners, scan_profiles
 from workbench.diagnosis.ranking import Score, ranked
 from workbench.diagnosis.refusal import EXPECTED, Refusal
 from workbench.diagnosis.starts import start, starts_of
-from workbench.diagnosis.sweep import corners, swept
 from workbench.diagnosis.tasks import SearchTask
 from workbench.fitting.search import NO_END
 from workbench.jobs.workers import Workers
@@ -249,7 +249,7 @@ class DiagnosisSearch:
         """The sizes of an effect that leave least where the known numbers are believed to be."""
         effect, x = self.effect(name), self.models.belief.x
         wider = self.models.coarsely_wider(Hypothesis((effect,)), corners(self.model, effect, x))
-        return swept(self.models.bare().on(wider), effect, x)
+        return scan_profiles(self.models.bare().on(wider), effect, x)
 
     def effect(self, name: str) -> Effect:
         """The hypothesis of that name."""
