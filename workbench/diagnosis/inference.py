@@ -322,7 +322,7 @@ class DiagnosisSearch:
                      tuple(dict.fromkeys(self.not_tried)), self.interrupted)
 
     def work(self, tasks: Sequence[SearchTask], *, must: int = 0) -> list[Any]:
-        """What every task returns; None for what there was no time for, or cannot be done.
+        """Results of the tasks in their order; None for one that there was no time for, or that cannot be done.
 
         So many of the first are done in any case.
 
