@@ -1,9 +1,9 @@
-"""From the faces of layers to a section: what they leave free, and how they are cut into faces that are easy to mesh.
+"""From the faces of layers to a section: the space they enclose, and cuts into faces that are easy to mesh.
 
-Faces of neighbours have to fit: they may not overlap, and what they enclose is the cavity or a gap that nobody meant.
-A face with four sides is filled with rows and columns of quadrilaterals. Others are cut by lines along z, in corners
-that point into them and on both sides of what is steep or strongly curved (a fillet, a drafted wall), so that only a
-small part remains that is not.
+Faces of neighbours have to fit: they may not overlap, and the space they enclose is the cavity, or else an unintended
+gap. A face with four sides is filled with rows and columns of quadrilaterals. Other faces are cut by lines along z, in
+corners that point into them and on both sides of steep or strongly curved parts (a fillet, a drafted wall), so that
+only a small part without four sides remains.
 """
 
 from __future__ import annotations
@@ -29,25 +29,27 @@ from workbench.files.errors import InputError
 if TYPE_CHECKING:
     import cadquery
 
-#: Angles (degrees) by which the tangent turns in a corner of a face; less is a smooth passage.
+#: Least angle (degrees) by which the tangent turns in a corner of a face; less is a smooth passage.
 CORNER = 30.0
 
-#: A side of a face with four sides is no more oblique than this (degrees), nor curved more.
+#: Largest slope (degrees) of a side of a face with four sides, and largest angle by which such a side curves.
 OBLIQUE = 40.0
 
-#: Beside what is steep or curved a face is cut as far off as half of its width and this share of the face's height.
-MARGIN = 0.3
+#: A face is cut beside a steep or curved part at half the width of that part plus this share of the face's height.
+CUT_MARGIN = 0.3
 
 
 def section_of(
     drawn: Mapping[str, cad.DrawnLayer], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *,
     walls: Collection[str], source: str, cuts: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> FreeSection:
-    """The section of layers drawn in the half plane, from bottom to top by region; with a cavity that those called
-    `walls` are around, if there are any. Regions with `cuts` (m) are cut there beside what is steep or curved.
+    """The section of layers drawn in the half plane, from bottom to top by region.
+
+    It has a cavity if there are layers, called `walls`, around one. Regions with `cuts` (m) are cut at these radii
+    beside steep or curved parts.
 
     Raises:
-        InputError: layers overlap, leave a gap or do not touch, or what should be the cavity is open.
+        InputError: layers overlap, leave a gap or do not touch, or the cavity is open.
     """
     faces = faces_of(drawn, walls=walls, source=source)
     notes = tuple(f"{region}: {each.left_out}" for region, each in drawn.items() if each.left_out)
@@ -63,7 +65,7 @@ def faces_of(drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], sou
     """The faces of layers by region, and of the cavity that they enclose if some are its `walls`.
 
     Raises:
-        InputError: as of :func:`section_of`.
+        InputError: as in :func:`section_of`.
     """
     faces = {region: each.face for region, each in drawn.items()}
     _check_fit(faces, source)
@@ -72,9 +74,9 @@ def faces_of(drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], sou
 
 
 def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
-    """Refuse faces that overlap, and those that do not touch what is below."""
+    """Raise if faces overlap, or do not touch the one below."""
     for (one, first), (other, second) in combinations(faces.items(), 2):
-        common = [each for each in first.intersect(second).Faces() if each.Area() > cad.SOME]
+        common = [each for each in first.intersect(second).Faces() if each.Area() > cad.LEAST_AREA]
         if common:
             worst = max(common, key=lambda face: face.Area())
             raise InputError(source, f"layers {one} and {other}", f"an overlap of "
@@ -84,28 +86,29 @@ def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
     for k, name in enumerate(names[1:], start=1):
         below = cadquery_module().Compound.makeCompound([faces[each] for each in names[:k]])
         distance, points = cad.closest(faces[name], below)
-        if distance > cad.CLOSE:
+        if distance > cad.SAME_POINT:
             raise InputError(source, f"layer {name}", f"a gap of {distance:.4g} mm below it, least at "
                              f"{cad.place(points[0])}", "a layer that touches one below it")
 
 
 def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], source: str) -> cadquery.Face | None:
-    """What the faces leave free inside: the cavity, if there is to be one."""
+    """The space that the faces enclose: the cavity, if there is to be one."""
     whole = cadquery_module().Compound.makeCompound(list(faces.values()))
     around = revolution.half_plane(whole.BoundingBox())
     edge = around.BoundingBox()
     free = around.cut(*faces.values()).Faces()
-    inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.CLOSE
-              and each.BoundingBox().zmax < edge.zmax - cad.CLOSE and each.BoundingBox().zmin > edge.zmin + cad.CLOSE]
-    inside = [each for each in inside if each.Area() > cad.SOME]
-    likely = [each for each in inside if any(faces[wall].distance(each) < cad.CLOSE for wall in walls)]
+    inside = [each for each in free if each.BoundingBox().xmax < edge.xmax - cad.SAME_POINT
+              and each.BoundingBox().zmax < edge.zmax - cad.SAME_POINT
+              and each.BoundingBox().zmin > edge.zmin + cad.SAME_POINT]
+    inside = [each for each in inside if each.Area() > cad.LEAST_AREA]
+    likely = [each for each in inside if any(faces[wall].distance(each) < cad.SAME_POINT for wall in walls)]
     if len(likely) > 1:
-        likely = [each for each in likely if each.BoundingBox().xmin < cad.CLOSE]
+        likely = [each for each in likely if each.BoundingBox().xmin < cad.SAME_POINT]
     wanted = likely if len(likely) == 1 else []
     gaps = [each for each in inside if not any(each is other for other in wanted)]
     if gaps:
         worst = max(gaps, key=lambda face: face.Area())
-        between = [name for name, face in faces.items() if face.distance(worst) < cad.CLOSE]
+        between = [name for name, face in faces.items() if face.distance(worst) < cad.SAME_POINT]
         expected = "layers that leave no gap"
         if not walls:
             expected += "; a cavity is one where layers have a cavity_radius"
@@ -117,11 +120,11 @@ def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], sou
 
 
 def _opening(faces: Mapping[str, cadquery.Face]) -> str:
-    """Where the layers around an open cavity come closest to closing it."""
+    """The place where the layers around an open cavity come closest to closing it, in words."""
     found = []
     for (one, first), (other, second) in combinations(faces.items(), 2):
         distance, points = cad.closest(first, second)
-        if distance > cad.CLOSE:
+        if distance > cad.SAME_POINT:
             found.append((distance, f"an opening between {one} and {other}, {distance:.4g} mm wide at "
                           f"{cad.place(points[0])}"))
     return min(found)[1] if found else "no room that the layers enclose"
@@ -134,8 +137,8 @@ def _opening(faces: Mapping[str, cadquery.Face]) -> str:
 def _pieces(
     face: cadquery.Face, beside: Sequence[float] | None = None
 ) -> tuple[list[cadquery.Face], tuple[float, ...]]:
-    """A face, cut so that most of it has four sides, and the radii (m) at which it is cut beside what is steep or
-    curved: those given as `beside`, if any."""
+    """A face, cut so that most of it has four sides, and the radii (m) of the cuts beside steep or curved parts: those
+    given as `beside`, if any."""
     loops = [[cad.curve_of(edge) for edge in edges] for edges in cad.directed_edges(face)]
     if len(loops) == 1 and four_sides(loops[0]) is not None:
         return [face], ()
@@ -143,7 +146,7 @@ def _pieces(
     if beside is None:
         points = np.concatenate([arc.polyline for loop in loops for arc in loop], axis=1)
         left, right = points[0].min(), points[0].max()
-        # Not where only a sliver would be cut off.
+        # A cut that would leave only a sliver is not made.
         beside = [radius for low, high in zones for radius in (low, high)
                   if left + 0.2 * (high - low) < radius < right - 0.2 * (high - low)]
     corners = [radius for radius in _corners(loops) if not any(low < radius < high for low, high in zones)]
@@ -157,7 +160,7 @@ def _pieces(
 
 
 def _zones(loops: Sequence[Sequence[Arc]]) -> list[tuple[float, float]]:
-    """Between which radii (m) a face is steep or curved, with margins; those that meet are one."""
+    """Ranges of radii (m) in which a face is steep or curved, with margins; ranges that meet are one."""
     arcs = [arc for loop in loops for arc in loop]
     points = np.concatenate([arc.polyline for arc in arcs], axis=1)
     merged: list[tuple[float, float]] = []
@@ -165,7 +168,7 @@ def _zones(loops: Sequence[Sequence[Arc]]) -> list[tuple[float, float]]:
     for arc in arcs:
         r, _ = arc.polyline
         if np.ptp(r) > 0.0 and _steepest(arc) > OBLIQUE:
-            margin = 0.5 * float(np.ptp(r)) + MARGIN * float(np.ptp(points[1]))
+            margin = 0.5 * float(np.ptp(r)) + CUT_MARGIN * float(np.ptp(points[1]))
             found.append((float(r.min()) - margin, float(r.max()) + margin))
     for low, high in sorted(found):
         if merged and low <= merged[-1][1]:
@@ -184,7 +187,7 @@ def _corners(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
 
 
 def _steepest(arc: Arc) -> float:
-    """The largest angle (degrees) between a curve and the plane z = 0; none for a line along z."""
+    """The largest angle (degrees) between a curve and the plane z = 0; zero for a line along z."""
     if arc.is_straight and abs(arc.ends[0][0] - arc.ends[1][0]) < SAME_LENGTH:
         return 0.0
     steps = np.abs(np.diff(arc.polyline, axis=1))
@@ -198,9 +201,9 @@ def turned(before: Arc, after: Arc) -> float:
 
 
 def four_sides(loop: Sequence[Arc]) -> list[list[int]] | None:
-    """The edges (places in the loop) of the four sides of a face, anticlockwise; None for a face with others.
+    """The edges (indices in the loop) of the four sides of a face, anticlockwise; None for any other face.
 
-    The first side begins in the corner that is lowest, and furthest in.
+    The first side begins in the corner that is lowest and nearest to the axis.
     """
     turns = [turned(loop[k - 1], loop[k]) for k in range(len(loop))]
     corners = [k for k, angle in enumerate(turns) if angle > CORNER]
@@ -232,7 +235,7 @@ def _fused(
     from OCP.BOPAlgo import BOPAlgo_Builder
 
     builder = BOPAlgo_Builder()
-    builder.SetFuzzyValue(cad.CLOSE)
+    builder.SetFuzzyValue(cad.SAME_POINT)
     for _, piece in pieces:
         builder.AddArgument(piece.wrapped)
     builder.Perform()

@@ -18,6 +18,7 @@ from workbench.fitting.joint import FitResult
 from workbench.model.problem import build, fill
 from workbench.readers import read_recording
 from workbench.reduced.at_point import reduce
+from workbench.report.fit import shown_estimate
 from workbench.results.spectrum import Spectrum, write_csv
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
@@ -151,7 +152,7 @@ def test_what_people_get_wrong(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # All of it before the search begins.
-    monkeypatch.setattr(fit_job, "fit", None)
+    monkeypatch.setattr(fit_job, "fit_parameters", None)
     (folder / "ten_times_thicker.toml").write_text(DISC.replace('"2 mm"', '"20 mm"'))
     (folder / "ten_times_wider.toml").write_text(DISC.replace('"3 mm"', '"30 mm"'))
     try:
@@ -165,7 +166,7 @@ def test_what_people_get_wrong(
 def test_a_gel_is_asked_for_where_there_is_none(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fit_job, "fit", None)
+    monkeypatch.setattr(fit_job, "fit_parameters", None)
     assert fit(folder, "disc", "--region", "transducer", "--gel-study", "5um", kind="polymer", out=tmp_path) == 2
     assert "isotropic solid" in capsys.readouterr().err
 
@@ -186,7 +187,7 @@ def test_an_interruption_ends_with_its_status(
     def interrupted(*_: object, **__: object) -> FitResult:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fit_job, "fit", interrupted)
+    monkeypatch.setattr(fit_job, "fit_parameters", interrupted)
     assert fit(folder, "disc", "--free", "c33", out=tmp_path / "out") == 130
 
 
@@ -200,7 +201,7 @@ def test_a_batch_is_summarised_keeps_what_is_good_and_goes_on_where_it_was(
         for name, chip in (("a", "disc"), ("b", "disc"), ("c", "disc"), ("wrong", "wide")))
         + '[[joint]]\nname = "both"\nrecordings = ["b", "c"]\nown = ["bench.gain"]\n')
     out = tmp_path / "out"
-    command = ["fit", "batch", str(listed), *SMALL, "--workers", "2", "-o", str(out)]
+    command = ["fit", "batch", str(listed), *SMALL, "--jobs", "2", "-o", str(out)]
     assert main(command) == 1
     summary = standard_json(out / "summary.json")
     assert set(summary["devices"]) == {"a", "both"}
@@ -259,4 +260,4 @@ def test_the_ranking_stands_beside_the_published_one(
 def test_an_estimate_is_shown_with_the_digits_its_interval_asks_for(
     estimate: tuple[float, float, float], unit: str, said: tuple[str, str]
 ) -> None:
-    assert fit_job.shown_estimate(*estimate, unit) == said
+    assert shown_estimate(*estimate, unit) == said

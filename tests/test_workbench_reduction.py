@@ -19,7 +19,7 @@ from workbench.model.problem import Problem
 from workbench.reduced.at_point import NotEnriched, reduce
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.estimate import PROJECTIONS, energy_matrix, random_probes
-from workbench.reduced.growth import DEPTH, Trial, grow, sample
+from workbench.reduced.growth import DEPTH, TrialBasis, grow, sample
 from workbench.reduced.model import ReducedModel
 
 TOLERANCE = 1e-5
@@ -361,7 +361,7 @@ def test_an_enriched_model_keeps_only_what_the_given_values_need(
 ) -> None:
     values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
     system = System(operators, values)
-    trial = Trial.of(reduced, system, GRID).joined([sample(system, float(f), DEPTH) for f in GRID[[10, 70, 130]]])
+    trial = TrialBasis.of(reduced, system, GRID).joined([sample(system, float(f), DEPTH) for f in GRID[[10, 70, 130]]])
     whole = grow(reduced, [trial], smallest=1e-7)
     ranks, errors = [], []
     exact = solve_full(operators, BETWEEN, values).impedance
@@ -385,8 +385,8 @@ def test_a_trial_is_the_model_that_all_of_its_candidates_would_make(
     values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
     system = System(operators, values)
     samples = [sample(system, float(f), 4) for f in GRID[[30, 100]]]
-    one = Trial.of(reduced, system, BETWEEN).joined(samples)
-    two = Trial.of(reduced, system, BETWEEN).joined(samples[:1]).joined(samples[1:])
+    one = TrialBasis.of(reduced, system, BETWEEN).joined(samples)
+    two = TrialBasis.of(reduced, system, BETWEEN).joined(samples[:1]).joined(samples[1:])
     whole = grow(reduced, [one], smallest=1e-9)
     solution = whole.solve(BETWEEN, values)
     for trial in (one, two):

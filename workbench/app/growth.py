@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from geometry.chip import Chip
 from materials.registry import Registry
-from workbench.app.elsewhere import Send, elsewhere
 from workbench.fem.operators import assemble
+from workbench.jobs.process import Send, stream
 from workbench.model.discretisation import Discretisation
 from workbench.model.problem import build, fill
 from workbench.reduced.ranges import LIMIT, NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
@@ -18,7 +19,7 @@ from workbench.reduced.ranges import LIMIT, NotCovered, RangeModel, Ranges, fing
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a model is made of: see `workbench.reduced.ranges.range_model`."""
+    """The input of a model: see `workbench.reduced.ranges.range_model`."""
 
     chip: Chip
     state: str
@@ -31,15 +32,15 @@ class Wanted:
     limit: int = LIMIT
 
 
-#: What makes growing models of what is wanted; closing it ends the work.
+#: A maker of growing models; closing it ends the work.
 Growing = Callable[[Wanted], Generator[RangeModel, None, None]]
 
 
 def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
-    """Growing models, made by whoever asks for the next one.
+    """Growing models, each made when it is requested.
 
     Raises:
-        InputError, NotCovered: as of `workbench.reduced.ranges.growing_model`.
+        InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
     """
     yield from growing_model(
         wanted.chip, wanted.state, wanted.ranges, registry=wanted.registry, band=wanted.band, points=wanted.points,
@@ -47,25 +48,25 @@ def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
 
 
 def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
-    """The same, made by another process, which is ended with this iterator. The models cannot grow here.
+    """Growing models, made by another process, which is ended with this iterator. The models cannot grow here.
 
-    What comes over is all that answering needs: the model with what no number moves summed up, a tenth of the whole.
+    They come in the compact form that answers need: the constant parts summed up, a tenth of the whole.
 
     Raises:
-        InputError, NotCovered: as of `workbench.reduced.ranges.growing_model`.
-        RuntimeError: the process ended without a word.
+        InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
+        WorkerEnded: the process ended by itself.
     """
     plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)
     problem, _ = with_ranges(plain, wanted.chip, wanted.ranges)
     operators, known = assemble(problem.mesh, problem.terms), fingerprint(problem)
-    with contextlib.closing(elsewhere(_grow, wanted)) as models:
+    with contextlib.closing(stream(partial(_grow, wanted=wanted))) as models:
         for model, of in models:
             if of != known:
                 raise RuntimeError("the process that makes the model has another mesh of the chip")
             yield replace(model, problem=problem, reduced=replace(model.reduced, full=operators))
 
 
-def _grow(send: Send, wanted: Wanted) -> None:
+def _grow(send: Send, *, wanted: Wanted) -> None:
     """Send every model with the fingerprint of its problem."""
     try:
         for model in growing_here(wanted):
@@ -75,6 +76,6 @@ def _grow(send: Send, wanted: Wanted) -> None:
 
 
 def _sendable(model: RangeModel) -> RangeModel:
-    """`model` as it answers, without the full operators and the problem, which the receiver has."""
+    """The `model` in its answering form, without the full operators and the problem, which the receiver has."""
     nothing: Any = None
     return replace(model, problem=nothing, reduced=replace(model.compact, full=nothing))

@@ -1,8 +1,9 @@
-"""What the options of a command ask for, read and checked."""
+"""Requests that the options of a command state, read and checked."""
 
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,7 @@ ROOM = 20e6
 
 @dataclass(frozen=True)
 class Asked:
-    """What the options say about a model: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
+    """A model as the options ask for it: frequencies in Hz, the rest as in `workbench.simulation.run.simulate`."""
 
     registry: Registry
     band: tuple[float, float]
@@ -73,6 +74,11 @@ def asked_accuracy(options: argparse.Namespace) -> float:
     except InputError as error:
         raise InputError("command line", "--accuracy", options.accuracy, error.expected) from None
     return accuracy
+
+
+def asked_jobs(options: argparse.Namespace) -> int:
+    """How many pieces of work at a time the options ask for, one for each core if they do not say."""
+    return options.jobs or os.cpu_count() or 1
 
 
 def asked_band(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:

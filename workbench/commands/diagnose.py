@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from typing import TYPE_CHECKING
 
-from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
-from workbench.commands.diagnosis_report import print_diagnosis, write_diagnosis_report, write_stopped
-from workbench.commands.terminal import progress_bars
+from workbench.commands.asked import asked_accuracy, asked_jobs, output_folder, say_read_as
+from workbench.commands.terminal import print_paragraph, print_table, progress_bars
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import read_campaign
-from workbench.diagnosis.record import contributions, record
+from workbench.diagnosis.known_physics import contributions
+from workbench.diagnosis.outcome import Diagnosis
 from workbench.files.errors import InputError
+from workbench.files.writing import write_json
 from workbench.readers import READ_AS
-from workbench.report.page import write_json
+from workbench.report.diagnosis import (
+    LEFT,
+    diagnosis_record,
+    established_table,
+    left_table,
+    write_diagnosis_report,
+    write_stopped,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,9 +51,11 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
         write_stopped(campaign, folder, time.perf_counter() - started)
         raise
     # Whatever ends what follows, the result is kept.
-    write_json(folder / "diagnosis.json", {**record(found), "known_physics": []})
+    write_json(folder / "diagnosis.json", {**diagnosis_record(found), "known_physics": []})
     known = contributions(found)
-    write_json(folder / "diagnosis.json", {**record(found), "known_physics": [row._asdict() for row in known]})
+    # Anew: the record counts their full solves.
+    write_json(folder / "diagnosis.json", {
+        **diagnosis_record(found), "known_physics": [row._asdict() for row in known]})
     write_diagnosis_report(found, known, folder)
     print_diagnosis(found)
     if found.provisional is None:
@@ -55,15 +64,23 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
     return INTERRUPTED if found.interrupted else NOT_FINISHED
 
 
+def print_diagnosis(found: Diagnosis) -> None:
+    """Headline, what is established, what each state leaves, and what to measure next, to standard output."""
+    print_paragraph(found.headline)
+    if found.established:
+        print_table("", established_table(found))
+    print_table(LEFT, left_table(found))
+    for text in (*found.findings, found.next_measurement):
+        if text:
+            print_paragraph(text)
+
+
 def _asked_effort(options: argparse.Namespace) -> tuple[int, float | None]:
     """Processes and minutes that the options ask for.
 
     Raises:
         InputError: no process, or no time.
     """
-    jobs = os.cpu_count() or 1 if options.jobs is None else options.jobs
-    if jobs < 1:
-        raise InputError("command line", "--jobs", jobs, "one process at least")
     if options.minutes is not None and not options.minutes > 0.0:
         raise InputError("command line", "--minutes", options.minutes, "more than no time")
-    return jobs, options.minutes
+    return asked_jobs(options), options.minutes

@@ -6,9 +6,9 @@ another. So how many of them end at the best optimum says how surely it is the b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, as_completed
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,10 @@ from scipy.stats import qmc
 from workbench.design.descent import DesignDescent, descend
 from workbench.design.goal import SearchOptions
 from workbench.design.programme import Programme, ProgrammePoint
+from workbench.jobs.workers import Workers, itself
+from workbench.search.optimum import distinct, is_same_optimum
 
 Real = NDArray[np.float64]
-
-#: Ends that differ by less in the objective (natural logarithm of the figure) and in every unknown (share of its range)
-#: are one optimum: what the ends of descents into one minimum differ by, many times over.
-SAME_OBJECTIVE, SAME_PLACE = 2e-3, 0.05
 
 #: Points closer than this in every unknown lead to the same end as a rule: one of them is enough to descend from.
 BESIDE = 0.1
@@ -68,33 +66,19 @@ def attempt(programme: Programme, search: SearchOptions, number: int, present: R
 
 
 def search_all(
-    programme: Programme, search: SearchOptions, present: Real, *, executor: Executor | None = None,
+    programme: Programme, search: SearchOptions, present: Real, *, workers: Workers,
     finished: Callable[[Attempt], None] | None = None,
 ) -> list[Attempt]:
     """All starts in the order of their numbers; `finished` is called with each as it ends, in any order."""
     found = []
-    for each in _attempts(programme, search, present, executor):
-        found.append(each)
+    workers.share(itself, programme)
+    for _, done in workers.completed(
+            (number, partial(attempt, search=search, number=number, present=present if number == 0 else None))
+            for number in range(search.starts)):
+        found.append(done.result())
         if finished is not None:
-            finished(each)
+            finished(found[-1])
     return sorted(found, key=lambda each: each.number)
-
-
-def _attempts(
-    programme: Programme, search: SearchOptions, present: Real, executor: Executor | None
-) -> Iterator[Attempt]:
-    jobs = [(number, present if number == 0 else None) for number in range(search.starts)]
-    if executor is None:
-        for number, first in jobs:
-            yield attempt(programme, search, number, first)
-        return
-    waiting = [executor.submit(attempt, programme, search, number, first) for number, first in jobs]
-    try:
-        for job in as_completed(waiting):
-            yield job.result()
-    finally:
-        for job in waiting:
-            job.cancel()
 
 
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
@@ -102,23 +86,16 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
 
     A start counts for the optimum that its best descent found.
     """
-    ends = sorted(((each, start.number) for start in attempts for each in start.descents),
-                  key=lambda pair: pair[0].point.rank)
-    groups: list[list[tuple[DesignDescent, int]]] = []
-    for end in ends:
-        group = next((each for each in groups if same(each[0][0].point, end[0].point)), None)
-        if group is None:
-            groups.append(group := [])
-        group.append(end)
+    ends = [(each, start.number) for start in attempts for each in start.descents]
+    groups = distinct(ends, lambda end, best: _same(end[0].point, best[0].point), lambda end: end[0].point.rank)
     best = {start.number: start.best for start in attempts}
     return [Optimum(group[0][0], tuple(sorted(number for end, number in group if end is best[number])))
             for group in groups]
 
 
-def same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
-    """Whether two points are of one optimum."""
-    return bool(one.exists and other.exists and abs(one.objective - other.objective) <= SAME_OBJECTIVE
-                and np.all(np.abs(one.x - other.x) <= SAME_PLACE))
+def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
+    """Whether two points with figures are one optimum; what is known of an unknown beforehand is its range."""
+    return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
 
 
 def feasible(found: Iterable[Optimum]) -> list[Optimum]:

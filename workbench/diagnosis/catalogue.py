@@ -52,7 +52,7 @@ from workbench.physics import (
     surface_load,
     thin_layer,
 )
-from workbench.physics.rim import LIMIT, WIDTHS, Rim
+from workbench.physics.rim import LARGEST_WIDTH, WIDTHS, Rim
 from workbench.physics.solid import ElasticSolid as SolidTerm
 from workbench.physics.term import Admissible, FreeParameter
 
@@ -134,8 +134,8 @@ def _profiled(device: Device, effect: Effect) -> str:
         profiled = {layer.region for layer in state.chip.layers if layer.profile is not None}
         profiled |= {CAVITY} if profiled else set()  # what they enclose
         for integral in (each for term in effect.terms.get(state.name, ()) for each in term.integrals()):
-            across = set(integral.place.split("|")) & set(integral.facing.split("|"))
-            own = {integral.place} if integral.beyond or integral.skin else across
+            across = set(integral.place.split("|")) & set(integral.opposite.split("|"))
+            own = {integral.place} if integral.radius_fraction or integral.skin else across
             for region in own & profiled:
                 return region
     return ""
@@ -350,7 +350,7 @@ def _open(device: Device, region: str, below: str) -> Iterator[Effect]:
         most = HELD * (rim - hole)
         return max((width for width in widths if width <= most), default=most)
 
-    outside = Rim(f"{joint} open at its rim", rim, reach((*WIDTHS, LIMIT)))
+    outside = Rim(f"{joint} open at its rim", rim, reach((*WIDTHS, LARGEST_WIDTH)))
     yield with_terms(f"{region} bonded on a part of its radius", joint, "geometry", "it is loose at its rim", states,
                      lambda _: [open_bond.OpenBond(joint, material, outside, skin)])
     if hole:

@@ -1,5 +1,5 @@
-"""Touchstone files (.s1p, .y1p, .z1p, .s2p, .ts), versions 1.0 to 2.1; network analysers use e^{+j w t}, as a spectrum
-does.
+"""Touchstone files (.s1p, .y1p, .z1p, .s2p, .ts), versions 1.0 to 2.1; network analysers use e^{+j w t}, like a
+spectrum.
 
 The IBIS Open Forum's specification, versions 1.1 and 2.0 (2009) and 2.1 (2024), rules: options of the line ``#`` stand
 in any order and default to GHz, S, MA and R 50; in version 1 all parameters are normalised to R, so that z = Z / R and
@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.readers.findings import Finding
+from workbench.readers.quantities import THROUGH
 from workbench.readers.sweep import Recorded, in_order
-from workbench.readers.text import RecordingText, cell_number
+from workbench.readers.text import RecordingText, cell_number, is_number
 from workbench.results.spectrum import Origin
 
 _FREQUENCIES: Mapping[str, float] = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
@@ -28,20 +29,16 @@ _PARAMETERS = ("s", "y", "z", "g", "h")
 _FORMATS = ("ri", "ma", "db")
 _SUFFIX = re.compile(r"\.[syzgh](\d+)p")
 _KEYWORD = re.compile(r"\[([^\]]*)\]\s*(.*)")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
-#: A frequency (Hz) no network analyser reaches: without a line of options a file is in gigahertz by the standard, and
-#: one that is in hertz shows itself so. Doubled, nothing changes.
-_HIGHEST_HZ = 3e12
-#: |S21| above which a device is not at port 1 alone: leakage of a fixture is below -26 dB. Doubled, one that couples
-#: 10 % is taken for one at port 1.
-_THROUGH = 0.05
+#: A frequency (Hz) no network analyser reaches: without a line of options a file is in gigahertz by the standard, and a
+#: frequency above this shows that it is in hertz. Doubled, nothing changes.
+_NO_ANALYSER_HZ = 3e12
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the line ``#`` and the keywords say: factor to hertz, parameter, format, reference resistance of every port
-    (ohm), ``version`` (1 or 2), number of ``ports`` (0: not said), and whether a line ``#`` ``stands`` there."""
+    """Content of the line ``#`` and of the keywords: factor to hertz, parameter, format, reference resistance of every
+    port (ohm), ``version`` (1 or 2), number of ``ports`` (0: not stated), and whether a line ``#`` ``stands`` there."""
 
     unit: float = 1e9
     parameter: str = "s"
@@ -64,14 +61,14 @@ def recognises_touchstone(text: RecordingText) -> bool:
     words = first[1:].split("!")[0].casefold().split() if first.startswith("#") else []
     known = (*_FREQUENCIES, *_PARAMETERS, *_FORMATS, "r")
     # A comment may begin with one of these letters; a line of options has no other words, and more than one.
-    return len(words) > 1 and words[0] in known and all(word in known or _NUMBER.fullmatch(word) for word in words)
+    return len(words) > 1 and words[0] in known and all(word in known or is_number(word) for word in words)
 
 
 def parse_touchstone(text: RecordingText) -> Recorded:
     """Read the file; of several ports, the impedance at port 1.
 
     Raises:
-        InputError: an option or keyword that is none, hybrid parameters (G, H), mixed modes, rows of a wrong length or
+        InputError: an unknown option or keyword, hybrid parameters (G, H), mixed modes, rows of a wrong length or
             number, an impedance that is zero or infinite.
     """
     options, data = _options(text)
@@ -86,7 +83,7 @@ def parse_touchstone(text: RecordingText) -> Recorded:
         raise text.error(data[-1][0] if data else len(text.lines), None, f"{len(lines)} frequencies",
                          f"the {options.frequencies} of [Number of Frequencies]; the file may be cut short")
     frequency = values[:, 0] * options.unit
-    if not options.stands and len(frequency) and np.max(frequency) > _HIGHEST_HZ:
+    if not options.stands and len(frequency) and np.max(frequency) > _NO_ANALYSER_HZ:
         raise InputError(text.path, "Touchstone", f"frequencies to {np.max(values[:, 0]):g} and no line of options",
                          "a line such as '# HZ S RI R 50' above the rows: without one they are gigahertz, S as "
                          "magnitude and angle, and 50 ohm")
@@ -106,14 +103,14 @@ def parse_touchstone(text: RecordingText) -> Recorded:
 
 
 def _ports(values: NDArray[np.float64], options: Options, ports: int) -> Finding:
-    """What is said of a file of several ports."""
+    """The finding on a file of several ports."""
     letter = options.parameter.upper()
     ends = {"s": f"ended with {options.reference[-1]:g} ohm", "z": "open", "y": "shorted"}[options.parameter]
     rest = "port 2" if ports == 2 else "the other ports"
     words = f"{ports} ports: the impedance at port 1 was read from {letter}11, {rest} {ends}"
     if options.parameter == "s" and options.matrix == "full" and len(values):
         coupled = float(np.max(np.abs(_complex(values[:, 3:5], options))))
-        if coupled > _THROUGH:
+        if coupled > THROUGH:
             form = {"ri": 'form = "rectangular"', "ma": 'form = "polar"', "db": 'form = "polar"'}[options.form]
             unit = "dB" if options.form == "db" else "1"
             words += f". |S21| reaches {coupled:.2g}: a device between the ports is not what S11 shows"
@@ -163,7 +160,7 @@ def _options(text: RecordingText) -> tuple[Options, list[tuple[int, list[str]]]]
 
 
 def _keyword(text: RecordingText, line: int, options: Options, name: str, value: str) -> Options:
-    """The options with what a keyword of version 2 says."""
+    """The options, updated by a keyword of version 2."""
     match name:
         case "version":
             if not value.startswith(("1", "2")):
@@ -202,9 +199,9 @@ def _option_line(text: RecordingText, line: int, options: Options, words: Sequen
             found["parameter"] = word
         elif word in _FORMATS:
             found["form"] = word
-        elif word == "r" or (word.startswith("r") and _NUMBER.fullmatch(word[1:])):
+        elif word == "r" or (word.startswith("r") and is_number(word[1:])):
             values = [word[1:]] if word != "r" else []
-            while index + 1 < len(plain) and _NUMBER.fullmatch(plain[index + 1]):
+            while index + 1 < len(plain) and is_number(plain[index + 1]):
                 index += 1
                 values.append(plain[index])
             found["reference"] = _numbers(text, line, values)
@@ -263,7 +260,7 @@ def _complex(pair: NDArray[np.float64], options: Options) -> NDArray[np.complex1
 
 
 def _impedance(pair: NDArray[np.float64], options: Options) -> NDArray[np.complex128]:
-    """Z (n,) ohm at port 1."""
+    """Impedance Z (n,) ohm at port 1."""
     value, resistance = _complex(pair, options), options.reference[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         match options.parameter:

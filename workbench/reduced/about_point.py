@@ -19,7 +19,7 @@ from workbench.fem.solve import System, one_thread
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.estimate import SLACK
-from workbench.reduced.growth import Sample, Trial, grow, sample, watched
+from workbench.reduced.growth import Sample, TrialBasis, grow, sample, watched
 from workbench.reduced.model import ReducedModel, lifted
 
 Real = NDArray[np.float64]
@@ -90,12 +90,12 @@ class LocalBasis:
         Raises:
             NotConverged: a full solve that failed.
         """
-        looked_at, trials, residuals = watched(np.asarray(frequencies, dtype=float)), list[Trial](), list[float]()
+        looked_at, trials, residuals = watched(np.asarray(frequencies, dtype=float)), list[TrialBasis](), list[float]()
         with one_thread():
             for place in places:
                 system = System(self.model.full, place)
                 found = [sample(system, each.frequency, depth) for each in self.samples]
-                trials.append(Trial.of(self.model, system, looked_at).joined(found))
+                trials.append(TrialBasis.of(self.model, system, looked_at).joined(found))
                 residuals += [each.residual for each in found]
             model = grow(self.model, trials, smallest=smallest_part(tolerance)).counted(*residuals)
         return replace(self, model=model)
@@ -148,7 +148,7 @@ def local_basis(
                      for frequency, draw in zip(wanted, draws, strict=True)]
             samples += found
             if trial is None:
-                trial = Trial.of(lifted(system, frequencies, found[0].state), system, looked_at)
+                trial = TrialBasis.of(lifted(system, frequencies, found[0].state), system, looked_at)
             trial = trial.joined(found)
             error = trial.states()[1]
             worst, enough = int(np.argmax(error)), SLACK * tolerance

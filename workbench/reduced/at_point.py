@@ -6,7 +6,7 @@ the basis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from workbench.fem.operators import FullOperators
 from workbench.fem.solve import NotConverged, Solution, System, one_thread
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
-from workbench.reduced.growth import DEPTH, NO_TANGENTS, TIGHTER, Sample, Trial, grow, sample, watched
+from workbench.reduced.growth import DEPTH, NO_TANGENTS, TIGHTER, Sample, TrialBasis, grow, sample, watched
 from workbench.reduced.model import ReducedModel, lifted
 
 Real = NDArray[np.float64]
@@ -89,8 +89,8 @@ def reduced(
         NotEnriched: `limit` full solves were not enough.
         NotConverged: a full solve that failed, or an unknown without any energy.
     """
-    frequencies = np.asarray(frequencies, dtype=float)
-    looked_at, wanted = watched(frequencies), np.zeros(0) if worst is None else np.array([worst])
+    frequencies, wanted = np.asarray(frequencies, dtype=float), np.zeros(0) if worst is None else np.array([worst])
+    looked_at = watched(frequencies)
     if start is None:
         wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]]
     model, spent, smallest, tried = start, 0, smallest_part(tolerance), set[float]()
@@ -104,7 +104,7 @@ def reduced(
         while True:
             if wanted.size:
                 samples = list[Sample]()
-                for frequency in map(float, wanted):
+                for frequency in wanted.tolist():
                     samples.append(sample(system, frequency, depth, tangents))
                     if samples[-1].frequency != frequency and skip_singular:
                         frequencies = frequencies[frequencies != frequency]
@@ -112,11 +112,7 @@ def reduced(
                     spent += 1
                     report()
                 looked_at = watched(frequencies)
-                known = lifted(system, frequencies, samples[0].state) if model is None else model
-                trial = Trial.of(known, system, looked_at).joined(samples)
-                changes = np.column_stack([each.changes for each in samples])
-                model = grow(known, [trial], smallest=smallest, tolerance=tolerance, changes=changes).counted(
-                    *(each.residual for each in samples))
+                model = _enriched(model, system, samples, frequencies, smallest, tolerance)
                 # Where the new directions were not enough, too much may have been left out before them.
                 smallest *= TIGHTER
             assert model is not None
@@ -124,8 +120,7 @@ def reduced(
             if estimate <= tolerance and looked_at.size < frequencies.size:
                 # All of them, once the fewer are within.
                 solution, estimate, index = model.worst(frequencies, values)
-            worst = float(solution.frequency[index])
-            believed = estimate <= tolerance
+            worst, believed = float(solution.frequency[index]), estimate <= tolerance
             if believed and not confirmed:
                 break
             if spent >= limit:
@@ -142,6 +137,18 @@ def reduced(
                     continue
             wanted = np.array([worst])
     return model, solution
+
+
+def _enriched(
+    start: ReducedModel | None, system: System, samples: Sequence[Sample], frequencies: Real, smallest: float,
+    tolerance: float,
+) -> ReducedModel:
+    """The model enriched by samples of one system, or the first one, for `frequencies` (Hz); see :func:`grow`."""
+    model = lifted(system, frequencies, samples[0].state) if start is None else start
+    trial = TrialBasis.of(model, system, watched(frequencies)).joined(samples)
+    changes = np.column_stack([each.changes for each in samples])
+    return grow(model, [trial], smallest=smallest, tolerance=tolerance, changes=changes).counted(
+        *(each.residual for each in samples))
 
 
 def _confirmed(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.names import whole
+from geometry.names import parent_place
 from workbench.fem.coefficients import Coefficients
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.physics.term import Coefficient, Constant, Formula, Integral, Monomial, Times, times
@@ -29,7 +29,7 @@ def compacted(
     for q, integral in enumerate(model.operators.integrals):
         coefficient, constant = _separated(integral.coefficient, moving, values)
         if constant != 0.0:
-            place = whole(integral.place) if by_place else ""
+            place = parent_place(integral.place) if by_place else ""
             groups.setdefault((coefficient, place), {})[q] = constant
     integrals: list[Integral] = []
     weights: list[Real] = []

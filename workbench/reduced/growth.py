@@ -104,7 +104,7 @@ def watched(frequencies: Real) -> Real:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class TrialBasis:
     """The system of one set of values on the basis of a model and on candidates beside it.
 
     ``frequencies`` (n,) Hz are where it is looked at and ``factors`` (g, n) what its matrices are multiplied with
@@ -121,14 +121,14 @@ class Trial:
     probed: Complex
 
     @classmethod
-    def of(cls, model: ReducedModel, system: System, frequencies: Real) -> Trial:
+    def of(cls, model: ReducedModel, system: System, frequencies: Real) -> TrialBasis:
         """A trial without candidates."""
         operators = model.operators
         constants = np.array([each for _, each in operators.coefficients.groups(np.ones(1), system.values)])
         return cls(model, system, frequencies, system.factors(frequencies), np.zeros((len(model.basis), 0)),
                    operators.combinations(constants), combined_matrices(operators.by_form(constants), model.sketch))
 
-    def joined(self, samples: Sequence[Sample]) -> Trial:
+    def joined(self, samples: Sequence[Sample]) -> TrialBasis:
         """The trial with the states of `samples` among its candidates."""
         lift, energy = self.model.basis[:, -1:], self.model.energy
         before = np.column_stack([self.model.basis[:, :-1], self.columns])
@@ -193,13 +193,13 @@ def _image(matrix: sparse.csr_matrix, columns: Real) -> Complex:
 
 
 def grow(
-    model: ReducedModel, trials: Sequence[Trial], *, smallest: float, tolerance: float = np.inf,
+    model: ReducedModel, trials: Sequence[TrialBasis], *, smallest: float, tolerance: float = np.inf,
     changes: Complex | None = None,
 ) -> ReducedModel:
     """`model` enriched by what the states of `trials` on it need of their candidates, and then by `changes` (size, k).
 
     Directions of which no state over the root of its charge has more than `smallest`, in the root of the energy, are
-    left out; `tolerance` as in :meth:`Trial.needed`.
+    left out; `tolerance` as in :meth:`TrialBasis.needed`.
     """
     candidates = [trial.needed(smallest, tolerance) for trial in trials]
     if changes is not None and changes.size:

@@ -32,7 +32,7 @@ Complex = NDArray[np.complex128]
 MOVED = 0.1
 
 #: Error of Z that truncation to given states may add, where all that follows stands on these: far below any tolerance.
-UNSEEN = 1e-10
+UNSEEN = 1e-9
 
 #: Vectors from which on a basis is truncated to the present states before it is enriched, to an error of Z of this
 #: share of the tolerance: dense solves cost the cube of the rank.

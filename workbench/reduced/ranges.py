@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from geometry.chip import Chip
-from geometry.stretch import movable, tied
+from geometry.stretch import admissible_range, canonical_names
 from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.reduced_operators import ReducedOperators
@@ -47,7 +47,7 @@ from workbench.reduced.about_point import local_basis
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.compact import compacted
 from workbench.reduced.estimate import SLACK, energy_matrix
-from workbench.reduced.growth import ENRICHING_DEPTH, TIGHTER, Sample, Trial, sample
+from workbench.reduced.growth import ENRICHING_DEPTH, TIGHTER, Sample, TrialBasis, sample
 from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Prediction
 from workbench.results.brief import Brief
@@ -306,7 +306,7 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
         InputError: a name that is neither a coefficient nor a length, a range that holds no number, or two ranges for
             radii that coincide.
     """
-    first, lengths = tied(chip), chip.dimensions()
+    first, lengths = canonical_names(chip), chip.dimensions()
     flexed = flexible_within(problem, chip, ranges)
     found: dict[str, tuple[float, float]] = {}
     for key, ends in ranges.items():
@@ -318,8 +318,8 @@ def with_ranges(problem: Problem, chip: Chip, ranges: Ranges) -> tuple[Problem, 
         low, high = map(float, ends)
         if not low < high:
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g}", "a lower number, then a higher one")
-        if known in first and movable(chip, known, low, high) != (low, high):
-            least, most = movable(chip, known)
+        if known in first and admissible_range(chip, known, low, high) != (low, high):
+            least, most = admissible_range(chip, known)
             raise InputError(chip.file, f"range of {key}", f"{low:g} to {high:g} m", "a range that keeps away from the "
                              f"next radii, within {least:g} to {most:g} m")
         if not low <= real_part(flexed.values, known) <= high:
@@ -377,10 +377,12 @@ def _growth(
                 return
             if spent >= limit:
                 raise NotCovered(done)
-            needed = partial(_needed, reduced, watched, smallest)
-            enriched = reduced.joined(pool.map(needed, [value for value, _ in jobs], solved))
-            if enriched is reduced:
-                smallest *= TIGHTER
+            enriched = reduced
+            while enriched is reduced:
+                needed = partial(_needed, reduced, watched, smallest)
+                enriched = reduced.joined(pool.map(needed, [value for value, _ in jobs], solved))
+                # The samples are off: where nothing of them seems to be needed, too much was left out.
+                smallest *= TIGHTER if enriched is reduced else 1.0
             reduced = enriched
             yield replace(done, reduced=reduced)
 
@@ -388,8 +390,8 @@ def _growth(
 def _needed(
     model: ReducedModel, frequencies: Real, smallest: float, values: Mapping[str, complex], own: Sample
 ) -> tuple[Complex, float]:
-    """What states with these values need of a sample beside a model, see `Trial.needed`."""
-    return Trial.of(model, System(model.full, values), frequencies).joined([own]).needed(smallest, np.inf)
+    """What states with these values need of a sample beside a model, see `TrialBasis.needed`."""
+    return TrialBasis.of(model, System(model.full, values), frequencies).joined([own]).needed(smallest, np.inf)
 
 
 def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]) -> tuple[float, int, complex]:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from geometry.names import CAVITY
 from workbench.acoustics.nodal import FloatArray, NodalMesh, raster
 from workbench.acoustics.traps import TrapReport
-from workbench.render.canvas import PLAIN_COLOURS, SIGNED_COLOURS, prefixed
+from workbench.render.canvas import PLAIN_COLOURS, POINTS_PER_DOT, SIGNED_COLOURS, prefixed
 from workbench.render.sections import at_largest, region_edges
 
 if TYPE_CHECKING:
     from workbench.acoustics.fields import Fields
 
-#: Width of a picture in dots, that of the page's; and points of the raster along each side of a dot, whose mean it is.
-_DOTS, _POINTS = 880, 2
+#: Width of a picture in dots, as on the page.
+_DOTS = 880
 #: Steps of the strip of colours that stands for a map.
 _STRIP = 9
 
@@ -30,8 +30,9 @@ _STRIP = 9
 class LivePicture:
     """A field in the section, mirrored about the axis: ``png`` fills ``window`` (left, right, bottom, top; mm).
 
-    ``low`` and ``high`` in ``unit`` are what the ends of ``colours`` (CSS) stand for; ``outline`` are lines of regions
-    (x, z, x, z; mm), ``marks`` are points (r, z; mm) with what they are; ``tall`` how many times heights are enlarged.
+    ``low`` and ``high`` in ``unit`` are the values at the ends of ``colours`` (CSS); ``outline`` are lines of regions
+    (x, z, x, z; mm), ``marks`` are points (r, z; mm) with their names; ``tall`` is the factor by which heights are
+    enlarged.
     """
 
     name: str
@@ -48,8 +49,8 @@ class LivePicture:
 
 
 def live_pictures(fields: Fields, traps: TrapReport | None) -> Iterator[LivePicture]:
-    """u_z in the solids and, where there is a fluid in the cavity, its pressure and the potential with its traps; each
-    is drawn when it is asked for."""
+    """The pictures of u_z in the solids and, with a fluid in the cavity, of its pressure and of the potential with its
+    traps; each is drawn on request."""
     mesh = fields.mesh
     yield _signed("displacement", "axial displacement u_z", mesh, fields.displacement[:, 1], "m", tall=1.0)
     if CAVITY in fields.fluid_regions:
@@ -89,16 +90,16 @@ def _picture(
 
     regions = [each for each in mesh.regions if np.isfinite(values[mesh.nodes_of([each])]).all()]
     there = mesh.points[mesh.nodes_of(regions)]
-    # The solids are seen among what they hold; a field of the cavity alone close up.
+    # The solids are shown among their surroundings; a field of the cavity alone close up.
     shown = mesh.points if len(regions) > 1 else there
     radius, bottom, top = (float(each) for each in (shown[:, 0].max(), shown[:, 1].min(), shown[:, 1].max()))
     across, up = _DOTS // 2, max(1, round(tall * _DOTS * (top - bottom) / (2.0 * radius)))
-    r = (np.arange(_POINTS * across) + 0.5) * radius / (_POINTS * across)
-    z = bottom + (np.arange(_POINTS * up) + 0.5) * (top - bottom) / (_POINTS * up)
+    r = (np.arange(POINTS_PER_DOT * across) + 0.5) * radius / (POINTS_PER_DOT * across)
+    z = bottom + (np.arange(POINTS_PER_DOT * up) + 0.5) * (top - bottom) / (POINTS_PER_DOT * up)
     seen = np.ma.masked_invalid(raster(mesh, values, r, z, regions).T[::-1])
     shades = colormaps[colours]
     coloured = shades.with_extremes(bad="white")(Normalize(*limits)(seen), bytes=True)[:, :, :3]
-    right = coloured.reshape(up, _POINTS, across, _POINTS, 3).mean(axis=(1, 3)).round().astype(np.uint8)
+    right = coloured.reshape(up, POINTS_PER_DOT, across, POINTS_PER_DOT, 3).mean(axis=(1, 3)).round().astype(np.uint8)
     held = io.BytesIO()
     Image.fromarray(np.concatenate([right[:, ::-1], right], axis=1)).save(held, "png", compress_level=1)
     strip = ", ".join(to_hex(shades(share)) for share in np.linspace(0.0, 1.0, _STRIP))

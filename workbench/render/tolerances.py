@@ -1,4 +1,4 @@
-"""Pictures of tolerances: what moves a figure, where its samples lie, and what the yield is."""
+"""Pictures of tolerances: the influences on a figure, the distribution of its samples, and the yield."""
 
 from __future__ import annotations
 
@@ -10,27 +10,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.tolerance_report import amount, change_unit
-from workbench.render.canvas import new_figure, save_figure
+from workbench.design.figures import change_unit
+from workbench.design.uncertainty import amount
+from workbench.render.canvas import PANELS_ACROSS, Picture, new_figure, panel_grid, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
-from workbench.report.page import Picture
 
 if TYPE_CHECKING:
     from workbench.design.tolerance import Tolerance
 
 Real = NDArray[np.float64]
 
-#: Where several panels share a picture: more would be too many to read.
-PANELS_ACROSS = 3
-#: Bars of a tornado: what is below them moves the figure less than can be seen.
+#: Largest number of bars of a tornado: smaller influences are invisible.
 BARS = 12
 PASSED, FAILED = LINE_COLOURS[0], "#c9c9c9"
 
 
 @dataclass(frozen=True, eq=False)
 class Tornado:
-    """What moves one figure: ``title`` with its unit, ``labels`` of numbers with what each grows by, and ``changes``
-    (k,) of the figure, largest first."""
+    """Influences on one figure: ``title`` with its unit, ``labels`` of numbers with their steps, and ``changes`` (k,)
+    of the figure, largest first."""
 
     title: str
     labels: tuple[str, ...]
@@ -39,8 +37,7 @@ class Tornado:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Samples (n,) of one figure, in the unit that ``title`` tells, and the ends (-inf, inf: none) it must lie within.
-    """
+    """Samples (n,) of one figure, in the unit of its ``title``, and its limits (-inf, inf: none)."""
 
     title: str
     values: Real
@@ -61,7 +58,8 @@ class YieldBar:
 
 
 def draw_tolerance(found: Tolerance, folder: Path | str) -> dict[str, Picture]:
-    """The pictures of a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``, written to `folder`.
+    """Draw the pictures of a tolerance: ``tornado``, and with requirements ``yield`` and ``samples``, written to
+    `folder`.
 
     Figures without derivatives are left out of the tornado.
     """
@@ -114,7 +112,7 @@ def _short(name: str) -> str:
 
 
 def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> Path:
-    """What each number changes each figure by as it grows, and (lighter) as it shrinks. Writes `path`.
+    """Draw the change of each figure as each number grows, and (lighter) as it shrinks. Writes `path`.
 
     Raises:
         ValueError: nothing to draw.
@@ -122,11 +120,8 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
     if not panels:
         raise ValueError("no figures to draw")
     bars = max(min(BARS, len(each.labels)) for each in panels)
-    across = min(2, len(panels))
-    rows = -(-len(panels) // across)
-    figure = new_figure(5.4 * across, 0.5 + rows * (0.9 + 0.26 * bars))
-    grid = np.ravel(figure.subplots(rows, across, squeeze=False))
-    for axes, each in zip(grid, panels, strict=False):
+    figure, grid = panel_grid(len(panels), across=2, panel=(5.4, 0.9 + 0.26 * bars), margin=(0.0, 0.5))
+    for axes, each in zip(grid.flat, panels, strict=False):
         changes = each.changes[:BARS]
         places = np.arange(len(changes))
         axes.barh(places, changes, height=0.6, color=LINE_COLOURS[0], label="number grows")
@@ -136,16 +131,14 @@ def draw_tornado(panels: Sequence[Tornado], path: Path, *, title: str = "") -> P
         axes.set_ylim(bars - 0.4, -0.6)
         axes.set_title(each.title, fontsize=10)
         tidy(axes)
-    for axes in grid[len(panels):]:
-        axes.set_visible(False)
-    grid[0].legend(frameon=False, loc="lower right", fontsize=8)
+    grid.flat[0].legend(frameon=False, loc="lower right", fontsize=8)
     figure.suptitle(title)
     figure.tight_layout()
     return save_figure(figure, path)
 
 
 def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "") -> Path:
-    """Samples of every figure, those that meet what is required in colour, with the limits and the chip as stated.
+    """Draw samples of every figure, those that meet the requirement in colour, with the limits and the stated chip.
 
     Writes `path`.
 
@@ -154,14 +147,11 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
     """
     if not panels:
         raise ValueError("no figures to draw")
-    across = min(PANELS_ACROSS, len(panels))
-    rows = -(-len(panels) // across)
-    figure = new_figure(4.2 * across + 0.4, 3.0 * rows + 0.5)
-    grid = np.ravel(figure.subplots(rows, across, squeeze=False))
-    for axes, each in zip(grid, panels, strict=False):
+    figure, grid = panel_grid(len(panels), across=PANELS_ACROSS, panel=(4.2, 3.0), margin=(0.4, 0.5))
+    for axes, each in zip(grid.flat, panels, strict=False):
         there = each.values[np.isfinite(each.values)]
         met = (there >= each.low) & (there <= each.high)
-        # Freedman and Diaconis as numpy has it; two at least, for figures that hardly differ.
+        # The rule of Freedman and Diaconis, as in numpy; at least two, for figures that hardly differ.
         edges = np.histogram_bin_edges(there, bins="auto") if np.ptp(there) > 0.0 else 2
         axes.hist([there[met], there[~met]], bins=edges, stacked=True, color=[PASSED, FAILED],
                   label=["meets it", "does not"])
@@ -174,16 +164,14 @@ def draw_histograms(panels: Sequence[Histogram], path: Path, *, title: str = "")
         axes.locator_params(axis="x", nbins=5)
         axes.set_ylabel("samples")
         tidy(axes)
-    for axes in grid[len(panels):]:
-        axes.set_visible(False)
     figure.suptitle(title)
     figure.tight_layout(rect=(0.0, 0.3 / figure.get_figheight(), 1.0, 1.0))
-    figure.legend(*grid[0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="lower center", ncols=4)
+    figure.legend(*grid.flat[0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="lower center", ncols=4)
     return save_figure(figure, path)
 
 
 def draw_yields(bars: Sequence[YieldBar], path: Path, *, title: str = "") -> Path:
-    """The yield of every requirement with its interval, and the linear estimate beside it. Writes `path`.
+    """Draw the yield of every requirement with its interval, and the linear estimate beside it. Writes `path`.
 
     Raises:
         ValueError: nothing to draw.
