@@ -259,7 +259,7 @@ def test_a_local_basis_holds_what_offsets_set_apart(stack: Problem, chip: Chip) 
     objective = objective.near(x, {}, 1e-6)
     # 0.03 without; the rest is what is left of the second derivative.
     assert np.abs(objective(x, deviation=[1.0, 1.0]).impedance[1] / exact - 1.0).max() < 1e-3
-    # Nor does the neighbourhood of both leave one of them out.
+    # Nor does truncation to both leave one of them out.
     assert np.abs(objective.truncated([x])(x, deviation=[1.0, 1.0]).impedance[1] / exact - 1.0).max() < 1e-3
 
 

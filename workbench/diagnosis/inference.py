@@ -24,7 +24,7 @@ from workbench.diagnosis.device import Model, device_model
 from workbench.diagnosis.findings import Found, InitialOptimum, NotTried, Settled, leading_of, promise, weakness
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
-from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
+from workbench.diagnosis.local_models import PLACES, ROUGH, LocalModels
 from workbench.diagnosis.odds import CLOSE, INACCURATE, INCONSPICUOUS, Criteria
 from workbench.diagnosis.profile_scan import corners, scan_profiles
 from workbench.diagnosis.ranking import Score, ranked
@@ -92,9 +92,9 @@ class DiagnosisSearch:
             self.trace(" ".join([f"{time.perf_counter() - self.started:6.1f}", *map(str, words)]))
 
     @cached_property
-    def models(self) -> Neighbourhoods:
+    def models(self) -> LocalModels:
         """What predicts the recordings."""
-        return Neighbourhoods(self.model)
+        return LocalModels(self.model)
 
     @cached_property
     def least(self) -> float:
@@ -174,11 +174,12 @@ class DiagnosisSearch:
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
         narrow = Likelihood.bare(self.model, self.models.narrow)
         self.models.places = tuple(
-            each.x for each in ends if self.models.doubts(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
+            each.x for each in ends
+            if self.models.are_inaccurate(narrow.data(nothing, each.x, LEVELS[0]).error, LEVELS[1]))
         further = [each for each in self.work([
             SearchTask.of("a basin where nothing is wrong", self.furthered, each) for each in ends], must=1)
             if each is not None]
-        self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.doubt, 2))
+        self.say("nothing", [(round(w.log_evidence, 1), w.accuracy, round(w.left, 2), round(w.model_error, 2))
                              for w in sorted(further, key=lambda each: -each.log_evidence)])
         if not further:
             further = [self.models.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1])]
@@ -207,7 +208,7 @@ class DiagnosisSearch:
         end = likelihood.weighed(nothing, begun.x, LEVELS[0])
         try:
             for _ in range(PLACES):
-                if not self.models.doubts(end.doubt, LEVELS[1]):
+                if not self.models.are_inaccurate(end.model_error, LEVELS[1]):
                     break
                 likelihood = likelihood.on(self.models.near(nothing, end.x, end.errors, ROUGH))
                 x = likelihood.solve(likelihood.search(nothing), STAGE, end.x).x
@@ -267,7 +268,7 @@ class DiagnosisSearch:
             if each is not None]
         for candidate in further:
             self.say("   more", candidate.hypothesis.name, candidate.log_evidence - plain.log_evidence,
-                     candidate.weighed.accuracy, candidate.weighed.left, candidate.weighed.doubt)
+                     candidate.weighed.accuracy, candidate.weighed.left, candidate.weighed.model_error)
         return further
 
     def settle(self, plain: Candidate, found: Sequence[Candidate], settled: dict[Candidate, Settled]) -> None:
@@ -379,17 +380,17 @@ class DiagnosisSearch:
         largest = max(starts, key=lambda y: float(np.abs(y[own] - self.models.centre[own]).sum()))
         likelihood = self.models.likelihood(at).on(self.models.wider(hypothesis, [largest]))
         candidate = refit_from(likelihood, hypothesis, starts, LEVELS[0])
-        self.say("   little", name, candidate.log_evidence, candidate.weighed.doubt,
+        self.say("   little", name, candidate.log_evidence, candidate.weighed.model_error,
                  [float(candidate.x[i]) for i in own])
         return candidate
 
     def onward(self, candidate: Candidate, at: Real) -> Candidate:
-        """Where an effect leads with the data weighing more, on models made again where these are in doubt.
+        """Where an effect leads with the data weighing more, on models made again where theirs are inaccurate.
 
         The model's inaccuracy is that `at` a place (p,).
         """
         hypothesis, likelihood = candidate.hypothesis, self.models.likelihood(at)
-        if not self.models.doubts(candidate.weighed.doubt, LEVELS[0]):
+        if not self.models.are_inaccurate(candidate.weighed.model_error, LEVELS[0]):
             likelihood = likelihood.on(self.models.wider(hypothesis, [candidate.x]))
         likelihood, little = self.renewed(likelihood, candidate, LEVELS[0])
         found = refit_from(likelihood, hypothesis, [end.x for end in little.ends], LEVELS[1])
@@ -398,11 +399,11 @@ class DiagnosisSearch:
     def renewed(
         self, likelihood: Likelihood, candidate: Candidate, level: float
     ) -> tuple[Likelihood, Candidate]:
-        """A candidate followed on models made again about it, as long as these are in doubt, and the last of them."""
+        """A candidate followed on models made again about it while these are inaccurate, and the last of them."""
         for _ in range(PLACES):
-            if not self.models.doubts(candidate.weighed.doubt, level):
+            if not self.models.are_inaccurate(candidate.weighed.model_error, level):
                 break
-            self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.doubt)
+            self.say("      renewed", candidate.hypothesis.name, candidate.log_evidence, candidate.weighed.model_error)
             likelihood = self.models.about(likelihood, candidate)
             candidate = refit_from(likelihood, candidate.hypothesis, [candidate.x], level)
         return likelihood, candidate
@@ -427,13 +428,13 @@ class DiagnosisSearch:
         placed = [self.placed(likelihood, hypothesis, end, hurry) for end in candidate.ends]
         likelihood, found = max(placed, key=lambda each: each[1].log_evidence)
         for _ in range(0 if hurried else PLACES - 1):
-            if not (hurry or self.models.doubts(found.doubt, found.accuracy)
+            if not (hurry or self.models.are_inaccurate(found.model_error, found.accuracy)
                     or self.is_elsewhere(likelihood, hypothesis, found.x)):
                 break
             hurry = {}
             likelihood, found = self.placed(likelihood, hypothesis, found.weighed, hurry)
         self.say("settled", hypothesis.name, found.log_evidence, *found.scales, "chi",
-                 float(np.mean(found.residual.vector**2)), "doubt", found.doubt)
+                 float(np.mean(found.residual.vector**2)), "model error", found.model_error)
         density, seen = 0.0, list[NDArray[np.complex128]]()
         if self.model.held_out is not None:
             rounds = 0 if hurried or found.accuracy > INACCURATE else 1
@@ -450,7 +451,7 @@ class DiagnosisSearch:
     ) -> tuple[Likelihood, Explanation]:
         """The optimum at full weight near an end, on models about it where those of the likelihood are in doubt."""
         # What is inaccurate may be so for its models.
-        if self.is_elsewhere(likelihood, hypothesis, end.x) or self.models.doubts(
+        if self.is_elsewhere(likelihood, hypothesis, end.x) or self.models.are_inaccurate(
                 likelihood.data(hypothesis, end.x).error, end.accuracy if hurry else 0.0):
             likelihood = likelihood.on(self.models.near(hypothesis, end.x, end.errors))
         likelihood = likelihood.with_patterns(end.x)

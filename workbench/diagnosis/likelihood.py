@@ -128,14 +128,14 @@ class Local:
 class Weighed(NamedTuple):
     """What data are worth at a place ``x`` (p,): ``log_evidence``, the standard deviations ``errors`` (p,), the
     ``accuracy`` of the model there; chi-square relative to what noise would leave (``left``), with no more than
-    :data:`INACCURATE`; the estimated relative error of Z (``doubt``)."""
+    :data:`INACCURATE`; the estimated relative error of Z (``model_error``)."""
 
     x: Real
     log_evidence: float
     errors: Real
     accuracy: float
     left: float
-    doubt: float
+    model_error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ class Explanation:
 
     ``x`` (p,) all parameters; ``free`` the indices of those that move and ``covariance`` of them; ``log_evidence`` up
     to what all hypotheses share; ``scales`` of what deviates, of the largest evidence; ``residual`` the data there, in
-    units of the noise; ``occam`` what the ranges of its parameters cost of the evidence; ``doubt`` the estimated
+    units of the noise; ``occam`` what the ranges of its parameters cost of the evidence; ``model_error`` the estimated
     relative error of Z.
     """
 
@@ -156,7 +156,7 @@ class Explanation:
     scales: Scales
     occam: float
     residual: Residual
-    doubt: float
+    model_error: float
     correlation: float = 1.0
 
     @property
@@ -178,12 +178,12 @@ class Explanation:
     @property
     def weighed(self) -> Weighed:
         """What the data are worth there, from where a search goes on."""
-        return Weighed(self.x, self.log_evidence, self.errors, self.accuracy, 1.0, self.doubt)
+        return Weighed(self.x, self.log_evidence, self.errors, self.accuracy, 1.0, self.model_error)
 
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """The recordings, the models that predict them in some neighbourhood, and what these do not get right.
+    """The recordings, the models that predict them about a point, and what these do not get right.
 
     ``columns`` (m, k) what the smooth changes within all parts (``smooth``) do to ln Z at a relative size of one;
     ``anything`` the same of every region, with losses of any size, for hypotheses of a region.

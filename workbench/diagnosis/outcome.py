@@ -197,7 +197,7 @@ class Diagnosis(Shown):
     def posterior(self, name: str = "", *, scales: Scales | None = None) -> Posterior:
         """The posterior of the hypothesis of that name ("nothing" for none), of what was chosen by default.
 
-        It is made when it is asked for, with reduced models for the neighbourhood of the optimum. A hypothesis of the
+        It is made when it is asked for, with reduced models about the optimum. A hypothesis of the
         catalogue that the search did not settle is followed to its optimum first. `scales` as of a `Posterior`.
 
         Raises:

@@ -35,7 +35,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.findings import Found, Settled
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Local, Scales
-from workbench.diagnosis.neighbourhoods import Neighbourhoods
+from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.starts import start
 from workbench.files.errors import nearest_names
 from workbench.fitting.search import REFUSED, FitSearch
@@ -68,7 +68,7 @@ class Posterior(Brief):
 
     Everywhere theta (k,) are the free parameters alone, those of :attr:`names`, in SI units (that of a ``relative``
     parameter is 1). All else stays at the place ``x`` (p,), of which also the deviations B are. Reduced models predict
-    the recordings; they are made for the neighbourhood of x, and :meth:`doubt` estimates their error elsewhere.
+    the recordings; they are made about x, and :meth:`model_error` estimates their error elsewhere.
 
     ``scales`` are those of the deviations, averaged over as in the diagnosis if None.
     """
@@ -82,7 +82,7 @@ class Posterior(Brief):
     def of(
         cls, model: Model, hypothesis: Hypothesis, x: Real, *, errors: Real | None = None, scales: Scales | None = None
     ) -> Posterior:
-        """On reduced models made for the neighbourhood of x (p,), with what the model does not get right there.
+        """On reduced models made about x (p,), with what the model does not get right there.
 
         `errors` (p,) are standard deviations that they have to reach (twice so far), zero of what does not move; those
         of Laplace's approximation at x if None.
@@ -90,7 +90,7 @@ class Posterior(Brief):
         Raises:
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted at x.
         """
-        models = Neighbourhoods(model)
+        models = LocalModels(model)
         if errors is None:
             there = Likelihood.bare(model, models.near(hypothesis, x, np.zeros(x.size)))
             errors = there.with_patterns(x).weighed(hypothesis, x, 0.0).errors
@@ -105,7 +105,7 @@ class Posterior(Brief):
             NotConverged, NotEnriched, MeshError, InputError: nothing can be predicted there.
         """
         found = settled.explanation
-        near = Neighbourhoods(model).near(found.hypothesis, found.x, found.errors)
+        near = LocalModels(model).near(found.hypothesis, found.x, found.errors)
         own = Likelihood(model, near, settled.columns, settled.anything)
         return cls(own, found.hypothesis, found.x, scales)
 
@@ -211,7 +211,7 @@ class Posterior(Brief):
         prior = self.log_prior(theta)
         return prior if prior == -math.inf else prior + self.log_likelihood(theta)
 
-    def doubt(self, theta: Real) -> float:
+    def model_error(self, theta: Real) -> float:
         """The estimated relative error of Z of the reduced models at theta (k,): a bound, some hundred times the error.
 
         Raises:

@@ -153,12 +153,11 @@ class TrialBasis:
 
         On a `part` (k, m) of the candidates, if it is given: then r + m - 1.
         """
-        inner, probed = self.inner, self.probed
+        inner, probed, old = self.inner, self.probed, self.model.basis.shape[1] - 1
         if part is not None:
-            old = self.model.basis.shape[1] - 1
-            whole = np.zeros((inner.shape[1], old + part.shape[1] + 1))
-            whole[:old, :old], whole[old:-1, old:-1], whole[-1, -1] = np.eye(old), part, 1.0
-            inner, probed = whole.T @ inner @ whole, probed @ whole
+            inner, probed = (np.concatenate([each[..., :old], each[..., old:-1] @ part, each[..., -1:]], axis=-1)
+                             for each in (inner, probed))
+            inner = np.concatenate([inner[:, :old], part.T @ inner[:, old:-1], inner[:, -1:]], axis=1)
         found = solve_dense(self.factors, inner)
         remainder = sum((each @ found.states) * h for h, each in zip(self.factors, probed, strict=True))
         return found.states[:-1] / np.sqrt(np.abs(found.charge)), estimated_error(np.asarray(remainder), found.charge)

@@ -31,8 +31,9 @@ Complex = NDArray[np.complex128]
 #: How far, relative, a parameter is expected to move before the basis is enriched again.
 MOVED = 0.1
 
-#: Error of Z that truncation to given states may add, where all that follows stands on these: far below any tolerance.
-UNSEEN = 1e-9
+#: Error of Z that truncation to the states at given values may add there: to all that follows from these states alone,
+#: and as a share of the tolerance where a search goes on about them.
+UNSEEN, UNSEEN_SHARE = 1e-9, 1e-3
 
 #: Vectors from which on a basis is truncated to the present states before it is enriched, to an error of Z of this
 #: share of the tolerance: dense solves cost the cube of the rank.
@@ -187,7 +188,8 @@ class Predictor:
             return self.at(self.frequencies)
         every = [self.model.states(self.frequencies, {**self.problem.values, **each}) for each in settings]
         states = np.concatenate([every[0], *(each - every[0] for each in every[1:])], axis=1)
-        return replace(self, model=self.model.truncated(states, UNSEEN), solves=0)
+        error = UNSEEN_SHARE * self.tolerance if math.isfinite(self.tolerance) else UNSEEN
+        return replace(self, model=self.model.truncated(states, error), solves=0)
 
     def full(self, values: Mapping[str, complex], at: Real) -> Complex:
         """The impedance (e^{+j w t}) by full solves at the frequencies `at`, to check the reduced model with."""

@@ -1,4 +1,4 @@
-"""The models that a search predicts with, each for a neighbourhood: none of them is right all over what is known."""
+"""The models that a search predicts with, each on local bases: none of them is right all over what is known."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
 from workbench.fitting.objective import Objective
 from workbench.reduced.about_point import TERMS
+from workbench.reduced.estimate import SLACK
 
 Real = NDArray[np.float64]
 
@@ -33,13 +34,13 @@ FEW = 3
 #: How far models reach: over what is known, in its uncertainties, and about an optimum, in its standard deviations.
 FAR, NEAR = 1.5, 2.0
 
-#: An optimum is looked for on models made again about it, at most so many times, until their estimated error there is
-#: no more than so many deviations of the points (it is some hundred times the true one).
-PLACES, TRUSTED = 3, 20.0
+#: An optimum is looked for on models made again about it, at most so many times, until their error estimate there is
+#: within tolerance, which is the deviation of the points (:meth:`LocalModels.are_inaccurate`).
+PLACES = 3
 
 
 @dataclass(eq=False)
-class Neighbourhoods:
+class LocalModels:
     """The recordings of a model predicted where a search asks for it.
 
     ``places`` (p,) of optima that :attr:`wide` has to be right at besides where the known numbers are believed to be.
@@ -127,9 +128,9 @@ class Neighbourhoods:
                  for p, error in zip(self.model.parameters, errors, strict=True) if error > 0.0}
         return recordings.near(x, reach, tolerance or FINE * self.noise, only=self.moving(hypothesis), enriches=False)
 
-    def doubts(self, doubt: float, level: float = 0.0) -> bool:
-        """Whether models of that estimated error are not trusted where points have a further deviation `level`."""
-        return doubt > TRUSTED * math.hypot(self.noise, level)
+    def are_inaccurate(self, error: float, level: float = 0.0) -> bool:
+        """Whether an error estimate is above tolerance where points have a further deviation `level`."""
+        return error > SLACK * math.hypot(self.noise, level)
 
     def predicted(
         self, likelihood: Likelihood, found: Explanation, *, rounds: int, limit: int
@@ -149,7 +150,7 @@ class Neighbourhoods:
             else:
                 seen = held.impedances(found.x)
             every = likelihood.joined(held).settled(hypothesis, every.x, rounds=rounds, limit=limit)
-            if not self.doubts(every.doubt, every.accuracy):
+            if not self.are_inaccurate(every.model_error, every.accuracy):
                 break
         return every.log_evidence - found.log_evidence, seen
 
@@ -170,8 +171,8 @@ class Neighbourhoods:
         terms: int = TERMS,
     ) -> Objective:
         own = [self.model.index(name) for effect in hypothesis.effects for name in effect.names]
-        corners = [replaced(self.centre, own, place[own]) for place in places]
-        return objective.neumann_enriched(self.centre, corners, tolerance, only=self.moving(hypothesis), terms=terms)
+        there = [replaced(self.centre, own, place[own]) for place in places]
+        return objective.neumann_enriched(self.centre, there, tolerance, only=self.moving(hypothesis), terms=terms)
 
     def moving(self, hypothesis: Hypothesis) -> list[int]:
         """Indices of what moves under a hypothesis."""
