@@ -43,11 +43,12 @@ from workbench.model.dimensions import flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.numbers import ParameterName, placed, real_part
 from workbench.model.problem import Problem, build, fill
+from workbench.physics.term import Values
 from workbench.reduced.about_point import local_basis
-from workbench.reduced.basis import smallest_part
+from workbench.reduced.basis import smallest_part, truncated_coordinates
 from workbench.reduced.compact import compacted
 from workbench.reduced.estimate import energy_matrix
-from workbench.reduced.growth import ENRICHING_DEPTH, TIGHTER, Sample, TrialBasis, sample
+from workbench.reduced.growth import ENRICHING_DEPTH, TIGHTER, sample
 from workbench.reduced.model import ReducedModel
 from workbench.reduced.predictor import Prediction
 from workbench.results.brief import Brief
@@ -72,9 +73,8 @@ FIRST = 6
 #: error many times over. At 30 a disc took 6 rounds of full solves in place of 2 (with 31 vectors, not 30).
 TRUNCATED_TO = 3.0
 
-#: What the states of one point are truncated to, over what those of all points of a round are together: many small parts
-#: along one direction are a large one.
-PART = 0.1
+#: Candidates of unit energy whose part outside the others is smaller than this add nothing.
+INDEPENDENT = 1e-6
 
 #: Most full solves of a model, unless told otherwise.
 LIMIT = 400
@@ -385,25 +385,31 @@ def _growth(
                 return
             if spent >= limit:
                 raise NotCovered(done)
+            states = np.column_stack([each.states for each in solved])
             enriched = reduced
             while enriched is reduced:
-                needed = partial(_needed, reduced, solved, watched, PART * smallest)
-                vectors = np.column_stack(list(pool.map(needed, [value for value, _ in jobs])))
-                enriched = reduced.joined([(vectors, smallest)])
+                enriched = _enriched(reduced, states, watched, [value for value, _ in jobs], smallest, pool)
                 # The samples are off: where nothing of them seems to be needed, too much was left out.
                 smallest *= TIGHTER if enriched is reduced else 1.0
             reduced = enriched
             yield replace(done, reduced=reduced)
 
 
-def _needed(
-    model: ReducedModel, samples: Sequence[Sample], frequencies: Real, smallest: float, values: Mapping[str, complex]
-) -> Complex:
-    """Vectors that states with these values need of all samples of a round beside a model, see `TrialBasis.needed`.
+def _enriched(
+    model: ReducedModel, candidates: Complex, frequencies: Real, places: Sequence[Values], smallest: float,
+    pool: ThreadPoolExecutor,
+) -> ReducedModel:
+    """`model` enriched by what the states at `places` together need of the `candidates` (size, n), truncated.
 
-    With a sample of its own alone a state would be right near the frequency of that only.
+    Each state needs candidates of other places too: its own alone are right near their frequency only.
     """
-    return TrialBasis.of(model, System(model.full, values), frequencies).joined(samples).needed(smallest, np.inf)[0]
+    size = np.sqrt(np.sum(np.abs(candidates[:-1]) * np.abs(model.energy @ candidates[:-1]), axis=0))
+    wide, old = model.joined([(candidates / size, INDEPENDENT)]), model.sizes.size
+    found = np.column_stack(list(pool.map(lambda values: wide.states(frequencies, values)[old:-1], places)))
+    own, sizes = truncated_coordinates(np.column_stack([found.real, found.imag]), np.eye(len(found)), smallest)
+    part = np.zeros((wide.sizes.size, old + sizes.size))
+    part[:old, :old], part[old:, old:] = np.eye(old), own
+    return wide.restricted(part, np.append(model.sizes, sizes)) if sizes.size else model
 
 
 def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]) -> tuple[float, int, complex]:
