@@ -35,9 +35,9 @@ Complex = NDArray[np.complex128]
 #: Random projections of the residual: their mean square is below half of its norm's with a probability of 2 %.
 PROJECTIONS = 24
 
-#: An estimate may be above what is asked of the error by this factor, where full solves confirm the model or it is asked
-#: for far less than noise. At 30 the error is some 2.5 times what is asked for in the median; doubled, a model takes
-#: fewer solves and vectors, and is off by twice as much.
+#: An estimate may be above what is asked of the error by this factor, where that is far below the noise of the data. At
+#: 30 the error is some 2.5 times what is asked for in the median; doubled, a model takes fewer solves, and is off by
+#: twice as much.
 SLACK = 30.0
 
 #: The estimate is this many times the squared norm of the residual: for the scatter of its random projections.

@@ -69,8 +69,8 @@ WATCHED, LOOKED_AT, SOLVED = 61, 32, 12
 #: Frequencies of the first solves, in the middle of the ranges.
 FIRST = 6
 
-#: A basis is truncated to what an error of Z of this times the tolerance needs: the energy of what is left out bounds the
-#: error many times over. At 30 a disc took 6 rounds of full solves in place of 2 (with 31 vectors, not 30).
+#: A basis is truncated to what an error of Z of this times the tolerance needs: the energy of what is left out bounds
+#: the error many times over. At 30 a disc took 6 rounds of full solves in place of 2 (with 31 vectors, not 30).
 TRUNCATED_TO = 3.0
 
 #: Candidates of unit energy whose part outside the others is smaller than this add nothing.
