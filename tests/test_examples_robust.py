@@ -5,13 +5,13 @@ from __future__ import annotations
 import importlib.util
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas
 import pytest
+from support import with_fields
 
 from geometry.chip import read_chip
 from geometry.chip_file import write_chip
@@ -40,7 +40,7 @@ def test_every_command_is_one_and_the_goals_are_read(tmp_path: Path, monkeypatch
     # They ask the same of the same chip, but for what is uncertain.
     assert goals["nominal"].robust is None
     assert goals["robust"].robust.materials
-    assert replace(goals["robust"], robust=None, source="", bounds=()) == replace(
+    assert with_fields(goals["robust"], robust=None, source="", bounds=()) == with_fields(
         goals["nominal"], source="", bounds=(), chip=goals["robust"].chip)
     assert {bound.text for bound in goals["robust"].bounds} == {example.REQUIRED}
 

@@ -355,7 +355,7 @@ def test_the_command_on_a_real_chip(tmp_path: Path, capsys: pytest.CaptureFixtur
 chip = "chip.toml"
 figures = ["f0", "z_min"]
 accuracy = "1 %"
-tolerance = "1 %"
+relative_error = "1 %"
 confirm = 1
 [vary]
 "substrate.thickness" = { from = "0.83 mm", to = "0.87 mm", points = 4 }

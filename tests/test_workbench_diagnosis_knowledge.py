@@ -10,7 +10,7 @@ from workbench.diagnosis.campaign import Campaign, read_campaign
 from workbench.diagnosis.device import device_model
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import Parameter
-from workbench.results.spectrum import Spectrum, write_csv
+from workbench.results.spectrum import Spectrum, write_spectrum
 
 LAYER = '[[layers]]\nrole = "{role}"\nmaterial = "{material}"\nthickness = {thickness}\nradius = "4 mm"\n{more}\n'
 HEAD = '[chip]\nname = "small"\nband = ["0.88 MHz", "1.12 MHz"]\n'
@@ -92,7 +92,7 @@ def folder(tmp_path: Path) -> Path:
     omega = 2.0 * np.pi * frequency
     motion = 30.0 + 1j * omega * 1e-3 + (2.0 * np.pi * 0.99e6) ** 2 * 1e-3 / (1j * omega)
     for name in ("disc", "empty", "filled", "warm"):
-        write_csv(Spectrum(frequency, 1.0 / (1j * omega * 2.2e-10 + 1.0 / motion)), tmp_path / f"{name}.csv")
+        write_spectrum(Spectrum(frequency, 1.0 / (1j * omega * 2.2e-10 + 1.0 / motion)), tmp_path / f"{name}.csv")
     return tmp_path
 
 

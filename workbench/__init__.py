@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from workbench.results.merit import Figures as Figures
     from workbench.results.merit import figures as figures
     from workbench.results.spectrum import Spectrum as Spectrum
+    from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.run import Simulation as Simulation
     from workbench.simulation.run import Snapshot as Snapshot
     from workbench.simulation.run import simulate as simulate
@@ -123,6 +124,7 @@ PUBLIC = {
     "study": "workbench.design.study",
     "tolerance": "workbench.design.tolerance",
     "write_chip": "geometry.chip_file",
+    "write_spectrum": "workbench.results.spectrum",
 }
 
 __all__ = sorted(PUBLIC)

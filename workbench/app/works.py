@@ -20,7 +20,7 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import UNITS
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 #: What each kind of work is called on the page.
 KINDS: Mapping[str, str] = {"model": "Model", "check": "Check", "full": "Full solve", "fit": "Fit",
@@ -139,7 +139,7 @@ class Works:
         if session.recording is None:
             raise InputError("live view", "diagnose", None, "a recording, or a campaign (--campaign)")
         chip = write_chip(session.present_chip(), folder / "chip.toml")
-        write_csv(session.recording, folder / "recording.csv")
+        write_spectrum(session.recording, folder / "recording.csv")
         names = [each.name for each in session.controls
                  if (not self.free or each.name in self.free) and each.tolerance != 0.0]
         # What is not ticked is exact, whatever its file says; the bench is not the chip's.

@@ -19,7 +19,7 @@ from workbench.files.errors import InputError
 from workbench.report.figures import figures_record, measured_figures
 from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
 from workbench.report.simulations import comparison_record, simulation_record
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,7 +48,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
         run = run_state(chip, options.state, asked, show)
         show(run.state, "done", 1.0)
     comparison = compare_spectra(measured, run.spectrum)
-    write_csv(run.spectrum, folder / "spectrum.csv")
+    write_spectrum(run.spectrum, folder / "spectrum.csv")
     spectra = {"measured": measured, "simulated": run.spectrum}
     residual = comparison.log_residual
     pictures = [

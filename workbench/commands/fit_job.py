@@ -38,7 +38,7 @@ from workbench.model.problem import fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
 from workbench.reproduction import fits as paper
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 #: Called with what is being done and the share of it that is done.
 Progress = Callable[[str, float], None]
@@ -98,8 +98,8 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
              "rms_log_residual": c.comparison.rms_log_residual,
              "published_mape_percent": _published(c.thickness)} for c in gel]
     for match in result.recordings:
-        write_csv(match.fitted, folder / f"{match.name}_fitted.csv")
-        write_csv(match.start, folder / f"{match.name}_start.csv")
+        write_spectrum(match.fitted, folder / f"{match.name}_fitted.csv")
+        write_spectrum(match.start, folder / f"{match.name}_start.csv")
     write_fit_report(folder, job.name, result, prepared, sources, gel=gel, saved_as=saved_as)
     # Last: where it is, everything is.
     write_json(folder / "fit.json", record)

@@ -20,7 +20,7 @@ from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_atomic
 from workbench.instruments.instrument import Waveform
 from workbench.report.page import TextTable
-from workbench.results.spectrum import Origin, Spectrum, write_csv
+from workbench.results.spectrum import Origin, Spectrum, write_spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -70,7 +70,7 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
     if resistance is not None:
         values = [impedance([pair.fit], resistance) for pair in found]
         if len(found) > 1:
-            write_csv(_spectrum(found, values, resistance, tolerance), folder / "spectrum.csv")
+            write_spectrum(_spectrum(found, values, resistance, tolerance), folder / "spectrum.csv")
     print_table(f"CH{options.total} over CH{options.reference}", _table(found, values))
     if len(found) == 1 and values is not None:
         console.print("one frequency: no spectrum.csv was written, which takes captures at two frequencies or more",

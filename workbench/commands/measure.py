@@ -26,7 +26,7 @@ from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.report.figures import FIGURE_COLUMNS, figures_row, measured_figures
 from workbench.report.page import Block, Note, Picture, TextTable, Verbatim, number_text, write_report
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -128,7 +128,7 @@ def _write_results(
     write_run(run, path, results=results(levels, compensation))
     for found in levels:
         end = "" if len(setup.levels) == 1 else f"_{found.level:g}Vpp"
-        write_csv(found.spectrum, path.with_name(path.stem + end + ".csv"))
+        write_spectrum(found.spectrum, path.with_name(path.stem + end + ".csv"))
     write_measurement(setup, run, levels, path.with_suffix(".html"))
     print_table(path.name, _figures(levels))
     for found in levels:

@@ -27,7 +27,7 @@ from workbench.model.problem import fill
 from workbench.report.figures import MODEL_COLUMNS, capacitance_cells, figures_row
 from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, write_json, write_report
 from workbench.report.simulations import field_table, simulation_record, traps_table
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 from workbench.simulation.gathering import Gathering, gathering
 from workbench.simulation.run import Simulation
 
@@ -62,7 +62,7 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
             runs.append(run)
         solids = parts()
     # The last state is the one the device works in: the filled chip comes after the empty one.
-    write_csv(runs[-1].spectrum, folder / "spectrum.csv")
+    write_spectrum(runs[-1].spectrum, folder / "spectrum.csv")
     answers = [found for found in map(gathering, runs) if found is not None]
     write_json(folder / "merit.json", {
         "chip": chip.name, "chip_file": str(options.chip), "spectrum_csv": runs[-1].state,

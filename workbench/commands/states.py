@@ -13,7 +13,7 @@ from workbench.commands.terminal import Show
 from workbench.files.writing import write_atomic
 from workbench.model.discretisation import discretisation
 from workbench.model.problem import fill
-from workbench.results.spectrum import write_csv
+from workbench.results.spectrum import write_spectrum
 from workbench.simulation.run import Simulation, Snapshot
 from workbench.simulation.run import simulate as simulate_state
 
@@ -33,7 +33,7 @@ def run_state(
         chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
         tolerance=asked.tolerance, drive=asked.drive, accuracy=asked.accuracy,
         on_point=points.add if points else None, known=points.known if points else None,
-        on_spectrum=(lambda _found: None) if spectrum is None else partial(write_csv, path=spectrum),
+        on_spectrum=(lambda _found: None) if spectrum is None else partial(write_spectrum, path=spectrum),
         progress=partial(simulated, show, name),
     )
 

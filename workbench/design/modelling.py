@@ -81,7 +81,7 @@ class ChipSolver:
         """
         goal = self.goal
         made = design_model(chip, goal.state, ranges, figures=goal.figures, operation=goal.operation,
-                            registry=self.registry, band=goal.band, tolerance=goal.search.tolerance, limit=SOLVES,
+                            registry=self.registry, band=goal.band, tolerance=goal.search.relative_error, limit=SOLVES,
                             seed=goal.search.seed, progress=progress, accuracy=self.accuracy)
         of_field = [name for name in goal.figures if name in OF_FIELD]
         if of_field and made.reason:

@@ -22,7 +22,7 @@ from workbench.model.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.figures import measured_figures
 from workbench.results.comparison import compare
-from workbench.results.spectrum import Origin, Spectrum
+from workbench.results.spectrum import Origin, Spectrum, spectrum_of
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -107,11 +107,15 @@ def state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
 def read_state(name: str, table: FileTable, folder: Path, registry: Registry) -> DeviceState:
     """The state of that name from its table; paths are relative to `folder`.
 
+    A program may give the chip itself, and in place of a recording's path a spectrum or what has one.
+
     Raises:
         InputError: a mistake in the table or in a file it names, or a recording that cannot be of this device.
     """
     table.only(STATE_KEYS)
-    chip = read_chip(_path(table, "chip", folder))
+    chip = table.content.get("chip")
+    if not isinstance(chip, Chip):
+        chip = read_chip(_path(table, "chip", folder))
     if "state" in table:
         state = chip.state(table.text("state", expected="a state, as text"))
     elif len(chip.states) == 1:
@@ -128,11 +132,9 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
         state = replace(state, temperature=temperature)
         chip = replace(chip, states=tuple(state if s.name == state.name else s for s in chip.states))
     device = fill(chip, state.name, registry)
-    recording = _path(table, "recording", folder)
+    whole, recording = _recording(table, folder)
     band = _band(table) if "band" in table else None
-    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
-    whole = read_recording(recording, columns=columns).spectrum
-    measured = in_band(whole, chip, band, name=str(recording))
+    measured = in_band(whole, chip, band, name=recording)
     noise, stated = _noise(measured, table)
     drive = table.optional_quantity("drive", "peak-to-peak voltage")
     if drive is not None and not drive > 0.0:
@@ -141,8 +143,21 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
                         None if drive is None else 0.5 * drive, temperature, held_out)
     if set(device.materials) == {TRANSDUCER}:
         # Loads shift resonances by more than this check allows for.
-        check_device(in_band(whole, chip, None, name=str(recording)), chip, device.materials, name=str(recording))
+        check_device(in_band(whole, chip, None, name=recording), chip, device.materials, name=recording)
     return found
+
+
+def _recording(table: FileTable, folder: Path) -> tuple[Spectrum, str]:
+    """The spectrum of the state, and the name that mistakes in it are reported under."""
+    given = table.content.get("recording")
+    if given is not None and not isinstance(given, str):
+        try:
+            return spectrum_of(given), table.at("recording")
+        except TypeError:
+            raise table.error("recording", "the path of a recording, a spectrum, or what has one") from None
+    path = _path(table, "recording", folder)
+    columns = read_column_map(_path(table, "columns", folder)) if "columns" in table else None
+    return read_recording(path, columns=columns).spectrum, str(path)
 
 
 def _path(table: FileTable, key: str, folder: Path) -> Path:

@@ -60,6 +60,13 @@ _COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
 #: The unit that messages show of a dimension, where it is not the first one: nobody states a chip in metres.
 EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz"}
 
+class ProgramSource(str):
+    """The name of a value that a program makes, as the source that mistakes in it are reported under.
+
+    Numbers from such a source are in SI and need no unit; in a file a length without its unit is refused.
+    """
+
+
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
@@ -67,7 +74,8 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     """The SI value of a text such as ``"2.02 mm"``. `dimension` is a key of :data:`UNITS`.
 
     A bare number is refused unless the dimension is dimensionless: a length without its unit is the commonest
-    mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin.
+    mistake in a chip file. A share of 0 needs no sign. Temperatures in degC are returned in kelvin. From a program
+    (`source` is a :class:`ProgramSource`) a number is in SI.
 
     Raises:
         InputError: no number, no unit, an unknown unit, or a value that is not finite.
@@ -75,7 +83,8 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     units = UNITS[dimension]
     example = EXAMPLES.get(dimension, next(iter(units)))
     named = f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
-    if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
+    free = dimension == "dimensionless" or isinstance(source, ProgramSource)
+    if free and isinstance(text, int | float) and not isinstance(text, bool):
         if not math.isfinite(text):
             raise InputError(source, field, text, "a finite number")
         return float(text)

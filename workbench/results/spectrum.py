@@ -283,12 +283,15 @@ def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     return replace(spectrum, impedance=impedance, origin=replace(spectrum.origin, settings=settings))
 
 
-def write_csv(spectrum: Spectrum, path: Path | str) -> None:
-    """Write the workbench's own file: ``# key: value`` lines of the origin, the column names, the rows.
+def write_spectrum(spectrum: Spectrum | WithSpectrum, path: Path | str) -> Path:
+    """Write a spectrum, or that of a result, as the workbench's own file, and return its path.
+
+    The file has ``# key: value`` lines of the origin, the column names, the rows.
 
     Numbers are written so that they are read back bit for bit, and the file appears whole or not at all. It is read
     by :func:`workbench.readers.read_recording`.
     """
+    spectrum, path = spectrum_of(spectrum), Path(path)
     origin = spectrum.origin
     lines = [f"# kind: {origin.kind}"]
     for key, text in (("source", origin.source), ("sha256", origin.sha256), ("instrument", origin.instrument),
@@ -305,4 +308,5 @@ def write_csv(spectrum: Spectrum, path: Path | str) -> None:
         names.append(UNCERTAINTY_COLUMN)
     lines.append(",".join(names))
     lines += [",".join(repr(float(value)) for value in row) for row in zip(*columns, strict=True)]
-    write_atomic(Path(path), "\n".join(lines) + "\n")
+    write_atomic(path, "\n".join(lines) + "\n")
+    return path

@@ -203,7 +203,7 @@ def simulate(
     accuracy: float | Discretisation = ACCURACY,
     on_point: Callable[[float, complex], None] | None = None,
     known: Mapping[float, complex] | None = None,
-    on_spectrum: Callable[[Spectrum], None] = lambda _spectrum: None,
+    on_spectrum: Callable[[Spectrum], object] = lambda _spectrum: None,
     progress: Progress = no_progress,
     assumed_losses: bool = True,
 ) -> Simulation:
