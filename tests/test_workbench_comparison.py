@@ -9,7 +9,8 @@ import pytest
 
 from workbench.readers import read_recording
 from workbench.results.comparison import MetricRow, compare
-from workbench.results.merit import bvd_impedance, figures
+from workbench.results.circuit import bvd_impedance
+from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"

@@ -151,7 +151,7 @@ def test_choice_among_resonances() -> None:
 
 
 def test_circuit_is_recovered_exactly() -> None:
-    fit = fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT, series_resistance=1.0)), "bvd",
+    fit = fit_circuit(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT, series_resistance=1.0)),
                         series_resistance=True)
     expected = dict(zip(("R1", "L1", "C1", "C0"), CIRCUIT.values(), strict=True)) | {"Rs": 1.0}
     assert set(fit.parameters) == set(expected)
@@ -166,7 +166,7 @@ def test_circuit_is_recovered_exactly() -> None:
 def test_pole_of_a_circuit() -> None:
     """Y = j w C0 + j w / L1 / (w1^2 - w^2 + j w R1 / L1): its pole has |p| = ws and Q = Re p / 2 Im p. The straight
     background holds all but the mirror pole's curvature, (5 / 2 Q)^2 / 4 of 1 / 4 Q, 1e-6 here."""
-    fit = fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **sharp(400))), "pole")
+    fit = fit_pole(Spectrum(SWEEP, bvd_impedance(SWEEP, **sharp(400))))
     assert fit.frequency.value == pytest.approx(1e6 * math.sqrt(1.0 - 1.0 / 800.0**2), rel=1e-7)
     assert fit.q.value == pytest.approx(400.0, rel=1e-5)
     assert fit.model.frequency[0] == pytest.approx(1e6 - 5 * 2500.0, abs=501.0)
@@ -175,7 +175,7 @@ def test_pole_of_a_circuit() -> None:
 def test_pole_is_not_misled_by_an_overtone() -> None:
     """A mode 56 kHz away is background to the pole but breaks the one-mode circuit, and the residual says so."""
     spectrum = two_modes()
-    pole, circuit = fit_resonance(spectrum, "pole", band=(985e3, 1003e3)), fit_resonance(spectrum, "bvd")
+    pole, circuit = fit_pole(spectrum, band=(985e3, 1003e3)), fit_circuit(spectrum)
     q = math.sqrt(CIRCUIT["motional_inductance"] / CIRCUIT["motional_capacitance"]) / CIRCUIT["motional_resistance"]
     assert pole.q.value == pytest.approx(q, rel=1e-3)
     assert pole.rms_residual < 1e-3 < 0.05 < circuit.rms_residual
@@ -216,7 +216,7 @@ def test_stated_and_estimated_uncertainty_agree() -> None:
     clean = bvd_impedance(SWEEP, **sharp(150))
     deviation = 2e-3 * np.abs(clean)
     noisy = clean + deviation * (generator.normal(size=clean.size) + 1j * generator.normal(size=clean.size))
-    told, judged, doubled = (fit_resonance(Spectrum(SWEEP, noisy, uncertainty), "bvd")
+    told, judged, doubled = (fit_circuit(Spectrum(SWEEP, noisy, uncertainty))
                              for uncertainty in (deviation, None, 2.0 * deviation))
     expected = told.q.standard_error * math.sqrt(told.reduced_chi_square)
     assert judged.q.standard_error == pytest.approx(expected, rel=0.01)
@@ -235,7 +235,7 @@ def test_fit_refuses(options: Any, message: str) -> None:
 def test_too_few_points() -> None:
     spectrum = Spectrum(SWEEP[158::6], bvd_impedance(SWEEP[158::6], **CIRCUIT))  # 989 kHz in steps of 3
     with pytest.raises(ValueError, match=r"4 points about .* do not determine a pole"):
-        fit_resonance(spectrum, "pole", band=(989e3, 998e3))
+        fit_pole(spectrum, band=(989e3, 998e3))
 
 
 # ---- a recording
@@ -256,11 +256,11 @@ def test_unibas_disc(shared: Path) -> None:
     assert got.antiresonance.z_max == pytest.approx(3887.0, rel=1e-3)
     assert got.antiresonance.circuit_capacitance == pytest.approx(792.06e-12, rel=0.05)
     assert got.q_step_change < 1e-3
-    peak = fit_resonance(spectrum, "bvd", band=(985e3, 1003e3)).parameters
+    peak = fit_circuit(spectrum, band=(985e3, 1003e3)).parameters
     for name, value in (("R1", 5.905), ("L1", 151.99e-6), ("C1", 168.61e-12)):
         assert peak[name].value == pytest.approx(value, rel=0.05)
-    assert fit_resonance(spectrum, "bvd").rms_residual > 0.3
-    pole = fit_resonance(spectrum, "pole")
+    assert fit_circuit(spectrum).rms_residual > 0.3
+    pole = fit_pole(spectrum)
     assert pole.frequency.value == pytest.approx(994.1e3, abs=500.0)
     assert pole.q.value == pytest.approx(got.q, rel=0.05)
 
@@ -268,7 +268,7 @@ def test_unibas_disc(shared: Path) -> None:
 def test_stutts_close_modes(shared: Path) -> None:
     """G peaks at 111.28 and 112.72 kHz, phase reversed in the file."""
     reading = read_recording(shared / "recordings" / "stutts-4294a" / "sampleadmittance.txt", correction="negate")
-    pole = fit_resonance(reading.spectrum, "pole", near=112.72e3)
+    pole = fit_pole(reading.spectrum, near=112.72e3)
     assert pole.frequency.value == pytest.approx(112.72e3, abs=50.0)
     with pytest.raises(NoResonance):
         figures(reading.spectrum.restricted(114.3e3, 130e3))

@@ -10,7 +10,7 @@ import pytest
 from workbench.files.errors import InputError
 from workbench.readers import FORMATS, ColumnMap, RecordedQuantity, detect, read_column_map, read_recording
 from workbench.readers.findings import examine
-from workbench.results.merit import bvd_impedance
+from workbench.results.circuit import bvd_impedance
 from workbench.results.spectrum import Origin, Spectrum, write_spectrum
 
 DATA = Path(__file__).parent / "data" / "spectra"

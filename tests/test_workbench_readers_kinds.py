@@ -31,7 +31,7 @@ from workbench.readers import ColumnMap, RecordedQuantity, read_column_map, read
 from workbench.readers.columns import contradiction
 from workbench.readers.findings import examine
 from workbench.readers.quantities import CIRCUITS, ELEMENT_UNITS
-from workbench.results.merit import bvd_impedance
+from workbench.results.circuit import bvd_impedance
 from workbench.results.spectrum import Spectrum, write_spectrum
 
 HEAD = "Frequency (Hz),R (Ohm),X (Ohm)\n"

@@ -36,7 +36,8 @@ from workbench.report.page import (
 )
 from workbench.report.simulations import comparison_record
 from workbench.results.comparison import compare
-from workbench.results.merit import figures, fit_resonance
+from workbench.results.circuit import fit_circuit
+from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum
 
 #: A Butterworth-Van Dyke resonator: series resonance at 1 MHz, 10 ohm, Q = 100, beside 1 nF.
@@ -157,7 +158,7 @@ def test_fits_are_recorded_with_their_errors() -> None:
     spectrum = resonator()
     fits = resonance_fits(spectrum)
     assert set(fits) == {"pole", "bvd"}
-    record = resonance_record(fit_resonance(spectrum, "bvd"))
+    record = circuit_record(fit_circuit(spectrum))
     # The circuit itself, without noise: the fit returns what was put in.
     assert record["frequency_hz"][0] == pytest.approx(F0, rel=1e-6)
     assert record["q"][0] == pytest.approx(Q, rel=1e-5)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from workbench.files.errors import InputError
 from workbench.readers import read_recording
-from workbench.results.merit import bvd_impedance
+from workbench.results.circuit import bvd_impedance
 from workbench.results.spectrum import Origin, Spectrum, corrected, write_spectrum
 
 FREQUENCY = np.array([1.0e6, 1.1e6, 1.2e6])

@@ -6,7 +6,9 @@ from typing import Any
 
 from workbench.fem.capacitance import Capacitance
 from workbench.report.page import number_text
-from workbench.results.merit import Figures, FittedNumber, NoResonance, ResonanceFit, figures, fit_resonance
+from workbench.results.circuit import CircuitFit, FittedNumber, fit_circuit
+from workbench.results.merit import Figures, NoResonance, figures
+from workbench.results.pole import PoleFit, fit_pole
 from workbench.results.spectrum import Spectrum
 
 FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt")
