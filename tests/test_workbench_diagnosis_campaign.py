@@ -8,9 +8,8 @@ import pytest
 
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import device_model
-from workbench.diagnosis.state import scatter
 from workbench.files.errors import InputError
-from workbench.results.spectrum import Spectrum, write_spectrum
+from workbench.results.spectrum import Spectrum, scatter, write_spectrum
 
 LAYER = """
 [[layers]]

@@ -12,14 +12,9 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 from workbench.readers import read_recording
-from workbench.results.merit import (
-    NoResonance,
-    bvd_impedance,
-    effective_coupling,
-    figures,
-    fit_resonance,
-    thickness_coupling,
-)
+from workbench.results.circuit import bvd_impedance, fit_circuit
+from workbench.results.merit import NoResonance, effective_coupling, figures, thickness_coupling
+from workbench.results.pole import fit_pole
 from workbench.results.spectrum import Spectrum
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
@@ -153,14 +148,16 @@ def test_choice_among_resonances() -> None:
 def test_circuit_is_recovered_exactly() -> None:
     fit = fit_circuit(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT, series_resistance=1.0)),
                         series_resistance=True)
-    expected = dict(zip(("R1", "L1", "C1", "C0"), CIRCUIT.values(), strict=True)) | {"Rs": 1.0}
+    expected = dict(zip(("R1", "L1", "C1", "C0"), CIRCUIT.values(), strict=True))
     assert set(fit.parameters) == set(expected)
     for name, value in expected.items():
         assert fit.parameters[name].value == pytest.approx(value, rel=1e-9)
+    assert fit.series_resistance.value == pytest.approx(1.0, rel=1e-9)
     assert fit.rms_residual < 1e-10
     q = math.sqrt(CIRCUIT["motional_inductance"] / CIRCUIT["motional_capacitance"]) / CIRCUIT["motional_resistance"]
-    assert fit.q.value == pytest.approx(q, rel=1e-9)
-    assert fit.frequency.value == pytest.approx(q * 5.905 / (2 * math.pi * 151.99e-6), rel=1e-9)
+    (one,) = fit.resonances
+    assert one.q.value == pytest.approx(q, rel=1e-9)
+    assert one.frequency.value == pytest.approx(q * 5.905 / (2 * math.pi * 151.99e-6), rel=1e-9)
 
 
 def test_pole_of_a_circuit() -> None:
@@ -181,26 +178,25 @@ def test_pole_is_not_misled_by_an_overtone() -> None:
     assert pole.rms_residual < 1e-3 < 0.05 < circuit.rms_residual
 
 
-@pytest.mark.parametrize("method", ["bvd", "pole"])
 @pytest.mark.parametrize("known", [True, False])
-def test_standard_errors_are_those_of_repeated_noise(method: Any, known: Any) -> None:
+def test_standard_errors_are_those_of_repeated_noise(known: bool) -> None:
     """100 noisy copies: the spread of a standard deviation is 7 %, so 25 % is 3.5 sigma; a bias of the mean stays below
-    0.4 of a standard error (4 sigma of the mean). Where the uncertainty is not told, the noise is the one each method
-    then assumes: equal in ln Z for the circuit, equal in Y for the pole."""
+    0.4 of a standard error (4 sigma of the mean). Where the uncertainty is not told, the noise is the one that is then
+    assumed: equal in Y."""
     generator = np.random.default_rng(20)
     clean = bvd_impedance(SWEEP, **sharp(150))
     modulus = np.abs(clean)
-    deviation = 2e-3 * modulus * (modulus / modulus.min() if method == "pole" and not known else 1.0)
+    deviation = 2e-3 * modulus * (1.0 if known else modulus / modulus.min())
     values, errors, chi = [], [], []
     for _ in range(100):
         noise = deviation * (generator.normal(size=clean.size) + 1j * generator.normal(size=clean.size))
-        fit = fit_resonance(Spectrum(SWEEP, clean + noise, deviation if known else None), method, band=(985e3, 1015e3))
+        fit = fit_pole(Spectrum(SWEEP, clean + noise, deviation if known else None), band=(985e3, 1015e3))
         values.append([fit.frequency.value, fit.q.value])
         errors.append([fit.frequency.standard_error, fit.q.standard_error])
         chi.append(fit.reduced_chi_square)
     spread, stated = np.std(values, axis=0, ddof=1), np.mean(errors, axis=0)
     np.testing.assert_allclose(stated, spread, rtol=0.25)
-    truth = fit_resonance(Spectrum(SWEEP, clean), method, band=(985e3, 1015e3))
+    truth = fit_pole(Spectrum(SWEEP, clean), band=(985e3, 1015e3))
     bias = np.mean(values, axis=0) - [truth.frequency.value, truth.q.value]
     assert np.all(np.abs(bias) < 0.4 * spread)
     if known:
@@ -218,18 +214,9 @@ def test_stated_and_estimated_uncertainty_agree() -> None:
     noisy = clean + deviation * (generator.normal(size=clean.size) + 1j * generator.normal(size=clean.size))
     told, judged, doubled = (fit_circuit(Spectrum(SWEEP, noisy, uncertainty))
                              for uncertainty in (deviation, None, 2.0 * deviation))
-    expected = told.q.standard_error * math.sqrt(told.reduced_chi_square)
-    assert judged.q.standard_error == pytest.approx(expected, rel=0.01)
-    assert doubled.q.standard_error == pytest.approx(2.0 * told.q.standard_error, rel=1e-6)
-
-
-@pytest.mark.parametrize(("options", "message"), [
-    ({"method": "circle"}, "'circle' is not one of bvd, pole"),
-    ({"method": "pole", "series_resistance": True}, "belongs to the method bvd"),
-])
-def test_fit_refuses(options: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        fit_resonance(Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT)), **options)
+    by_told, by_judged, by_doubled = (fit.resonances[0].q.standard_error for fit in (told, judged, doubled))
+    assert by_judged == pytest.approx(by_told * math.sqrt(told.reduced_chi_square), rel=0.01)
+    assert by_doubled == pytest.approx(2.0 * by_told, rel=1e-6)
 
 
 def test_too_few_points() -> None:

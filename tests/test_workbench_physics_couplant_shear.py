@@ -25,7 +25,7 @@ from workbench.model.problem import Problem, problem
 from workbench.physics.absorption import BulkAbsorption
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.couplant_shear import ADMISSIBLE, CouplantShear
-from workbench.physics.loss_laws import KelvinVoigt
+from workbench.physics.loss_laws import FractionalLoss
 from workbench.physics.term import Dispersion, Integral, ModelError
 from workbench.reduced.reduction import reduce
 
@@ -150,14 +150,14 @@ def operators(filled: Problem) -> FullOperators:
 
 
 def mine(operators: FullOperators) -> list[int]:
-    return [q for q, i in enumerate(operators.integrals) if i.facing]
+    return [q for q, i in enumerate(operators.integrals) if i.opposite]
 
 
 def test_every_wall_moves_and_couples_as_the_formula_says(operators: FullOperators, filled: Problem) -> None:
     # u_r = a r below and b r above, p = c r^2 / 2: slips (a - C) r and (b - C) r with C = c / (rho w^2). The pressure
     # is held at zero on the rim, so c only enters inside: take what the free rim leaves, by a second state.
     omega, values = OMEGA[1], layer(1.0) | {"gel.density": filled.values["gel.density"]}
-    g = np.array([i.coefficient(np.array([omega]), values)[0] if i.facing else 0.0 for i in operators.integrals])
+    g = np.array([i.coefficient(np.array([omega]), values)[0] if i.opposite else 0.0 for i in operators.integrals])
     own, across = coefficient(0)(OMEGA[1:2], values)[0], coefficient(3)(OMEGA[1:2], values)[0]
     mesh = operators.mesh.mesh
     r, z = np.asarray(Basis(mesh, ElementQuad2(), intorder=1).doflocs)
@@ -232,7 +232,7 @@ def test_a_layer_that_tilts_as_a_whole_is_not_sheared(operators: FullOperators, 
     # The shear is (a - 2 c) r, the slips are (a + 2 c) r z: in a thin layer x^T A x = G d (a - 2 c)^2 2 pi R^4 / 4.
     omega, values = OMEGA[1:2], layer(1e6, thickness=50e-6) | {"gel.density": filled.values["gel.density"]}
     size = abs(values["gel.density"]) * OMEGA[1] / 1e6 * 50e-6**2  # (k d)^2, 2e-5: the mass of the layer
-    g = np.array([i.coefficient(omega, values)[0] if i.facing else 0.0 for i in operators.integrals])
+    g = np.array([i.coefficient(omega, values)[0] if i.opposite else 0.0 for i in operators.integrals])
     r, z = np.asarray(Basis(operators.mesh.mesh, ElementQuad2(), intorder=1).doflocs)
     z = z - (2e-3 + 25e-6)
     c, radius = 3.0, 3e-3
@@ -271,7 +271,7 @@ def test_walls_that_do_not_face_each_other_are_refused(
 def test_an_operator_of_the_other_wall_needs_one(filled: Problem) -> None:
     class Alone(CouplantShear):
         def integrals(self) -> tuple[Integral, ...]:
-            return tuple(replace(i, facing="", facing_solid="") for i in super().integrals())
+            return tuple(replace(i, opposite="", opposite_solid="") for i in super().integrals())
 
     alone = Alone(TERM.region, TERM.material, TERM.lower, TERM.upper, TERM.below, TERM.above)
     with pytest.raises(ModelError, match=r"nothing faces 'couplant.transducer'"):
@@ -332,8 +332,11 @@ def resolved(
         materials: Mapping[str, Material] = {"transducer": pzt, "couplant": gel, "substrate": pla}
         bulk = 1020.0 * 1500.0**2
         thick = IsotropicSolid(name="gel", density=1020.0, bulk_modulus=bulk, shear_modulus=modulus)
+        # With an exponent of one the loss is a dashpot's.
+        dashpot = {"gel.shear_fractional_loss": viscosity * 2.0 * np.pi * 1e6, "gel.bulk_fractional_loss": 0.0,
+                   "gel.loss_exponent": 1.0, "gel.loss_frequency": 1e6}
         solid = problem(mesh, {**materials, "couplant": thick}, chip.band).with_terms(
-            (KelvinVoigt("couplant", "gel"),), {"gel.shear_kelvin_voigt": viscosity, "gel.bulk_kelvin_voigt": 0.0})
+            (FractionalLoss("couplant", "gel"),), dashpot)
         return problem(mesh, materials, chip.band), solid
 
     return make

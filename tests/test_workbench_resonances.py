@@ -1,4 +1,4 @@
-"""Circuits of one and of several resonances, fitted to circuits solved in closed form, to noise, and to real spectra."""
+"""Circuits of one and of several resonances, against closed forms, noise and real spectra."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import workbench as wb
-from workbench.results.circuit import Circuit
+from workbench.results.circuit import BranchCircuit
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 FREQUENCY = np.linspace(0.9e6, 1.2e6, 601)
@@ -86,7 +86,7 @@ def test_several_are_those_of_one_where_there_is_one() -> None:
 
 def test_the_slopes_of_a_circuit_are_those_of_differences() -> None:
     branches = np.array([[math.log(1e6), math.log(80.0), math.log(3e-11), 0.3], [13.9, 4.0, -24.5, -0.2]])
-    made = Circuit(branches, np.array([math.log(1e-9), 0.02, 3.0]))
+    made = BranchCircuit(branches, np.array([math.log(1e-9), 0.02, 3.0]))
     vector = made.vector()
     _, slopes = made.with_slopes(FREQUENCY)
     for k in range(len(vector)):
@@ -131,7 +131,7 @@ def test_two_beyond_a_bandwidth_are_two() -> None:
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_intervals_hold_the_truth(stated: bool) -> None:
-    """95 % intervals of all numbers over 200 draws: each holds the truth in 90 to 98 % of them (3.2 sigma of a share)."""
+    """95 % intervals of all numbers over 200 draws: each holds the truth in 90 to 98 % of them."""
     clean = circuit(*THREE[:2])
     held: dict[str, int] = {}
     for seed in range(200):

@@ -1,5 +1,4 @@
-"""What can be moved in the live view: numbers of a chip with their ranges, their tolerances and the units they are told
-in."""
+"""Numbers of a chip that can be moved in the live view, with their ranges, their tolerances and their shown units."""
 
 from __future__ import annotations
 
@@ -10,7 +9,7 @@ from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, LengthUncertainty, 
 from geometry.chip import Chip
 from geometry.dimension import Dimension
 from geometry.names import CAVITY
-from geometry.stretch import movable, tied
+from geometry.stretch import admissible_range, canonical_names
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
@@ -19,24 +18,24 @@ from workbench.model.dimensions import flexible_within
 from workbench.model.numbers import LOSS, ParameterKind, ParameterName, real_part
 from workbench.model.problem import Problem
 
-#: How far a number can be moved to either side unless told otherwise, relative. Twice as far, a range model of six
-#: lengths has about twice as many unknowns.
+#: Default relative range of a number to either side. Twice as wide, a range model of six lengths has about twice as
+#: many unknowns.
 REACH = 0.05
-#: Nothing is moved beyond its range to more than this times what the chip's file says, or to less than one over this:
-#: the mesh is stretched, and its elements were made for that length. A length may go as far as a fit searches.
+#: Largest factor between a moved number and the chip's file, beyond its range: the mesh is stretched, and its elements
+#: were made for that length. A length may go as far as a fit searches.
 FARTHEST = 2.0
-#: The range in units of a stated tolerance, where that is more. Of an assumed one it holds the limits.
+#: The range in units of a stated tolerance, if that is wider. For an assumed tolerance it holds the limits.
 TOLERANCES = 2.0
 #: Significant digits of a length in a saved chip file: a nanometre of a millimetre.
 SAVED_DIGITS = 6
 
-#: What a range is written between, as in "substrate.thickness=0.8mm..0.9mm".
+#: Separator of the ends of a range, as in "substrate.thickness=0.8mm..0.9mm".
 ENDS = ".."
 
-#: Which units the ends of a range may be written in, by the SI unit of what they are of.
+#: Dimension of the units that the ends of a range may be written in, by SI unit.
 DIMENSIONS = {"m": "length", "rad": "angle", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless",
                "kg/m^3": "density", "m/s": "speed", "m^2/s": "diffusivity"}
-#: Thinner layers than this (m) are told in micrometres.
+#: Thickness (m) below which layers are shown in micrometres.
 _THIN = 2e-4
 
 
@@ -44,10 +43,10 @@ _THIN = 2e-4
 class Control:
     """A number that can be moved.
 
-    ``value`` is that of the chip's file, ``low`` and ``high`` the range, ``tolerance`` what the chip's file states of a
-    length (limits), or the entry of a material of a constant (standard uncertainty), None where nobody stated one; all
-    SI. A length without a tolerance is known as its role lets assume (`geometry.assumed`). The number is shown in
-    ``unit``, ``factor`` of which are one in SI. ``narrowed`` says in words that the range does not hold the limits.
+    ``value`` is that of the chip's file, ``low`` and ``high`` the range. ``tolerance`` is stated by the chip's file for
+    a length (limits), or by a material's entry for a constant (standard uncertainty), None if nobody stated one; all
+    SI. A length without a tolerance has the one assumed by its role (`geometry.assumed`). The number is shown in
+    ``unit``, ``factor`` of which are one in SI. ``narrowed`` is a note if the range does not hold the limits.
     """
 
     name: str
@@ -61,7 +60,7 @@ class Control:
 
     @property
     def label(self) -> str:
-        """What it is, in words: "substrate thickness", "pla shear modulus"."""
+        """Its name in words: "substrate thickness", "pla shear modulus"."""
         parsed = ParameterName.parse(self.name)
         owner = parsed.owner.split("/")[0].replace("_", " ")
         words = f"{owner} {parsed.coefficient.replace('_', ' ')}"
@@ -82,14 +81,14 @@ class Control:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation (SI) that the tolerance or the assumption stands for, 0 where there is none."""
+        """Standard deviation (SI) of the tolerance or the assumption, 0 if there is none."""
         if self.is_length:
             return self.known.deviation
         return self.tolerance or 0.0
 
     @property
     def assumed(self) -> str:
-        """In words what is taken to be known of a length without a tolerance; empty where one is stated."""
+        """The assumption about a length without a tolerance, in words; empty if a tolerance is stated."""
         return self.known.assumed if self.is_length else ""
 
     @property
@@ -132,14 +131,16 @@ class Control:
         return f"{self.shown(number)} {self.unit}".rstrip()
 
     def reaching(self, number: float) -> Control:
-        """The same with a range that holds `number` (SI) well within."""
+        """A copy with a range that holds `number` (SI) well within."""
         width = max(self.high - self.low, 0.0)
         return replace(self, low=min(self.low, number - 0.25 * width), high=max(self.high, number + 0.25 * width))
 
 
 def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[Control, ...]:
-    """What can be moved of `chip`: what is `wanted`, ``NAME`` or ``NAME=LOW..HIGH``; by default all thicknesses, the
-    radius of the cavity, the sound speed of what fills it, and the shear modulus of the first other solid.
+    """The controls of `chip` for the names `wanted`, ``NAME`` or ``NAME=LOW..HIGH``.
+
+    By default they are all thicknesses, the radius of the cavity, the sound speed of its filling, and the shear modulus
+    of the first other solid.
 
     Args:
         problem: of the chip in its state, without lengths among its values.
@@ -148,7 +149,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         InputError: a name that is no number the spectrum depends on, one given twice, a range that cannot be read,
             does not hold the present number, or passes another radius.
     """
-    first, lengths = tied(chip), chip.dimensions()
+    first, lengths = canonical_names(chip), chip.dimensions()
     felt = {name: complex(each.value) for name, each in lengths.items() if name in first
             or ParameterName.parse(name).is_thickness or ParameterName.parse(name).is_shape} | dict(problem.values)
     found: dict[str, Control] = {}
@@ -159,7 +160,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
         if name in found:
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
         found[name] = _control(chip, problem, name, real_part(felt, name), ends.strip())
-    # Refuses a radius that would pass another one, and a shape that folds a cell.
+    # It raises for a radius that would pass another one, and for a shape that folds a cell.
     flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_length})
     return tuple(found.values())
 
@@ -194,14 +195,14 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         low, high = value - reach, value + reach
         if parsed.kind is ParameterKind.DIMENSION:
             known = length_uncertainty(name, Dimension(value, tolerance))
-            low, high = movable(chip, name, min(low, known.low), max(high, known.high))
+            low, high = admissible_range(chip, name, min(low, known.low), max(high, known.high))
             if low > known.low or high < known.high:
                 narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
                             f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
                             "stretched farther")
-    if parsed.kind is ParameterKind.DIMENSION and movable(chip, name, low, high) != (low, high):
+    if parsed.kind is ParameterKind.DIMENSION and admissible_range(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
-        low, high = movable(chip, name, low, high)
+        low, high = admissible_range(chip, name, low, high)
         raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "
                          "vanishes and no radius passes another")
     if not low < high or not low <= value <= high:
@@ -212,7 +213,7 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
 
 
 def _uncertainty(problem: Problem, parsed: ParameterName) -> float | None:
-    """The standard uncertainty that a material's entry states of a number, None where it does not."""
+    """The standard uncertainty that a material's entry states for a number, None if it does not."""
     for material in problem.materials.values():
         stated = material.values.get(parsed.coefficient) if material.name == parsed.owner else None
         if stated is not None:
@@ -230,7 +231,7 @@ def _ends(name: str, text: str, dimension: str) -> tuple[float, float]:
 
 
 def is_inside(ranges: Mapping[str, tuple[float, float]], values: Mapping[str, float]) -> bool:
-    """Whether `values` lie in `ranges`, but for rounding."""
+    """Whether `values` lie in `ranges`, within rounding."""
     return all(low - 1e-9 * abs(low) <= values[name] <= high + 1e-9 * abs(high)
                for name, (low, high) in ranges.items())
 

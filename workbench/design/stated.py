@@ -24,7 +24,7 @@ import numpy as np
 
 from geometry.assumed import assumed_uncertainty, is_film
 from geometry.chip import Chip
-from geometry.stretch import movable, tied
+from geometry.stretch import admissible_range, canonical_names
 from materials.entry import KINDS
 from materials.fit import Correlation
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
@@ -156,7 +156,7 @@ def numbers_of(device: FilledChip) -> dict[str, float]:
 
     A loss that is zero is there, but those of densities and of fluids are not.
     """
-    first = tied(device.chip)
+    first = canonical_names(device.chip)
     found = {name: each.value for name, each in device.chip.dimensions().items()
              if first.get(name, name) == name and not name.startswith("ports.")}
     for material in device.materials.values():
@@ -207,7 +207,7 @@ def _without(correlation: Correlation, name: str) -> Correlation:
 
 def _lengths(chip: Chip, law: Law, found: _Collected) -> None:
     """Lengths with a tolerance; radii that coincide are one, and must state the same."""
-    first, known = tied(chip), chip.dimensions()
+    first, known = canonical_names(chip), chip.dimensions()
     for name, length in known.items():
         if not length.tolerance:
             continue
@@ -221,11 +221,11 @@ def _lengths(chip: Chip, law: Law, found: _Collected) -> None:
             raise InputError(chip.file, f"{name}.tolerance", ", ".join(f"{k}: {v:g} m" for k, v in stated.items()),
                              "one tolerance of radii that coincide, which are one length")
         found.put(from_limits(mine, length.value, length.tolerance, law, origin=chip.file,
-                              ends=movable(chip, mine), tied=_tied(chip, mine)))
+                              ends=admissible_range(chip, mine), tied=_tied(chip, mine)))
 
 
 def _tied(chip: Chip, name: str) -> tuple[str, ...]:
-    return tuple(other for other, mine in tied(chip).items() if mine == name and other != name)
+    return tuple(other for other, mine in canonical_names(chip).items() if mine == name and other != name)
 
 
 def _coefficients(material: Material, found: _Collected) -> None:
@@ -273,7 +273,8 @@ def _posterior(path: Path, device: FilledChip, found: _Collected) -> None:
         if stated not in names:
             raise InputError(table.source, "correlation.names", stated, "a row for every parameter of the fit")
         choose(name, known, source=table.source, field=each.field)
-        ends = movable(device.chip, name) if ParameterName.parse(name).kind is ParameterKind.DIMENSION else None
+        is_length = ParameterName.parse(name).kind is ParameterKind.DIMENSION
+        ends = admissible_range(device.chip, name) if is_length else None
         found.put(from_standard(name, mean, spread, origin=str(path), ends=ends, tied=_tied(device.chip, name)))
         kept.append((names.index(stated), name))
     if not kept:
@@ -315,7 +316,7 @@ def _name_here(stated: str, own: tuple[str, Any], device: FilledChip, found: _Co
     chip has no such number."""
     parsed, present = ParameterName.parse(stated), {each.name for each in device.materials.values()}
     if parsed.kind is ParameterKind.DIMENSION:
-        first = tied(device.chip)
+        first = canonical_names(device.chip)
         if stated in device.chip.dimensions():
             return first.get(stated, stated)
     elif parsed.owner in present:
@@ -344,7 +345,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: L
                              "that is assumed by the role of their layer")
         length = assumed_uncertainty(name, device.chip.dimensions()[name].value)
         found.put(from_standard(name, mean, length.deviation, origin=f"assumed: {length.assumed}",
-                                ends=movable(device.chip, name, length.low, length.high),
+                                ends=admissible_range(device.chip, name, length.low, length.high),
                                 tied=_tied(device.chip, name)))
         return
     choose(word, _WORDS, source=each.source, field=each.field)
@@ -355,7 +356,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: L
     if not spread > 0.0:
         raise InputError(each.source, each.field, each.amount, 'an amount above zero, or "exact"'
                          + (": the number is 0, give an amount with its unit" if mean == 0.0 else ""))
-    ends = movable(device.chip, name) if is_length else None
+    ends = admissible_range(device.chip, name) if is_length else None
     make = from_standard(name, mean, spread, origin=each.source, ends=ends, tied=_tied(device.chip, name)) \
         if word == "standard" else from_limits(name, mean, spread, "normal" if word == "normal" else "uniform",
                                                origin=each.source, ends=ends, tied=_tied(device.chip, name))
@@ -364,7 +365,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: L
 
 def _meant(each: Statement, device: FilledChip, known: Mapping[str, float]) -> str:
     """The number that a statement is about: a material may be named without its source where it is the only one."""
-    first = tied(device.chip)
+    first = canonical_names(device.chip)
     name = first.get(each.name, each.name)
     if name in known:
         return name

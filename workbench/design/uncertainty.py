@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.passivity import smallest_dissipation
 from workbench.files.errors import InputError
+from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
 from workbench.model.numbers import ParameterKind, ParameterName, placed
 
 Real = NDArray[np.float64]
@@ -102,11 +103,6 @@ class Uncertainty:
         mixed = [each.name for each in self.correlated if each.law != "normal"]
         if mixed:
             raise ValueError(f"{', '.join(mixed)}: only normal laws can be correlated")
-
-    @classmethod
-    def independent(cls, inputs: Sequence[Input]) -> Uncertainty:
-        """Inputs that have nothing to do with each other."""
-        return cls(tuple(inputs), np.eye(len(inputs)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -245,3 +241,19 @@ def from_standard(name: str, mean: float, deviation: float, *, origin: str, ends
                   tied: tuple[str, ...] = ()) -> Input:
     """A number of normal law with a standard uncertainty; see :func:`from_limits`."""
     return from_limits(name, mean, CUT * deviation, "normal", origin=origin, ends=ends, tied=tied)
+
+
+def unit_of_number(name: str) -> str:
+    """SI unit of a number by its name."""
+    parsed = ParameterName.parse(name)
+    if parsed.kind is ParameterKind.DIMENSION:
+        return parsed.dimension_unit
+    return UNITS.get(parsed.key.rpartition(".")[2], "")
+
+
+def amount(name: str, value: float) -> str:
+    """A change of a number (SI) with its unit: of lengths in micrometres."""
+    unit = unit_of_number(name)
+    if unit == "m":
+        return f"{value * 1e6:.3g} um"
+    return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from geometry.chip import Chip
-from geometry.stretch import moving_together, tied
+from geometry.stretch import canonical_names, moving_together
 
 #: How the name of the material of a region ends.
 MATERIAL = ".material"
@@ -96,7 +96,7 @@ def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Ite
 
 def first_name(chip: Chip, name: str) -> str:
     """What a length is called: of radii that coincide, which change together, the first one's name."""
-    return tied(chip).get(name, name)
+    return canonical_names(chip).get(name, name)
 
 
 def changed(

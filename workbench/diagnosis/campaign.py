@@ -52,7 +52,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.names import TRANSDUCER
-from geometry.stretch import tied
+from geometry.stretch import canonical_names
 from materials.registry import Registry, user_registry
 from workbench.diagnosis.knowledge import Taken, read_knowledge
 from workbench.diagnosis.numbers import stated_number as stated_number
@@ -132,7 +132,7 @@ class Campaign(Brief):
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
         """The other names of every radius that stands for several."""
-        first = tied(*(state.chip for state in self.states))
+        first = canonical_names(*(state.chip for state in self.states))
         found: dict[str, tuple[str, ...]] = {}
         for name, chosen in first.items():
             if name != chosen:

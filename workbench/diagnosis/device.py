@@ -31,7 +31,7 @@ from workbench.fitting.parameter import (
 )
 from workbench.model.dimensions import flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.model.moved_parts import Interpolation, joined_meshes
+from workbench.model.moved_mesh import Interpolation, joined_meshes
 from workbench.model.numbers import ParameterKind, ParameterName
 from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.rim import FOUND, OfRim
@@ -195,8 +195,9 @@ def _lines(
     """The skins by region, and the radii (m), at which terms of hypotheses ask for lines of nodes in a state."""
     integrals = [(term, integral) for term in terms for integral in term.integrals()]
     skins = {integral.place: abs(integral.skin) for _, integral in integrals if integral.skin}
-    return skins, {integral.beyond * _radius(state.chip, integral.place) for term, integral in integrals
-                   if integral.beyond and (not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
+    return skins, {integral.radius_fraction * _radius(state.chip, integral.place) for term, integral in integrals
+                   if integral.radius_fraction and (
+                       not widths or (isinstance(term, OfRim) and term.rim.number in widths))}
 
 
 def _radius(chip: Chip, region: str) -> float:

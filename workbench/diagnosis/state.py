@@ -20,9 +20,7 @@ from workbench.fitting.prepare import check_device, in_band
 from workbench.fitting.uncertainty import correlation_length
 from workbench.model.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
-from workbench.report.figures import measured_figures
-from workbench.results.comparison import compare
-from workbench.results.spectrum import Origin, Spectrum, spectrum_of
+from workbench.results.spectrum import Origin, Spectrum, scatter, spectrum_of
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -93,15 +91,6 @@ def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> State
 def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
     """The spectrum of a state as it was fitted."""
     return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
-
-
-def state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
-    """What is written of a state as it was fitted."""
-    spectrum = fitted_spectrum(fit, state)
-    figures, _ = measured_figures(spectrum)
-    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
-            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
-            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
 
 
 def read_state(name: str, table: FileTable, folder: Path, registry: Registry) -> DeviceState:
@@ -186,15 +175,3 @@ def _noise(measured: Spectrum, table: FileTable) -> tuple[np.ndarray[Any, np.dty
     if stated is not None:
         return np.full(measured.frequency.size, stated), True
     return np.full(measured.frequency.size, scatter(measured)), False
-
-
-def scatter(measured: Spectrum) -> float:
-    """Relative standard deviation of a point from what a smooth curve leaves: third differences of ln Z.
-
-    For white noise of that deviation in the real and in the imaginary part their variance is 20 times its square; the
-    median keeps out sharp resonances.
-    """
-    third = np.diff(np.log(measured.impedance), 3)
-    # The median of |x| of normal x is 0.6745 sigma.
-    size = np.median(np.abs(np.concatenate([third.real, third.imag]))) / 0.6745
-    return float(max(size / np.sqrt(20.0), 1e-6))

@@ -97,11 +97,6 @@ class Solution(Brief):
         """
         return 1.0 / self.admittance
 
-    def impedance_gradient(self) -> Complex:
-        """Derivatives dZ/dg_q (n, integrals) by every complex coefficient g_q, e^{-i w t}."""
-        # Z = i / (w Q), dQ = -x^T A_q x dg.
-        return (1j / (self.omega * self.charge**2))[:, None] * self.forms
-
     def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
         """Derivatives dZ/dtheta (n, len(names)) by complex parameters, e^{-i w t}.
 
@@ -192,7 +187,7 @@ def one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factorised, symmetrically scaled system at one frequency, and what is needed to refine a solve."""
+    """A factorised, symmetrically scaled system at one frequency, with the matrix that refines a solve."""
 
     frequency: float
     matrix: sparse.csr_matrix
@@ -280,7 +275,7 @@ class System:
 
         With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
         close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
-        neighbourhood, whatever the coefficients' dependence on frequency. The same factorisation gives the derivative
+        neighbourhood, whatever the coefficients' dependence on frequency. This factorisation also gives the derivative
         of the state by a parameter, -A_0^-1 (dA) x_0, for every name in `tangents`.
 
         Returns:

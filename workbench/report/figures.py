@@ -1,27 +1,17 @@
-"""Figures of merit as rows of a table and as records."""
+"""Spectra as rows of tables and as records: figures of merit, and where a recording comes from."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from workbench.fem.capacitance import Capacitance
-from workbench.report.page import number_text
-from workbench.results.circuit import CircuitFit, FittedNumber, fit_circuit
-from workbench.results.merit import Figures, NoResonance, figures
-from workbench.results.pole import PoleFit, fit_pole
-from workbench.results.spectrum import Spectrum
+from workbench.report.page import TextTable, number_text
+from workbench.results.merit import Figures
+from workbench.results.spectrum import Origin
 
 FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt")
 #: Of a model, which has a capacitance besides.
 MODEL_COLUMNS = (*FIGURE_COLUMNS, "C0 (pF)", "C at 1 kHz (pF)")
-
-
-def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
-    """Figures of a recording, or why there are none."""
-    try:
-        return figures(spectrum), ""
-    except NoResonance as missing:
-        return None, missing.reason
 
 
 def figures_row(label: str, merit: Figures | None) -> tuple[str, ...]:
@@ -52,21 +42,8 @@ def figures_record(merit: Figures | None, reason: str) -> dict[str, Any]:
     return record
 
 
-def resonance_fits(spectrum: Spectrum) -> dict[str, ResonanceFit]:
-    """The fits of the resonance that succeed, by method."""
-    fits = {}
-    for method in ("pole", "bvd"):
-        try:
-            fits[method] = fit_resonance(spectrum, method)
-        except (NoResonance, ValueError, RuntimeError):
-            continue
-    return fits
-
-
-def resonance_record(fit: ResonanceFit) -> dict[str, Any]:
-    """A resonance fit for a JSON file: every value with its standard error."""
-    def pair(estimate: FittedNumber) -> list[float]:
-        return [estimate.value, estimate.standard_error]
-
-    return {"frequency_hz": pair(fit.frequency), "q": pair(fit.q), "rms_residual": fit.rms_residual,
-            **{name: pair(value) for name, value in fit.parameters.items()}}
+def origin_table(origin: Origin) -> TextTable:
+    """Where a recording comes from."""
+    rows = [("kind", origin.kind), ("file", origin.source), ("SHA-256", origin.sha256),
+            ("instrument", origin.instrument), ("date", origin.date), *origin.settings.items()]
+    return TextTable(("recording", "value"), tuple((name, value) for name, value in rows if value))

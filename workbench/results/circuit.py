@@ -3,8 +3,8 @@
     Y = j w C0 (1 - j t) + sum_k j w C_k e^{j p_k} / (1 - u^2 + j u / Q_k),  u = f / f_k,      Z = Rs + 1 / Y
 
 With p_k = 0 and t = 0 branch k is a resistor, an inductor and a capacitor in series (Butterworth and Van Dyke):
-C_k, L_k = 1 / (w_k^2 C_k), R_k = 1 / (w_k C_k Q_k). The phase p_k is that of a mode whose coupling has a loss, and t the
-loss tangent of the static capacitance. One branch is fitted by :func:`fit_circuit`, several together by
+C_k, L_k = 1 / (w_k^2 C_k), R_k = 1 / (w_k C_k Q_k). The phase p_k is that of a mode whose coupling has a loss, and t
+the loss tangent of the static capacitance. One branch is fitted by :func:`fit_circuit`, several together by
 :func:`workbench.results.resonances.fit_resonances`.
 """
 
@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,8 @@ Complex = NDArray[np.complex128]
 #: Numbers of a branch in a vector: ln f, ln Q, ln C, phase.
 OF_BRANCH = 4
 
-#: Part of |Z| by which Re Z may be below zero: what an instrument's zero is off. Doubled, a device that gives 4 % of its
-#: apparent power back is called passive.
+#: Part of |Z| by which Re Z may be below zero: what an instrument's zero is off. Doubled, a device that gives 4 % of
+#: its apparent power back is called passive.
 NEGATIVE = 0.02
 
 
@@ -59,7 +60,7 @@ class FittedResonance:
 
     ``frequency`` (Hz) and ``q`` of its series resonance; ``k_eff`` its effective coupling factor with the static
     capacitance alone, k^2 = (fp^2 - fs^2) / fp^2 = C1 / (C0 + C1); ``resistance`` (ohm), ``inductance`` (H) and
-    ``capacitance`` (F) in series; ``phase`` (rad) that the losses of the coupling give the branch, 0 in a plain circuit.
+    ``capacitance`` (F) in series; ``phase`` (rad) that losses of the coupling give the branch, 0 in a plain circuit.
     """
 
     frequency: FittedNumber
@@ -124,12 +125,12 @@ def fit_circuit(
     """
     whole = spectrum_of(spectrum)
     seen = whole if band is None else whole.restricted(*band)
-    check_passive(seen)
+    check_passive_spectrum(seen)
     start = figures(seen, near=near)
     capacitance = _static_capacitance(seen, start)
     # R1 is the smallest |Z|: C1 = 1 / (w R1 Q).
     motional = 1.0 / (2.0 * math.pi * start.f0 * start.z_min * start.q)
-    circuit = Circuit(np.array([[math.log(start.f0), math.log(start.q), math.log(motional), 0.0]]),
+    circuit = BranchCircuit(np.array([[math.log(start.f0), math.log(start.q), math.log(motional), 0.0]]),
                       np.array([math.log(capacitance), 0.0, 0.0]))
     return solved(seen, circuit, Freedom(series_resistance=series_resistance)).fit()
 
@@ -158,7 +159,7 @@ def bvd_impedance(
     return np.asarray(series_resistance + 1.0 / (1j * omega * static_capacitance + 1.0 / motional))
 
 
-def check_passive(spectrum: Spectrum) -> None:
+def check_passive_spectrum(spectrum: Spectrum) -> None:
     """Refuse a spectrum of which a tenth of the points has a resistance below zero, by more than an offset.
 
     Raises:
@@ -190,7 +191,7 @@ class Freedom:
 
 
 @dataclass(frozen=True, eq=False)
-class Circuit:
+class BranchCircuit:
     """The numbers of a circuit: ``branches`` (k, 4) of ln f, ln Q, ln C and phase; ``rest`` (3,) of ln C0, t, Rs."""
 
     branches: Real
@@ -206,12 +207,12 @@ class Circuit:
         """f / Q (k,) Hz."""
         return np.exp(np.clip(self.branches[:, 0] - self.branches[:, 1], -LARGEST, LARGEST))
 
-    def with_branch(self, frequency: float, bandwidth: float) -> Circuit:
+    def with_branch(self, frequency: float, bandwidth: float) -> BranchCircuit:
         """The circuit with one more branch, the last one (Hz), of hardly any capacitance."""
         new = [math.log(frequency), math.log(frequency / bandwidth), float(self.rest[0]) - 20.0, 0.0]
         return replace(self, branches=np.vstack([self.branches, new]))
 
-    def with_amplitudes(self, spectrum: Spectrum, *, losses: bool) -> Circuit:
+    def with_amplitudes(self, spectrum: Spectrum, *, losses: bool) -> BranchCircuit:
         """The circuit with the capacitances, and the phases of `losses`, that leave the least relative error of Y.
 
         They enter Y linearly. Without losses none is below zero, and one of zero stays as it was.
@@ -235,17 +236,17 @@ class Circuit:
         branches[:, 3] = np.angle(found[1:])
         if found[0].real > 0.0:
             rest[:2] = math.log(abs(found[0])), -found[0].imag / found[0].real
-        return Circuit(branches, rest)
+        return BranchCircuit(branches, rest)
 
-    def without(self, index: int) -> Circuit:
+    def without(self, index: int) -> BranchCircuit:
         return replace(self, branches=np.delete(self.branches, index, axis=0))
 
     def vector(self) -> Real:
         return np.concatenate([self.branches.ravel(), self.rest])
 
-    def moved(self, vector: Real) -> Circuit:
+    def moved(self, vector: Real) -> BranchCircuit:
         """A circuit of as many branches with the numbers of a vector."""
-        return Circuit(vector[:-3].reshape(-1, OF_BRANCH), vector[-3:])
+        return BranchCircuit(vector[:-3].reshape(-1, OF_BRANCH), vector[-3:])
 
     def impedance(self, frequency: Real) -> Complex:
         """Z (n,) ohm."""
@@ -254,13 +255,13 @@ class Circuit:
     def with_slopes(self, frequency: Real) -> tuple[Complex, Complex]:
         """Z (n,) ohm and its derivatives (n, numbers) by those of :meth:`vector`."""
         omega = 2.0 * np.pi * frequency
-        columns: list[Complex] = []
+        columns: list[NDArray[Any]] = []
         static = 1j * omega * math.exp(_within(self.rest[0]))
-        admittance = static * (1.0 - 1j * self.rest[1])
+        admittance: Complex = static * (1.0 - 1j * self.rest[1])
         for at, sharpness, capacitance, phase in self.branches:
             u, q = frequency * math.exp(-_within(at)), math.exp(_within(sharpness))
             bracket = 1.0 - u**2 + 1j * u / q
-            part = 1j * omega * np.exp(_within(capacitance) + 1j * phase) / bracket
+            part: Complex = 1j * omega * np.exp(_within(capacitance) + 1j * phase) / bracket
             admittance = admittance + part
             columns += [part * (1j * u / q - 2.0 * u**2) / bracket, part * (1j * u / q) / bracket, part, 1j * part]
         columns += [static * (1.0 - 1j * self.rest[1]), -1j * static]
@@ -278,7 +279,7 @@ class SolvedCircuit:
     """A circuit that fits a spectrum best: ``squares`` its sum of weighted squares, ``covariance`` of its vector."""
 
     spectrum: Spectrum
-    circuit: Circuit
+    circuit: BranchCircuit
     freedom: Freedom
     free: NDArray[np.int64]
     squares: float
@@ -330,7 +331,7 @@ class SolvedCircuit:
         return FittedNumber(value, value * math.sqrt(max(variance, 0.0)))
 
 
-def solved(spectrum: Spectrum, start: Circuit, freedom: Freedom) -> SolvedCircuit:
+def solved(spectrum: Spectrum, start: BranchCircuit, freedom: Freedom) -> SolvedCircuit:
     """The circuit nearest to `start` that fits ln Z best; everything positive is so by construction.
 
     With losses, whose numbers may hardly matter, a fit that has come close is taken for the end.
@@ -349,7 +350,7 @@ def solved(spectrum: Spectrum, start: Circuit, freedom: Freedom) -> SolvedCircui
     if spectrum.uncertainty is not None:
         weight = spectrum.magnitude / spectrum.uncertainty
 
-    def whole(part: Real) -> Circuit:
+    def whole(part: Real) -> BranchCircuit:
         vector = first.copy()
         vector[free] = part
         return start.moved(vector)

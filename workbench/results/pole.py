@@ -25,10 +25,10 @@ REACH = 5.0
 class PoleFit(Brief):
     """A pole fitted to a spectrum.
 
-    ``frequency`` (Hz) and ``q`` of the pole; ``model`` the fitted spectrum on the points used; ``rms_residual`` the root
-    mean square of |Z_model / Z - 1|, and ``reduced_chi_square`` where the spectrum's uncertainty is known. Standard
-    errors hold for independent noise of the stated uncertainty or, without one, for noise of the same size in Y at
-    every point, judged from the residual.
+    ``frequency`` (Hz) and ``q`` of the pole; ``model`` the fitted spectrum on the points used; ``rms_residual`` the
+    root mean square of |Z_model / Z - 1|, and ``reduced_chi_square`` where the spectrum's uncertainty is known.
+    Standard errors hold for independent noise of the stated uncertainty or, without one, for noise of the same size in
+    Y at every point, judged from the residual.
     """
 
     frequency: FittedNumber

@@ -2,25 +2,26 @@
 
 The fit starts from the peaks of the conductance Re Y, a plain circuit first. Whatever is added to it afterwards has to
 earn its place by halving what is left: phases and a loss tangent, with a resonance beyond either end of the band; one
-more resonance within it. Two resonances closer than a bandwidth are not told apart: a second one there is said, not listed.
+more resonance within it. Two resonances closer than a bandwidth are not told apart: a second one is said, not listed.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.results.circuit import Circuit, CircuitFit, Freedom, SolvedCircuit, check_passive, solved
+from workbench.results.circuit import BranchCircuit, CircuitFit, Freedom, SolvedCircuit, check_passive_spectrum, solved
 from workbench.results.merit import NoResonance
-from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
+from workbench.results.spectrum import Spectrum, WithSpectrum, scatter, spectrum_of
 
 Real = NDArray[np.float64]
 
-#: Part of the weighted squares by degrees of freedom that an addition to the circuit may leave. Doubled, anything stays;
-#: halved, weak neighbours are not found.
+#: Part of the weighted squares by degrees of freedom that an addition to the circuit may leave. Doubled, anything
+#: stays; halved, weak neighbours are not found.
 EARNED = 0.5
 
 #: Rise of ln Re Y on both sides of a peak, and of Re Y in standard deviations of noise. Doubled, shoulders are missed;
@@ -37,8 +38,8 @@ PHASE = 1.0
 #: Most resonances of a band.
 MOST = 20
 
-#: Where nothing more is added: rms of ln Z, where no noise is stated, and reduced chi-square by the noise. Doubled, a resonance that
-#: changes Z by 1 % is not looked for; halved, a fit takes twice the time.
+#: Where nothing more is added: rms of ln Z, where no noise is stated, and reduced chi-square by the noise.
+#: Doubled, a resonance that changes Z by 1 % is not looked for; halved, a fit takes twice the time.
 ENOUGH, ENOUGH_NOISE = 5e-3, 1.5
 
 #: Part of the band that a resonance may be wide. Doubled, the background of other modes is called a resonance.
@@ -62,7 +63,7 @@ def fit_resonances(
     seen = whole if band is None else whole.restricted(*band)
     if count is not None and not 1 <= count <= MOST:
         raise ValueError(f"count {count} must be from 1 to {MOST}")
-    check_passive(seen)
+    check_passive_spectrum(seen)
     start = _start(seen, count)
     found = solved(seen, start, Freedom())
     if _wanting(found):
@@ -85,6 +86,14 @@ def fit_resonances(
     return found.fit(listed(found), tuple(findings))
 
 
+def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
+    """The resonances of a spectrum, None where none stands out or no circuit fits."""
+    try:
+        return fit_resonances(spectrum)
+    except ValueError:
+        return None
+
+
 def listed(found: SolvedCircuit) -> list[int]:
     """The branches that are resonances of the band, by index: not those confined to frequencies beyond it."""
     return [k for k in range(len(found.circuit.branches)) if k not in found.freedom.held]
@@ -94,12 +103,12 @@ def unresolved(found: SolvedCircuit) -> str | None:
     """A sentence about two neighbours that are closer than the mean of their bandwidths; None if there are none."""
     frequencies, widths = found.circuit.frequencies, found.circuit.bandwidths
     ordered = sorted(listed(found), key=lambda k: float(frequencies[k]))
-    for one, other in zip(ordered, ordered[1:], strict=False):
+    for one, other in pairwise(ordered):
         apart, width = frequencies[other] - frequencies[one], 0.5 * (widths[one] + widths[other])
         if apart < width:
             return (f"about {0.5e-6 * (frequencies[one] + frequencies[other]):.4f} MHz there is more than one "
-                    f"resonance, and within a bandwidth of {1e-3 * width:.3g} kHz they are not resolved: f, Q and k_eff "
-                    "there are those of all of them together")
+                    f"resonance, and within a bandwidth of {1e-3 * width:.3g} kHz they are not resolved: f, Q and "
+                    "k_eff there are those of all of them together")
     return None
 
 
@@ -111,7 +120,7 @@ def conductance_peaks(spectrum: Spectrum) -> list[tuple[float, float, float]]:
     if not np.max(conductance) > 0.0:
         return []
     # The noise of Re Y is about that of |Y|.
-    noise = scatter(spectrum) / spectrum.magnitude
+    noise = _noise(spectrum) / spectrum.magnitude
     floor = np.maximum(conductance, 1e-6 * float(np.max(conductance)))
     places, found = find_peaks(np.log(floor), prominence=RISE)
     rises = conductance[places] * -np.expm1(-found["prominences"])
@@ -127,21 +136,14 @@ def conductance_peaks(spectrum: Spectrum) -> list[tuple[float, float, float]]:
     return peaks
 
 
-def scatter(spectrum: Spectrum) -> Real:
-    """Relative standard deviation (n,) of a point: the stated one, or that of what a smooth curve leaves.
-
-    For white noise of that deviation in the real and in the imaginary part third differences of ln Z have a variance of
-    20 times its square; the median keeps out sharp resonances.
-    """
+def _noise(spectrum: Spectrum) -> Real:
+    """Relative standard deviation (n,) of a point: the stated one, or that of what a smooth curve leaves."""
     if spectrum.uncertainty is not None:
         return np.asarray(spectrum.uncertainty / spectrum.magnitude)
-    third = np.diff(np.log(spectrum.impedance), 3)
-    # The median of |x| of normal x is 0.6745 sigma.
-    size = np.median(np.abs(np.concatenate([third.real, third.imag]))) / 0.6745 if third.size else 0.0
-    return np.full(len(spectrum.frequency), float(size) / math.sqrt(20.0))
+    return np.full(len(spectrum.frequency), scatter(spectrum))
 
 
-def _start(spectrum: Spectrum, count: int | None) -> Circuit:
+def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
     """A plain circuit of the peaks; its capacitances by linear least squares of the relative error of Y."""
     peaks = conductance_peaks(spectrum)[: MOST if count is None else count]
     if not peaks:
@@ -152,7 +154,7 @@ def _start(spectrum: Spectrum, count: int | None) -> Circuit:
             impedance=float(magnitude[lowest]))
     static = float(np.median(np.abs(spectrum.admittance) / spectrum.frequency)) / (2.0 * np.pi)
     branches = [[math.log(at), math.log(q), math.log(guess), 0.0] for at, q, guess in peaks]
-    start = Circuit(np.array(branches), np.array([math.log(static), 0.0, 0.0]))
+    start = BranchCircuit(np.array(branches), np.array([math.log(static), 0.0, 0.0]))
     return start.with_amplitudes(spectrum, losses=False)
 
 
@@ -163,11 +165,11 @@ def _wanting(found: SolvedCircuit) -> bool:
     """Whether more is left than noise, or than matters."""
     if found.spectrum.uncertainty is not None:
         return found.left > ENOUGH_NOISE
-    noise = float(scatter(found.spectrum)[0])
+    noise = scatter(found.spectrum)
     return found.left > max(0.5 * ENOUGH**2, ENOUGH_NOISE * noise**2)
 
 
-def _attempt(spectrum: Spectrum, circuit: Circuit, freedom: Freedom) -> SolvedCircuit | None:
+def _attempt(spectrum: Spectrum, circuit: BranchCircuit, freedom: Freedom) -> SolvedCircuit | None:
     try:
         return solved(spectrum, circuit.with_amplitudes(spectrum, losses=freedom.losses), freedom)
     except ValueError:
@@ -198,22 +200,18 @@ def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
     if not needed and not _wanting(found):
         return None
     spectrum, circuit = found.spectrum, found.circuit
-    off = np.abs(np.log(circuit.impedance(spectrum.frequency) / spectrum.impedance)) / scatter_weight(spectrum)
+    off = np.abs(np.log(circuit.impedance(spectrum.frequency) / spectrum.impedance))
     at = float(spectrum.frequency[int(np.argmax(np.convolve(off, np.ones(5), "same")))])
     places = listed(found)
     nearest = places[int(np.argmin(np.abs(circuit.frequencies[places] - at)))]
     centre, width = float(circuit.frequencies[nearest]), float(circuit.bandwidths[nearest])
     halves = circuit.branches.copy()
     halves[nearest, 0] = math.log(centre - 0.3 * width)
-    starts = [circuit.with_branch(at, width), Circuit(halves, circuit.rest).with_branch(centre + 0.3 * width, width)]
+    split = BranchCircuit(halves, circuit.rest).with_branch(centre + 0.3 * width, width)
+    starts = [circuit.with_branch(at, width), split]
     tried = [each for each in (_attempt(spectrum, start, found.freedom) for start in starts) if each is not None]
     kept = [each for each in tried if _sound(each) and (needed or each.left < EARNED * found.left)]
     return min(kept, key=lambda each: each.left, default=None)
-
-
-def scatter_weight(spectrum: Spectrum) -> Real:
-    """What residuals of ln Z are divided by (n,): the stated noise, or one."""
-    return np.ones(len(spectrum.frequency)) if spectrum.uncertainty is None else scatter(spectrum)
 
 
 def _sound(found: SolvedCircuit) -> bool:
