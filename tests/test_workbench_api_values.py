@@ -142,7 +142,7 @@ def test_a_campaign_from_values_is_that_of_a_file(chip: Chip, tmp_path: Path) ->
     ({"band": (2e6, 3e6)}, {}, "states.empty.recording: frequency: .*2 points or more"),
     ({}, {"known": {"pla.share_modulus": 1e7}}, "Campaign: known.pla.share_modulus: .*did you mean"),
     ({}, {"fixed": ["nothing.here"]}, "Campaign: fixed.names: "),
-    ({}, {"model_accuracy": 2.0}, "Campaign: model.accuracy: "),
+    ({}, {"inhomogeneity": 2.0}, "Campaign: model.inhomogeneity: "),
 ])
 def test_a_mistake_in_a_campaign_is_said(chip: Chip, state: dict, more: dict, message: str) -> None:
     with pytest.raises(wb.InputError, match=message):

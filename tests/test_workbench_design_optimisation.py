@@ -21,7 +21,6 @@ from workbench.design.descent import descend
 from workbench.design.evaluation import Evaluation
 from workbench.design.evolution import evolve, undominated
 from workbench.design.goal import DesignObjective, Goal, Robust, SearchOptions, read_goal
-from workbench.design.modelling import Report
 from workbench.design.optimisation import optimise
 from workbench.design.programme import Programme
 from workbench.design.search import attempt, optima, search_all
@@ -30,6 +29,7 @@ from workbench.design.steps import settle
 from workbench.design.variables import LengthVariable, MaterialChoice, Stock, changed
 from workbench.files.errors import InputError
 from workbench.files.quantities import ProgramSource
+from workbench.jobs.progress import Progress
 from workbench.model.drive import VoltageDrive
 from workbench.reduced.ranges import NotCovered
 
@@ -325,10 +325,10 @@ def goal(*variables: LengthVariable | Stock | MaterialChoice, texts: tuple[str, 
 
 
 def test_a_goal_ends_in_a_confirmed_chip(tmp_path: Path) -> None:
-    said: list[tuple[str, str]] = []
-    report: Report = lambda row, activity, share: said.append((row, activity))  # noqa: E731
+    said: list[str] = []
+    report: Progress = lambda text, share: said.append(text)  # noqa: E731
     kept: list[float] = []
-    found = optimise(goal(texts=("f0 >= 1.05 MHz",)), solver=FakeSolver(), report=report,
+    found = optimise(goal(texts=("f0 >= 1.05 MHz",)), solver=FakeSolver(), progress=report,
                      keep=lambda chip, point: kept.append(point.objective))
     assert found.best is not None
     assert found.best.accepted
@@ -340,7 +340,7 @@ def test_a_goal_ends_in_a_confirmed_chip(tmp_path: Path) -> None:
     assert found.best.after.figures["f0"] >= 1.05e6 > found.before.figures["f0"]
     assert found.chosen.at_best == 4
     assert [each.text for each in found.best.candidate.active] == ["f0 >= 1.05 MHz"]
-    assert {"model", "starts", "steps", "full solve"} <= {activity for _, activity in said}
+    assert {"model", "starts", "steps", "full solve"} <= {text.rpartition(": ")[2] for text in said}
     assert kept == sorted(kept, reverse=True)
     assert read_chip(write_chip(chip, tmp_path / "best.toml")).layers == chip.layers
 

@@ -67,8 +67,8 @@ def timed(plan: Study, folder: Path, jobs: int, kept: Measurements) -> bytes:
     """One run without an interruption; the bytes of its table."""
     reached: dict[str, float] = {}
 
-    def show(part: str, activity: str, fraction: float) -> None:
-        reached[activity] = time.perf_counter()
+    def show(text: str, share: float) -> None:
+        reached[text.rpartition(": ")[2]] = time.perf_counter()
 
     begun = time.perf_counter()
     found = study(plan, folder, jobs=jobs, progress=show)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,15 +25,13 @@ from workbench.fitting.record import (
     registry_entry,
     source,
 )
+from workbench.jobs.progress import Progress
 from workbench.model.problem import fill
 from workbench.readers import read_column_map, read_recording
 from workbench.report.fit import fit_record, gel_record, write_fit_report
 from workbench.report.page import write_json
 from workbench.reproduction import fits as paper
 from workbench.results.spectrum import write_spectrum
-
-#: Called with what is being done and the share of it that is done.
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ def run_state(
     points = None if unfinished is None else _UnfinishedSpectrum(unfinished, chip, name, asked)
     return simulate_state(
         chip, name, registry=asked.registry, band=asked.band, points=asked.points, at=asked.at, full=asked.full,
-        tolerance=asked.tolerance, drive=asked.drive, accuracy=asked.accuracy,
+        relative_error=asked.relative_error, drive=asked.drive, accuracy=asked.accuracy,
         on_point=points.add if points else None, known=points.known if points else None,
         on_spectrum=(lambda _found: None) if spectrum is None else partial(write_spectrum, path=spectrum),
         progress=partial(simulated, show, name),

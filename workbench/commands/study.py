@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from workbench.commands.asked import output_folder
-from workbench.commands.terminal import print_table, progress_bars, say_finding
+from workbench.commands.terminal import by_rows, print_table, progress_bars, say_finding
 from workbench.design.plan import read_study
 from workbench.design.study import study
 from workbench.files.errors import InputError
@@ -31,7 +31,7 @@ def run_study(options: argparse.Namespace, console: Console) -> int:
     console.print(f"{plan.size} points over {', '.join(axis.name for axis in plan.axes)}", markup=False)
     with _executor(options.dask) as (executor, threads), progress_bars(console) as show:
         found = study(plan, folder, jobs=options.jobs or threads, executor=executor, overwrite=options.overwrite,
-                      progress=show)
+                      progress=by_rows(show))
         show("report", "pictures", 0.0)
         pictures = draw_study(found, folder)
         show("report", "done", 1.0)

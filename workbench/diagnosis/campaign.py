@@ -35,7 +35,7 @@
     names = ["transducer.density"]  # what no hypothesis may move, and what is exact
 
     [model]
-    accuracy = "0.2 %"              # of the smooth relative changes of stiffness, mass and loss within parts that no
+    inhomogeneity = "0.2 %"         # of the smooth relative changes of stiffness, mass and loss within parts that no
                                     # model gets right; "0" for none, left out for what the recordings say of it
 
 One device: what has one name is one number in all states. What is not named is exact. Percentages are of the stated
@@ -76,7 +76,7 @@ class Campaign(Brief):
     ``known`` maps parameter names (see `workbench.fitting.parameter`) to standard uncertainties in SI, ``offsets`` the
     names of what one state adds (``bench.gain[filled]``); ``fixed`` names what may not move. Radii that coincide in a
     chip are one parameter, under the first of their names. ``correlations`` are coefficients between two names of
-    ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``model_accuracy`` is the
+    ``known``, each pair once; ``taken`` says of every name where its uncertainty comes from. ``inhomogeneity`` is the
     standard deviation of the smooth relative changes of stiffness, mass and loss within parts that no model gets right,
     None if the data are to say it.
     """
@@ -90,7 +90,7 @@ class Campaign(Brief):
     correlations: Mapping[tuple[str, str], float]
     taken: tuple[Taken, ...]
     registry: Registry
-    model_accuracy: float | None
+    inhomogeneity: float | None
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class Campaign(Brief):
         known: Mapping[str, Any] | None = None,
         between: Mapping[str, Any] | None = None,
         fixed: Sequence[str] = (),
-        model_accuracy: float | str | None = None,
+        inhomogeneity: float | str | None = None,
         from_files: bool = True,
         name: str = "device",
         registry: Registry | None = None,
@@ -117,7 +117,7 @@ class Campaign(Brief):
         """
         table = FileTable.made(source, {
             "states": states, "known": known, "between": between, "fixed": {"names": fixed},
-            "model": {"accuracy": model_accuracy}})
+            "model": {"inhomogeneity": inhomogeneity}})
         registry = user_registry() if registry is None else registry
         read = tuple(_states(table, Path(source).parent, registry))
         if not any(not state.held_out for state in read):
@@ -127,7 +127,7 @@ class Campaign(Brief):
         found = read_knowledge(table, read, from_files=from_files)
         self.__dict__.update(
             name=name, file=source, states=read, known=found.known, offsets=found.offsets, fixed=found.fixed,
-            correlations=found.correlations, taken=found.taken, registry=registry, model_accuracy=_accuracy(table))
+            correlations=found.correlations, taken=found.taken, registry=registry, inhomogeneity=_inhomogeneity(table))
 
     @cached_property
     def tied(self) -> Mapping[str, tuple[str, ...]]:
@@ -159,10 +159,10 @@ def read_campaign(path: Path | str, *, materials: Sequence[Path | str] = ()) -> 
     table = FileTable.read(path).only(("campaign", "states", "known", "between", "fixed", "model"))
     head = table.table("campaign", expected="a table [campaign]").only(("name", "materials", "known"))
     fixed = table.table("fixed", expected="a table [fixed]").only(("names",))
-    model = table.table("model", expected="a table [model]").only(("accuracy",))
+    model = table.table("model", expected="a table [model]").only(("inhomogeneity",))
     return Campaign(
         table.content.get("states", {}), known=table.content.get("known"), between=table.content.get("between"),
-        fixed=fixed.content.get("names", ()), model_accuracy=model.content.get("accuracy"),
+        fixed=fixed.content.get("names", ()), inhomogeneity=model.content.get("inhomogeneity"),
         from_files=head.choice("known", (STATED, NAMED), STATED) == STATED,
         name=str(head.content.get("name", path.stem)),
         registry=user_registry([*materials, *_own_materials(head, path.parent)]), source=table.source)
@@ -190,12 +190,12 @@ def _states(table: FileTable, folder: Path, registry: Registry) -> Iterator[Devi
         yield read_state(name, each, folder, registry)
 
 
-def _accuracy(table: FileTable) -> float | None:
-    """The accuracy of the model, relative; None where nobody says."""
+def _inhomogeneity(table: FileTable) -> float | None:
+    """The relative inhomogeneity within parts; None where nobody says."""
     model = table.table("model")
-    found = model.optional_quantity("accuracy", "share")
+    found = model.optional_quantity("inhomogeneity", "share")
     if found is not None and not 0.0 <= found < 1.0:
-        raise model.error("accuracy", 'a relative deviation from 0 to below 1, such as "0.2 %"')
+        raise model.error("inhomogeneity", 'a relative deviation from 0 to below 1, such as "0.2 %"')
     return found
 
 
