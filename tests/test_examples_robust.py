@@ -1,4 +1,4 @@
-"""examples/19_robust_by_measurement.py without its computations: its files, its commands, and what it says."""
+"""examples/17_robust_by_measurement.py without its computations: its files, its commands, and what it says."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from workbench.commands.options import command_parser
 from workbench.design.goal import read_goal
 
 _SPEC = importlib.util.spec_from_file_location(
-    "robust", Path(__file__).resolve().parents[1] / "examples" / "19_robust_by_measurement.py")
+    "robust", Path(__file__).resolve().parents[1] / "examples" / "17_robust_by_measurement.py")
 example = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(example)
 
