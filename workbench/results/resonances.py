@@ -49,10 +49,10 @@ WIDEST = 0.25
 def fit_resonances(
     spectrum: Spectrum | WithSpectrum, count: int | None = None, *, band: tuple[float, float] | None = None
 ) -> CircuitFit:
-    """Fit the resonances of a spectrum together: f, Q, k_eff and R, L, C of each, with standard errors.
+    """Fit the resonances of a spectrum, all together, as the branches of one circuit.
 
-    All that stand out of `band` (Hz), or the `count` that stand out most. What lies closer than a bandwidth is one of
-    the ``findings`` of the result.
+    The result has f, Q, k_eff, R, L and C of each with standard errors. Resonances are those that stand out of `band`
+    (Hz), or the `count` that stand out most. The ``findings`` name what lies closer than a bandwidth.
 
     Raises:
         NoResonance: none stands out.
