@@ -126,7 +126,7 @@ def test_the_headline_of_every_other_verdict() -> None:
                      "mismatch, but shear modulus of glass would too.",
         "no_mismatch": f"The model as stated explains the recordings: {left}.",
         "parameters_explain": f"The known parameters, within what is known of them, explain the recordings: {left}; "
-                              "the density of pla moves most, by +2.5 standard uncertainties.",
+                              "the pla density moves most, by +2.5 standard uncertainties.",
         "below_detection": "Something may be missing, leads most likely, at odds of 5: not enough to name a cause.",
         "unexplained": f"Nothing in the catalogue explains what is left: {left}; it looks like something in the bond.",
     }

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from geometry.chip import Chip
 from materials.kinds import Material
 from workbench.fitting.objective import FitRecording, Objective
-from workbench.fitting.parameter import BENCH_ELEMENTS, Parameter, bench_parameter, parameters
+from workbench.fitting.parameter import Parameter, bench_parameter, parameters
 from workbench.fitting.seen import log_ratio, lorentzian, through_bench
-from workbench.model.numbers import LENGTHS
+from workbench.model.numbers import BENCH_ELEMENTS, LENGTHS
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
 from workbench.results.spectrum import Spectrum

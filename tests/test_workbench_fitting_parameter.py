@@ -13,7 +13,6 @@ from materials.kinds import Material
 from materials.value import Value
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import (
-    BENCH_ELEMENTS,
     CERAMIC_LOSS,
     CERAMIC_LOSS_REACH,
     POLYMER_FOUR,
@@ -25,6 +24,7 @@ from workbench.fitting.parameter import (
     material_parameter,
     parameters,
 )
+from workbench.model.numbers import BENCH_ELEMENTS
 from workbench.model.problem import Problem
 
 PZT, PLA, GEL = "pzt/test", "pla/test", "gel/test"

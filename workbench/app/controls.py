@@ -13,8 +13,7 @@ from geometry.names import CAVITY
 from geometry.stretch import movable, tied
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
-from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
+from workbench.files.quantities import parse_quantity, shown_factor, shown_unit
 from workbench.model.dimensions import flexible_within
 from workbench.model.numbers import LOSS, ParameterKind, ParameterName, real_part
 from workbench.model.problem import Problem
@@ -33,9 +32,6 @@ SAVED_DIGITS = 6
 #: What a range is written between, as in "substrate.thickness=0.8mm..0.9mm".
 ENDS = ".."
 
-#: Which units the ends of a range may be written in, by the SI unit of what they are of.
-DIMENSIONS = {"m": "length", "rad": "angle", "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless",
-               "kg/m^3": "density", "m/s": "speed", "m^2/s": "diffusivity"}
 #: Thinner layers than this (m) are told in micrometres.
 _THIN = 2e-4
 
@@ -62,18 +58,19 @@ class Control:
     @property
     def label(self) -> str:
         """What it is, in words: "substrate thickness", "pla shear modulus"."""
-        parsed = ParameterName.parse(self.name)
-        owner = parsed.owner.split("/")[0].replace("_", " ")
-        words = f"{owner} {parsed.coefficient.replace('_', ' ')}"
-        return f"{words}, loss" if parsed.is_loss else words
+        return self.parsed.in_words
+
+    @property
+    def parsed(self) -> ParameterName:
+        return ParameterName.parse(self.name)
 
     @property
     def is_length(self) -> bool:
-        return ParameterName.parse(self.name).kind is ParameterKind.DIMENSION
+        return self.parsed.is_dimension
 
     @property
     def is_radius(self) -> bool:
-        return ParameterName.parse(self.name).is_radius
+        return self.parsed.is_radius
 
     @property
     def known(self) -> LengthUncertainty:
@@ -114,14 +111,8 @@ class Control:
     def saved(self, length: float) -> float:
         """A length (m or rad) as a chip file holds it: rounded to :data:`SAVED_DIGITS` digits in its unit."""
         unit = self.unit.replace("µ", "u")
-        return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", DIMENSIONS[self.si_unit],
+        return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", self.parsed.quantity,
                               source="live view", field=self.name)
-
-    @property
-    def si_unit(self) -> str:
-        """The SI unit of the number."""
-        parsed = ParameterName.parse(self.name)
-        return parsed.dimension_unit if self.is_length else UNITS.get(parsed.coefficient, "1")
 
     def shown(self, number: float) -> str:
         """A number (SI) in ``unit``, without it."""
@@ -177,16 +168,16 @@ def _usual(chip: Chip, problem: Problem) -> list[str]:
 def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -> Control:
     parsed = ParameterName.parse(name)
     if parsed.kind is ParameterKind.DIMENSION:
-        unit, tolerance = parsed.dimension_unit, chip.dimensions()[name].tolerance
+        tolerance = chip.dimensions()[name].tolerance
     else:
-        unit = UNITS.get(parsed.coefficient, "1")
         tolerance = _uncertainty(problem, parsed)
+    unit = parsed.unit
     shown, factor = shown_unit(unit), shown_factor(unit)
     if unit == "m" and value < _THIN:
         shown, factor = "µm", 1e6
     narrowed = ""
     if ends:
-        low, high = _ends(name, ends, DIMENSIONS[unit])
+        low, high = _ends(name, ends, parsed.quantity)
     else:
         reach = max(REACH * abs(value), TOLERANCES * (tolerance or 0.0))
         if parsed.is_shape and tolerance is None:

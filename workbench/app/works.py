@@ -15,9 +15,7 @@ from workbench.app.elsewhere import Send, elsewhere, stand_back
 from workbench.app.refit import Refit, known_to, refit
 from workbench.app.session import Present, Session
 from workbench.diagnosis.campaign import NAMED
-from workbench.diagnosis.numbers import DIMENSIONS
 from workbench.files.errors import InputError
-from workbench.files.quantities import UNITS
 from workbench.files.writing import write_atomic
 from workbench.fitting.parameter import parameters
 from workbench.results.spectrum import write_csv
@@ -149,8 +147,7 @@ class Works:
         for each in parameters(session.problem, session.stated_chip(), session.transducer, names):
             parameter = known_to(each, typed.get(each.name))
             if parameter.prior is not None:
-                unit = next(name for name, factor in UNITS[DIMENSIONS[parameter.unit]].items() if factor == 1.0)
-                lines.append(f'"{parameter.name}" = "{parameter.prior!r} {unit}"')
+                lines.append(f'"{parameter.name}" = "{parameter.prior!r} {parameter.unit}"')
         path = folder / "campaign.toml"
         write_atomic(path, "\n".join(lines) + "\n")
         return path

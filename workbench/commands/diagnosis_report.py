@@ -12,10 +12,11 @@ from workbench.acoustics.fields import section_nodes
 from workbench.commands.tables import known_physics_table, merit_cells, origin_table
 from workbench.commands.terminal import print_line, print_table
 from workbench.diagnosis.campaign import Campaign
-from workbench.diagnosis.outcome import Diagnosis, FoundNumber, in_plain_words
+from workbench.diagnosis.outcome import Diagnosis, FoundNumber
 from workbench.diagnosis.record import Contribution, stopped_record
 from workbench.diagnosis.state import fitted_spectrum
-from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.files.quantities import shown_factor, shown_unit
+from workbench.model.numbers import plain_words
 from workbench.report.figures import measured_figures
 from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
 
@@ -48,7 +49,7 @@ def established_table(found: Diagnosis) -> TextTable:
         told = f"{100.0 * share:.3g} %" + (", together" if len(group) > 1 else "")
         for each in group:
             for k, e in enumerate(each.estimates):
-                rows.append((in_plain_words(each.effect.name) if k == 0 else "", told, e.name, number_text(e.shown[0]),
+                rows.append((plain_words(each.effect.name) if k == 0 else "", told, e.name, number_text(e.shown[0]),
                              f"{number_text(e.shown[1])} to {number_text(e.shown[2])}",
                              "of what is stated" if e.relative else shown_unit(e.unit)))
                 told = ""
@@ -136,7 +137,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     pictures: list[Block] = [Picture(draw_states(states, folder / "states.png", before=labels[0], after=labels[1]),
                                      "Every state as recorded, before and after, and below what is left of it")]
     if found.established:
-        shares = {" and ".join(in_plain_words(each.effect.name) for each in group): share
+        shares = {" and ".join(plain_words(each.effect.name) for each in group): share
                   for group, share in found.shares}
         pictures.append(Picture(draw_shares(shares, folder / "shares.png", title="What explains the mismatch"),
                                 "Of the mismatch that the known parameters leave, beyond noise"))

@@ -25,7 +25,7 @@ from workbench.commands.fit_job import (
 )
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
+from workbench.files.quantities import parse_quantity, shown_factor, shown_unit
 from workbench.fitting.batch import (
     OUTLIER,
     BatchColumn,
@@ -37,7 +37,6 @@ from workbench.fitting.batch import (
     summarise,
     summary_record,
 )
-from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import DEFAULT
 from workbench.fitting.record import refusals
 from workbench.readers import READ_AS

@@ -18,10 +18,10 @@ from materials.versions import check_name
 from workbench.commands.asked import saving_folder
 from workbench.commands.tables import origin_table
 from workbench.files.errors import InputError
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.fitting.batch import BatchMember, Job, Settings, content_key, finished
 from workbench.fitting.gel import PUBLISHED, GelCase, gel_study, with_gel
 from workbench.fitting.joint import FitResult, fit_parameters
-from workbench.fitting.parameter import shown_factor, shown_unit
 from workbench.fitting.prepare import Prepared, free_region, material_starts, prepare, prepare_together, with_material
 from workbench.fitting.record import (
     Source,

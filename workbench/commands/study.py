@@ -20,7 +20,7 @@ from workbench.design.plan import read_study
 from workbench.design.study import study
 from workbench.design.study_result import STATE, StudyResult
 from workbench.files.errors import InputError
-from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.model.problem import fill
 from workbench.report.page import Block, Note, Picture, TextTable, write_report
 

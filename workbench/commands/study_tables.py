@@ -9,7 +9,7 @@ import numpy as np
 from workbench.design.axes import NumberAxis
 from workbench.design.figures import figure_named
 from workbench.design.study_result import MISSING, STATE, StudyResult
-from workbench.fitting.parameter import shown_factor, shown_unit
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.report.page import TextTable, number_text
 
 

@@ -24,10 +24,9 @@ from geometry.names import CAVITY, VACUUM
 from geometry.parts import Layer, State
 from geometry.plausible import check_length
 from geometry.stretch import between, movable, tied
-from materials.entry import KINDS
 from materials.registry import Registry
 from workbench.files.errors import InputError, nearest_names
-from workbench.files.quantities import UNITS, parse_quantity
+from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import fill
@@ -183,8 +182,7 @@ def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -
         shown = [known for known in numbers.common if not known.endswith(".loss")]
         raise InputError(entry.source, field, written, "a length that the spectrum feels or a material's coefficient "
                          f"(with .loss its imaginary part): {', '.join(shown)}", nearest_names(name, numbers.common))
-    dimension = dimension_of(name)
-    unit = next(iter(UNITS[dimension]))
+    dimension, unit = ParameterName.parse(name).quantity, ParameterName.parse(name).unit
     if "values" in entry:
         axis = NumberAxis(name, unit, *_values(entry, dimension))
         _check_plausible(name, axis.values, entry, numbers)
@@ -248,19 +246,6 @@ def _tolerance(name: str, entry: FileTable, dimension: str, numbers: Numbers) ->
     if not width > 0.0:
         raise entry.error("tolerance", f"a tolerance above zero; {name} is {value:g}")
     return value - width, value + width
-
-
-def dimension_of(name: str) -> str:
-    """The dimension of a parameter by name, a key of `workbench.files.quantities.UNITS`."""
-    parsed = ParameterName.parse(name)
-    if "/" not in parsed.owner:
-        return parsed.quantity
-    for kind in KINDS.values():
-        # The first form of a kind is the one that a solver has.
-        known = {**kind.required, **kind.optional, **(kind.forms[0].dimensions if kind.forms else {})}
-        if parsed.coefficient in known:
-            return known[parsed.coefficient]
-    return "diffusivity" if parsed.coefficient == "diffusivity_of_sound" else "dimensionless"
 
 
 def _check_lengths(chip: Chip, axes: Sequence[NumberAxis], table: FileTable) -> None:

@@ -25,7 +25,6 @@ import numpy as np
 from geometry.assumed import assumed_uncertainty, is_film
 from geometry.chip import Chip
 from geometry.stretch import movable, tied
-from materials.entry import KINDS
 from materials.fit import Correlation
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
@@ -351,7 +350,7 @@ def _say(each: Statement, device: FilledChip, known: Mapping[str, float], law: L
     if amount.endswith("%"):
         spread = parse_quantity(amount, "dimensionless", source=each.source, field=each.field) * abs(mean)
     else:
-        spread = parse_quantity(amount, _dimension(name, device), source=each.source, field=each.field)
+        spread = parse_quantity(amount, ParameterName.parse(name).quantity, source=each.source, field=each.field)
     if not spread > 0.0:
         raise InputError(each.source, each.field, each.amount, 'an amount above zero, or "exact"'
                          + (": the number is 0, give an amount with its unit" if mean == 0.0 else ""))
@@ -378,14 +377,3 @@ def _meant(each: Statement, device: FilledChip, known: Mapping[str, float]) -> s
     near = nearest_names(each.name, [*known, *short])
     raise InputError(each.source, each.field, each.name, "a number that figures depend on: " + ", ".join(known),
                      tuple(dict.fromkeys(short.get(one, one) for one in near)))
-
-
-def _dimension(name: str, device: FilledChip) -> str:
-    """What kind of quantity a number is, see `workbench.files.quantities.UNITS`."""
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.DIMENSION:
-        return parsed.quantity
-    material = next(each for each in device.materials.values() if each.name == parsed.owner)
-    kind = next(each for each in KINDS.values() if each.build is type(material))
-    dimensions = {**kind.required, **kind.optional, **{k: v for form in kind.forms for k, v in form.dimensions.items()}}
-    return dimensions[parsed.key.rpartition(".")[2]]

@@ -14,9 +14,9 @@ from workbench.design.sensitivity import SHARE
 from workbench.design.tolerance import Tolerance
 from workbench.design.uncertainty import CUT, Input
 from workbench.design.yields import CONFIDENCE, RequirementYield, Share
+from workbench.files.quantities import shown_factor, shown_unit
 from workbench.files.writing import replacing
-from workbench.fitting.parameter import UNITS, shown_factor, shown_unit
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import ParameterName
 from workbench.report.page import TextTable, number_text
 
 #: Units in which changes are told where those of the figure itself are too large, and what one is in SI.
@@ -33,16 +33,9 @@ def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
     return f"{number_text(value / figure.factor, digits)} {figure.shown}".strip()
 
 
-def _unit(name: str) -> str:
-    """SI unit of a number by its name."""
-    parsed = ParameterName.parse(name)
-    return parsed.dimension_unit if parsed.kind is ParameterKind.DIMENSION else UNITS.get(parsed.key.rpartition(".")[2],
-                                                                                          "")
-
-
 def amount(name: str, value: float) -> str:
     """A change of a number (SI) with its unit: of lengths in micrometres."""
-    unit = _unit(name)
+    unit = ParameterName.parse(name).unit
     if unit == "m":
         return f"{value * 1e6:.3g} um"
     return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()
@@ -134,7 +127,7 @@ def inputs_table(found: Tolerance) -> TextTable:
     """What is uncertain, by how much, and who says so."""
     rows = []
     for each in found.uncertainty.inputs:
-        unit = _unit(each.name)
+        unit = ParameterName.parse(each.name).unit
         rows.append((each.name, f"{each.mean * shown_factor(unit):.6g} {shown_unit(unit)}".strip(), law_in_words(each),
                      each.law, each.origin))
     return TextTable(("number", "mean", "uncertainty", "law", "stated by"), tuple(rows))
@@ -235,7 +228,7 @@ def write_samples(found: Tolerance, path: Path) -> Path:
                                         for k, each in enumerate(found.uncertainty.inputs)}
     columns |= {each.label: found.outcomes.column(each.label) for each in found.asked}
     columns |= {f"met: {each.requirement.text}": each.met(found.outcomes.column(each.label)) for each in found.bounds}
-    units = {each.name: _unit(each.name) for each in found.uncertainty.inputs}
+    units = {each.name: ParameterName.parse(each.name).unit for each in found.uncertainty.inputs}
     units |= {each.label: each.figure.unit for each in found.asked}
     table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
     table = table.cast(pyarrow.schema([

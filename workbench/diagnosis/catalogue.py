@@ -37,8 +37,7 @@ from workbench.diagnosis.hypothesis import (
 )
 from workbench.diagnosis.transducer import transducer
 from workbench.files.errors import InputError
-from workbench.fitting.parameter import BENCH_ELEMENTS
-from workbench.model.numbers import BENCH, LOSS, ParameterName
+from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, ParameterName
 from workbench.physics import (
     absorption,
     anisotropy,

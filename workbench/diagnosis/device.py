@@ -22,7 +22,6 @@ from workbench.diagnosis.hypothesis import Device, Effect
 from workbench.diagnosis.numbers import DeviceNumbers, stated_number, unit_of
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import (
-    BENCH_ELEMENTS,
     Parameter,
     bench_parameter,
     material_parameter,
@@ -32,7 +31,7 @@ from workbench.fitting.parameter import (
 from workbench.model.dimensions import flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_parts import Interpolation, joined_meshes
-from workbench.model.numbers import ParameterKind, ParameterName
+from workbench.model.numbers import BENCH_ELEMENTS, ParameterKind, ParameterName
 from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.rim import FOUND, OfRim
 from workbench.physics.term import Term

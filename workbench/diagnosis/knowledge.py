@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from geometry.assumed import assumed_uncertainty
 from workbench.design.stated import ASSUMED, uncertainty_of_files
-from workbench.diagnosis.numbers import DIMENSIONS, SAME_NUMBER, DeviceNumbers, names, unit_of
+from workbench.diagnosis.numbers import SAME_NUMBER, DeviceNumbers, names, unit_of
 from workbench.diagnosis.state import DeviceState
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
@@ -152,21 +152,22 @@ def _uncertainty(
     table: FileTable, written: str, name: str, numbers: DeviceNumbers, states: Sequence[DeviceState]
 ) -> float:
     """A standard uncertainty in SI, where a percentage is of the value in the first of `states` that has the number."""
-    entry, unit = table.content[written], unit_of(name, numbers.states)
-    if entry == ASSUMED and ParameterName.parse(name).kind is ParameterKind.DIMENSION:
+    entry, parsed = table.content[written], ParameterName.parse(name)
+    if entry == ASSUMED and parsed.is_dimension:
         chip = next(state.chip for state in states if name in state.chip.dimensions())
         return assumed_uncertainty(name, chip.dimensions()[name].value).deviation
     share = isinstance(entry, str) and entry.strip().endswith("%")
     # The gain and the clock of a bench are shares, whose signs are forgotten like those of per cents.
-    own = "share" if unit == "1" and ParameterName.parse(name).kind is ParameterKind.BENCH else DIMENSIONS[unit]
-    found = parse_quantity(entry, "dimensionless" if share else own, source=table.source, field=table.at(written))
+    found = parse_quantity(entry, "dimensionless" if share else parsed.quantity, source=table.source,
+                           field=table.at(written))
     if share:
         having = numbers.having(name)
         size = abs(numbers.value(name, next(state for state in states if state in having)))
-        if ParameterName.parse(name).kind is ParameterKind.BENCH and unit in ("1", "rad"):
+        if parsed.is_bench and parsed.quantity in ("share", "angle"):
             size = 1.0
         if size == 0.0:
-            raise table.error(written, f"an uncertainty in {unit}: {name} is zero, so a percentage of it says nothing")
+            raise table.error(written, f"an uncertainty in {parsed.unit}: {name} is zero, so a percentage of it says "
+                              "nothing")
         found *= size
     if not found > 0.0:
         raise table.error(written, "a standard uncertainty above zero; what is exact is left out")

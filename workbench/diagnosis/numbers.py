@@ -11,15 +11,7 @@ from geometry.stretch import tied
 from materials.kinds import Fluid
 from materials.versions import split_version
 from workbench.diagnosis.state import DeviceState
-from workbench.fitting.parameter import BENCH_ELEMENTS, UNITS
-from workbench.model.numbers import BENCH, ParameterKind, ParameterName
-
-#: Which units an uncertainty may be written in, by the SI unit of what it is of.
-DIMENSIONS: Mapping[str, str] = {
-    "Pa": "pressure", "C/m^2": "piezoelectric", "1": "dimensionless", "kg/m^3": "density", "m/s": "speed",
-    "m": "length", "ohm": "resistance", "H": "inductance", "F": "capacitance", "s": "time", "rad": "angle",
-    "m^2/s": "diffusivity",
-}
+from workbench.model.numbers import BENCH, BENCH_ELEMENTS, ParameterKind, ParameterName
 
 #: Relative difference from which on two stated values are two numbers: far above rounding.
 SAME_NUMBER = 1e-9
@@ -28,14 +20,13 @@ SAME_NUMBER = 1e-9
 def unit_of(name: str, states: Sequence[DeviceState]) -> str:
     """SI unit of a parameter; empty if there is no such parameter."""
     parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.BENCH:
-        element = BENCH_ELEMENTS.get(parsed.coefficient)
-        return "" if element is None else element.unit
-    if parsed.kind is ParameterKind.DIMENSION:
-        return parsed.dimension_unit if any(parsed.shared in s.chip.dimensions() for s in states) else ""
+    if parsed.is_bench:
+        return parsed.unit
+    if parsed.is_dimension:
+        return parsed.unit if any(parsed.shared in s.chip.dimensions() for s in states) else ""
     materials = [m for s in states for m in s.materials.values()]
     if any(m.name == parsed.owner and parsed.coefficient in m.parameters() for m in materials):
-        return UNITS.get(parsed.coefficient, "1")
+        return parsed.unit
     return ""
 
 

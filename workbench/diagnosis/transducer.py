@@ -16,8 +16,8 @@ from workbench.diagnosis.hypothesis import (
     other_than_stated,
     with_terms,
 )
-from workbench.fitting.parameter import UNITS, Parameter
-from workbench.model.numbers import LOSS
+from workbench.fitting.parameter import Parameter
+from workbench.model.numbers import LOSS, ParameterName
 from workbench.physics import depoled, electrode_mass, partial_electrode, softening, surface_load
 from workbench.physics.rim import Rim
 from workbench.physics.term import Admissible
@@ -68,7 +68,8 @@ def _loss(material: Piezoelectric, coefficient: str, sign: float) -> dict[str, A
     """What a loss may be: up to 5 % of the real part, of one sign, or (0) of either."""
     size = 0.05 * abs(complex(getattr(material, coefficient)).real)
     low, high = sorted((0.0, sign * size)) if sign else (-size, size)
-    return {f"{material.name}.{coefficient}{LOSS}": Admissible(low, high, UNITS[coefficient], CERAMIC)}
+    name = f"{material.name}.{coefficient}{LOSS}"
+    return {name: Admissible(low, high, ParameterName.parse(name).unit, CERAMIC)}
 
 
 def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:

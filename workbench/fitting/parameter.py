@@ -5,7 +5,6 @@ Their names are those of `workbench.model.numbers`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from geometry.stretch import movable, tied
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError, nearest_names
-from workbench.model.numbers import BENCH, LOSS, ParameterKind, ParameterName
+from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, ParameterKind, ParameterName
 from workbench.model.problem import Problem
 
 #: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
@@ -38,45 +37,6 @@ NEARBY = 0.005
 
 #: What to do about a radius that would pass another (`geometry.stretch.movable`).
 BEYOND = "short of another radius; to search beyond that, change the radius in the chip file"
-
-
-@dataclass(frozen=True)
-class Element:
-    """A bench element: what it is in words, its unit, its standard uncertainty before the measurement, its bounds."""
-
-    text: str
-    unit: str
-    prior: float
-    low: float
-    high: float
-
-
-#: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
-#: frequency (1 + clock) f that the generator makes of f; all are zero (the gain as its logarithm) where it is ideal.
-#: How large they may be: what contacts, leads and probes have; data sheets of generators state 1 to 50 in a million.
-#: Below zero, what a compensation takes away too much: of a bad contact, 10 cm of wire, 20 cm of cable.
-BENCH_ELEMENTS: Mapping[str, Element] = {
-    "series_resistance": Element("resistance of leads and contacts", "ohm", 0.3, -0.3, 5.0),
-    "series_inductance": Element("inductance of the leads", "H", 2e-7, -1e-7, 2e-6),
-    "parallel_capacitance": Element("stray and probe capacitance", "F", 1e-11, -2e-11, 2e-10),
-    "gain": Element("logarithm of the gain", "1", 0.05, -0.5, 0.5),
-    "phase": Element("phase of the gain", "rad", 0.02, -0.5, 0.5),
-    "delay": Element("delay between the channels", "s", 2e-9, -5e-8, 5e-8),
-    "clock": Element("relative error of the generator's clock", "1", 1e-5, -1e-4, 1e-4),
-}
-
-#: Units of material properties, SI.
-UNITS: Mapping[str, str] = {
-    **dict.fromkeys(("c11", "c12", "c13", "c33", "c44", "bulk_modulus", "shear_modulus"), "Pa"),
-    **dict.fromkeys(("e31", "e33", "e15"), "C/m^2"),
-    **dict.fromkeys(("eps11", "eps33"), "1"),
-    "density": "kg/m^3", "sound_speed": "m/s", "diffusivity_of_sound": "m^2/s",
-}
-
-
-#: Units in which numbers are shown, and their factor from SI.
-SHOWN = {"Pa": ("GPa", 1e-9), "m": ("mm", 1e3), "H": ("nH", 1e9), "F": ("pF", 1e12), "s": ("ns", 1e9),
-         "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
 
 
 @dataclass(frozen=True)
@@ -179,7 +139,7 @@ def material_parameter(problem: Problem, material: str, name: str) -> Parameter:
     found = next(m for m in problem.materials.values() if m.name == material)
     value = complex(problem.values[f"{material}.{coefficient}"])
     full = f"{material}.{name}"
-    unit = UNITS.get(coefficient, "")
+    unit = parsed.unit
     if parsed.is_loss:
         return _loss(full, coefficient, value, found, unit)
     known_value = found.values.get(coefficient)
@@ -253,7 +213,7 @@ def dimension_parameter(chip: Chip, name: str) -> Parameter:
     wanted = known_to.lowest, known_to.highest
     low, high = stretchable([chip], first, *wanted)
     beyond = BEYOND if parsed.is_radius and (low, high) != wanted else ""
-    return Parameter(first, found.value, low, high, known_to.deviation, parsed.dimension_unit, beyond=beyond,
+    return Parameter(first, found.value, low, high, known_to.deviation, parsed.unit, beyond=beyond,
                      tied=others, assumed=known_to.assumed)
 
 
@@ -350,13 +310,3 @@ def _own_or_none(problem: Problem, chip: Chip | None, material: str, name: str) 
              *(BENCH + key for key in BENCH_ELEMENTS)]
     raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
                      f"{', '.join(known)}", nearest_names(name, known))
-
-
-def shown_unit(unit: str) -> str:
-    """The unit in which numbers of an SI unit are shown."""
-    return SHOWN.get(unit, (unit, 1.0))[0]
-
-
-def shown_factor(unit: str) -> float:
-    """What brings numbers of an SI unit into the one they are shown in."""
-    return SHOWN.get(unit, (unit, 1.0))[1]

@@ -13,12 +13,16 @@ Names say what they are:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cache
 
 from geometry.dimension import SHAPES
 from geometry.names import ROLES, role_of
+from materials.entry import KINDS
+from workbench.files.quantities import si_unit
 
 LOSS = ".loss"
 BENCH = "bench."
@@ -33,6 +37,47 @@ LENGTHS = ("thickness", "radius", "inner_radius", "cavity_radius", "diameter", "
 #: What stands behind the name of a layer and is no dimension of it; ``gauge`` is the factor of density, stiffness and
 #: piezoelectric constants together that a free disc does not show.
 NO_DIMENSION = ("density", "material", "gauge")
+
+#: Dimension of every coefficient of a material, a key of `workbench.files.quantities.UNITS`: as entries state it (the
+#: first form of a kind is the one that a solver has), and one that follows from others.
+COEFFICIENTS: Mapping[str, str] = {
+    **{name: dimension for kind in KINDS.values() for stated in (kind.required, kind.optional, kind.forms[0].dimensions)
+       for name, dimension in stated.items()}, "diffusivity_of_sound": "diffusivity"}
+
+#: A material's source behind its name.
+_SOURCE = re.compile(r"(\w)/[\w@-]+")
+
+
+@dataclass(frozen=True)
+class Element:
+    """A bench element: what it is in words, its dimension, its standard uncertainty before the measurement, its bounds
+    (SI)."""
+
+    text: str
+    quantity: str
+    prior: float
+    low: float
+    high: float
+
+    @property
+    def unit(self) -> str:
+        """Its SI unit."""
+        return si_unit(self.quantity)
+
+
+#: The bench as in Z_seen = gain e^{i (phase - w delay)} (R + i w L + 1 / (1 / Z + i w C)), e^{+j w t}, with Z at the
+#: frequency (1 + clock) f that the generator makes of f; all are zero (the gain as its logarithm) where it is ideal.
+#: How large they may be: what contacts, leads and probes have; data sheets of generators state 1 to 50 in a million.
+#: Below zero, what a compensation takes away too much: of a bad contact, 10 cm of wire, 20 cm of cable.
+BENCH_ELEMENTS: Mapping[str, Element] = {
+    "series_resistance": Element("resistance of leads and contacts", "resistance", 0.3, -0.3, 5.0),
+    "series_inductance": Element("inductance of the leads", "inductance", 2e-7, -1e-7, 2e-6),
+    "parallel_capacitance": Element("stray and probe capacitance", "capacitance", 1e-11, -2e-11, 2e-10),
+    "gain": Element("logarithm of the gain", "share", 0.05, -0.5, 0.5),
+    "phase": Element("phase of the gain", "angle", 0.02, -0.5, 0.5),
+    "delay": Element("delay between the channels", "time", 2e-9, -5e-8, 5e-8),
+    "clock": Element("relative error of the generator's clock", "share", 1e-5, -1e-4, 1e-4),
+}
 
 
 class ParameterKind(Enum):
@@ -60,8 +105,12 @@ class ParameterName:
     state: str = ""
 
     @classmethod
+    @cache
     def parse(cls, text: str) -> ParameterName:
-        """The parts of ``owner.coefficient``, with or without ``.loss`` (a bench element has none) and ``[state]``."""
+        """The parts of ``owner.coefficient``, with or without ``.loss`` (a bench element has none) and ``[state]``.
+
+        A name is taken apart once in a process.
+        """
         name, _, state = text.partition(STATE)
         state = state.removesuffix(STATE_END)
         if name.startswith(BENCH):
@@ -100,27 +149,53 @@ class ParameterName:
         return self.coefficient + (LOSS if self.is_loss else "")
 
     @property
+    def is_dimension(self) -> bool:
+        """Whether it is a dimension of a chip."""
+        return self.kind is ParameterKind.DIMENSION
+
+    @property
+    def is_material(self) -> bool:
+        """Whether it is a coefficient of a material of the registry."""
+        return self.kind is ParameterKind.MATERIAL
+
+    @property
+    def is_bench(self) -> bool:
+        """Whether it is an element between the electrodes and the instrument."""
+        return self.kind is ParameterKind.BENCH
+
+    @property
     def is_radius(self) -> bool:
-        return self.kind is ParameterKind.DIMENSION and self.coefficient.endswith("radius")
+        return self.is_dimension and self.coefficient.endswith("radius")
 
     @property
     def is_thickness(self) -> bool:
-        return self.kind is ParameterKind.DIMENSION and self.coefficient == "thickness"
+        return self.is_dimension and self.coefficient == "thickness"
 
     @property
     def is_shape(self) -> bool:
         """Whether it is the size of a shape, or a parameter of a profile (`geometry.profile`)."""
-        return self.kind is ParameterKind.DIMENSION and self.coefficient not in LENGTHS
+        return self.is_dimension and self.coefficient not in LENGTHS
 
     @property
     def quantity(self) -> str:
-        """What kind of quantity a dimension of the chip is, see `workbench.files.quantities.UNITS`."""
-        return SHAPES.get(self.coefficient, "length")
+        """The dimension of the number, a key of `workbench.files.quantities.UNITS`; empty where its name alone does not
+        tell, as of a number that a term brings in."""
+        if self.is_dimension:
+            return SHAPES.get(self.coefficient, "length")
+        if self.is_bench:
+            return BENCH_ELEMENTS[self.coefficient].quantity if self.coefficient in BENCH_ELEMENTS else ""
+        return COEFFICIENTS.get(self.coefficient, "")
 
     @property
-    def dimension_unit(self) -> str:
-        """SI unit of a dimension of the chip."""
-        return "rad" if self.quantity == "angle" else "m"
+    def unit(self) -> str:
+        """The SI unit of the number; empty where its name alone does not tell."""
+        return si_unit(self.quantity)
+
+    @property
+    def in_words(self) -> str:
+        """The number as it is read: "substrate thickness", "pla shear modulus loss in the state filled"."""
+        words = plain_words(f"{self.owner} {self.local}".strip()).replace(".", " ")
+        return f"{words} in the state {self.state}" if self.state else words
 
     def within(self, owner: str) -> str:
         """The name as it is told of one `owner`: without it, or in full where it belongs to another."""
@@ -129,6 +204,11 @@ class ParameterName:
     def part_of(self, value: complex) -> float:
         """The real or the imaginary part of a complex `value`, whichever the number is."""
         return value.imag if self.is_loss else value.real
+
+
+def plain_words(text: str) -> str:
+    """A `text` with names in it as it is read: without the sources of materials, and without joined words."""
+    return _SOURCE.sub(r"\1", text).replace("_", " ")
 
 
 def real_part(values: Mapping[str, complex], name: str) -> float:
