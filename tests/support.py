@@ -220,7 +220,7 @@ def moved_onto(mesh: SectionMesh, chip: Chip) -> SectionMesh:
 
 def started_at(parameter: Parameter, start: float) -> Parameter:
     """The same parameter with another start, moved into its bounds."""
-    return replace(parameter, start=float(np.clip(start, parameter.low, parameter.high)))
+    return replace(parameter, value=float(np.clip(start, parameter.low, parameter.high)))
 
 
 def shape(chip: Chip, region: str, **sizes: float) -> Chip:

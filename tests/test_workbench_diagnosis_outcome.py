@@ -26,6 +26,7 @@ from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Lef
 from workbench.diagnosis.record import record
 from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
+from workbench.model.numbers import Stated
 from workbench.physics.term import Admissible
 from workbench.results.spectrum import Spectrum
 
@@ -35,7 +36,7 @@ LEADS = Effect("leads", "bench", "bench", "leads that are longer than stated", (
     Parameter("bench.series_resistance", 0.0, -0.3, 5.0, None, "ohm"),
     Parameter("bench.series_inductance", 0.0, -1e-7, 2e-6, None, "H")))
 GLASS = Effect("shear modulus of glass", "superstrate", "stiffness", "another glass", (
-    Parameter("glass.shear_modulus", 26e9, 20e9, 30e9, 1e9, "Pa"),),
+    Parameter("glass.shear_modulus", 26e9, 20e9, 30e9, Stated(1e9), "Pa"),),
     admissible={"glass.shear_modulus": Admissible(20e9, 30e9, "Pa", "any glass")})
 PARAMETERS = (*LEADS.parameters, *GLASS.parameters)
 NOTHING = Evidence("nothing", 0.0)

@@ -37,12 +37,12 @@ from workbench.design.bounds import Bound, parse_bounds
 from workbench.design.figures import FIGURES, LOSS_SHARE
 from workbench.design.model import Operation
 from workbench.design.thermal import read_thermal
-from workbench.design.uncertainty import Law
 from workbench.design.variables import MATERIAL, LengthVariable, MaterialChoice, Stock, Variable, first_name
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
 from workbench.model.drive import parse_drive
+from workbench.model.numbers import Law
 
 #: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
 #: 95 % of the chips.

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from workbench.design.figures import Figure
 from workbench.design.sensitivity import SHARE
 from workbench.design.tolerance import Tolerance
-from workbench.design.uncertainty import CUT, Input
 from workbench.design.yields import CONFIDENCE, RequirementYield, Share
 from workbench.files.quantities import shown_factor, shown_unit
 from workbench.files.writing import replacing
-from workbench.model.numbers import ParameterName
+from workbench.model.numbers import CUT, Number, ParameterName
 from workbench.report.page import TextTable, number_text
 
 #: Units in which changes are told where those of the figure itself are too large, and what one is in SI.
@@ -41,7 +40,7 @@ def amount(name: str, value: float) -> str:
     return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()
 
 
-def law_in_words(each: Input) -> str:
+def law_in_words(each: Number) -> str:
     """How uncertain a number is: limits of a uniform law, or a standard uncertainty."""
     if each.law == "uniform":
         return f"within {amount(each.name, each.half_width)}"
@@ -127,9 +126,8 @@ def inputs_table(found: Tolerance) -> TextTable:
     """What is uncertain, by how much, and who says so."""
     rows = []
     for each in found.uncertainty.inputs:
-        unit = ParameterName.parse(each.name).unit
-        rows.append((each.name, f"{each.mean * shown_factor(unit):.6g} {shown_unit(unit)}".strip(), law_in_words(each),
-                     each.law, each.origin))
+        mean = f"{each.value * shown_factor(each.unit):.6g} {shown_unit(each.unit)}".strip()
+        rows.append((each.name, mean, law_in_words(each), each.law, each.origin))
     return TextTable(("number", "mean", "uncertainty", "law", "stated by"), tuple(rows))
 
 
@@ -159,7 +157,7 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
         "frequency_hz": found.frequency, "tracking": found.frequency is None, "seed": found.seed,
         "uncertainty": {
             "normal_laws_cut_at_standard_deviations": CUT,
-            "inputs": [{"name": each.name, "tied": list(each.tied), "mean": each.mean,
+            "inputs": [{"name": each.name, "tied": list(each.tied), "mean": each.value,
                         "standard_uncertainty": each.deviation, "law": each.law, "low": each.low, "high": each.high,
                         "origin": each.origin} for each in found.uncertainty.inputs],
             "correlation": found.uncertainty.correlation.tolist(), "notes": list(found.uncertainty.notes)},
@@ -228,7 +226,7 @@ def write_samples(found: Tolerance, path: Path) -> Path:
                                         for k, each in enumerate(found.uncertainty.inputs)}
     columns |= {each.label: found.outcomes.column(each.label) for each in found.asked}
     columns |= {f"met: {each.requirement.text}": each.met(found.outcomes.column(each.label)) for each in found.bounds}
-    units = {each.name: ParameterName.parse(each.name).unit for each in found.uncertainty.inputs}
+    units = {each.name: each.unit for each in found.uncertainty.inputs}
     units |= {each.label: each.figure.unit for each in found.asked}
     table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
     table = table.cast(pyarrow.schema([

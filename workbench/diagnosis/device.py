@@ -15,7 +15,6 @@ from geometry.dimension import SHAPES
 from geometry.names import CAVITY
 from geometry.shapes import possible, with_shapes
 from materials.kinds import Fluid
-from workbench.design.uncertainty import limits
 from workbench.diagnosis.campaign import Campaign, DeviceState
 from workbench.diagnosis.catalogue import effects_and_others, mistaken_length, mistaken_shape
 from workbench.diagnosis.hypothesis import Device, Effect
@@ -31,7 +30,7 @@ from workbench.fitting.parameter import (
 from workbench.model.dimensions import flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.moved_parts import Interpolation, joined_meshes
-from workbench.model.numbers import BENCH_ELEMENTS, ParameterKind, ParameterName
+from workbench.model.numbers import BENCH_ELEMENTS, ParameterKind, ParameterName, Stated, limits
 from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.rim import FOUND, OfRim
 from workbench.physics.term import Term
@@ -208,10 +207,10 @@ def _radius(chip: Chip, region: str) -> float:
 def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Problem]) -> Parameter:
     """A parameter that may move within what is known of it, and further only where a hypothesis releases that."""
     value, unit = stated_number(name, campaign.states), unit_of(name, campaign.states)
-    parsed = ParameterName.parse(name)
+    parsed, stated = ParameterName.parse(name), Stated(error)
     if parsed.kind is ParameterKind.BENCH:
         found = bench_parameter(name)
-        return Parameter(found.name, 0.0, found.low, found.high, error, unit)
+        return replace(found, stated=stated)
     if parsed.kind is ParameterKind.DIMENSION:
         limit = (mistaken_length(name, value) if parsed.coefficient not in SHAPES else
                  mistaken_shape(next(s.chip for s in campaign.states if name in s.chip.dimensions()), name))
@@ -219,11 +218,11 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         others = campaign.tied.get(name, ())
         for each in (name, *others):
             low, high = stretchable([s.chip for s in campaign.states], each, low, high)
-        return Parameter(name, value, low, high, error, unit, tied=others)
+        return Parameter(name, value, low, high, stated, unit, others)
     problem = next(p for p in problems if parsed.key in p.values)
     if _is_fluid(problem, parsed.owner):
         reach = max(0.1, REACH * error / value)
-        return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, error / value, "1", relative=True)
+        return Parameter(name, 1.0, 1.0 - reach, 1.0 + reach, Stated(error / value), "1", relative=True)
     found = material_parameter(problem, parsed.owner, parsed.local)
     low, high = found.low, found.high
     if found.is_loss:
@@ -231,7 +230,7 @@ def _known(name: str, error: float, campaign: Campaign, problems: Sequence[Probl
         low, high = min(low, value), max(high, value)
     else:
         low, high = min(low, value - REACH * error), max(high, value + REACH * error)
-    return Parameter(name, value, low, high, error, unit)
+    return Parameter(name, value, low, high, stated, unit)
 
 
 def _is_fluid(problem: Problem, material: str) -> bool:
@@ -259,5 +258,5 @@ def _offset(
         lowest, highest = max(lowest, LEAST * start if least == 0.0 < start else least), min(highest, most)
     for each in (parsed.shared, *others) if parsed.kind is ParameterKind.DIMENSION else ():
         lowest, highest = stretchable([state.chip], each, lowest, highest)
-    return Parameter(name, 0.0, lowest - start, highest - start, error, unit, (state.name,), relative=relative,
-                     tied=others, offset=True)
+    return Parameter(name, 0.0, lowest - start, highest - start, Stated(error), unit, others, recordings=(state.name,),
+                     relative=relative, offset=True)

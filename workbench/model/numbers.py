@@ -1,6 +1,7 @@
-"""Names of the real numbers that a model depends on, and those numbers among complex values.
+"""The real numbers of a device: their names, values, units and ranges, and what is stated of them.
 
-Names say what they are:
+Fits, tolerance analyses, the live view and the diagnosis each look at a :class:`Number` in a way of their own;
+`workbench.model.device_numbers` reads those of a chip and its materials. Names say what they are:
 
     pzt4/acevedo_2026_initial.c33        real part of a material's coefficient, SI
     pzt4/acevedo_2026_initial.c33.loss   its imaginary part, e^{-i w t}: negative for a stiffness that loses
@@ -13,13 +14,16 @@ Names say what they are:
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cache
+from functools import cache, cached_property
+from typing import Literal
 
-from geometry.dimension import SHAPES
+from geometry.assumed import LengthUncertainty, length_uncertainty
+from geometry.dimension import SHAPES, Dimension
 from geometry.names import ROLES, role_of
 from materials.entry import KINDS
 from workbench.files.quantities import si_unit
@@ -204,6 +208,134 @@ class ParameterName:
     def part_of(self, value: complex) -> float:
         """The real or the imaginary part of a complex `value`, whichever the number is."""
         return value.imag if self.is_loss else value.real
+
+
+#: Standard deviations at which a normal law is cut, and from which the limits of a tolerance are read as one. Doubled,
+#: range models would have to cover twice the width, for one sample in four hundred of each input.
+CUT = 3.0
+
+Law = Literal["uniform", "normal"]
+
+
+@dataclass(frozen=True)
+class Stated:
+    """How exactly a number is known (SI), and who says so.
+
+    ``amount`` is the limit to either side of a uniform law (a tolerance: GUM, JCGM 100:2008, 4.3.7), or the standard
+    uncertainty of a normal one (what a registry or a fit states); 0 states the number as exact. ``origin`` is the file,
+    the table or the entry that says so. ``assumed`` says in words what is taken to be known where nobody states it.
+    """
+
+    amount: float
+    law: Law = "normal"
+    origin: str = ""
+    assumed: str = ""
+
+    @classmethod
+    def within(cls, half_width: float, law: Law, *, origin: str) -> Stated:
+        """A tolerance: limits of a uniform law, or :data:`CUT` standard deviations of a normal one."""
+        return cls(half_width if law == "uniform" else half_width / CUT, law, origin)
+
+    @property
+    def deviation(self) -> float:
+        """The standard uncertainty."""
+        return self.amount / math.sqrt(3.0) if self.law == "uniform" else self.amount
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the law: its limits, or :data:`CUT` standard deviations."""
+        return self.amount if self.law == "uniform" else CUT * self.amount
+
+
+@dataclass(frozen=True)
+class Number:
+    """One real number of a device.
+
+    ``value`` lies in its admissible range, ``low`` to ``high``; all in the SI ``unit``. ``stated`` is how exactly it is
+    known, None where nobody says. ``tied`` are the other names of the same number: radii that coincide.
+    """
+
+    name: str
+    value: float
+    low: float = -math.inf
+    high: float = math.inf
+    stated: Stated | None = None
+    unit: str = ""
+    tied: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.value <= self.high:
+            raise ValueError(f"{self.name}: {self.value:g} must lie between {self.low:g} and {self.high:g}")
+
+    @cached_property
+    def parsed(self) -> ParameterName:
+        """Its name, taken apart."""
+        return ParameterName.parse(self.name)
+
+    @property
+    def is_bench(self) -> bool:
+        return self.parsed.is_bench
+
+    @property
+    def is_material(self) -> bool:
+        return self.parsed.is_material
+
+    @property
+    def is_dimension(self) -> bool:
+        return self.parsed.is_dimension
+
+    @property
+    def is_loss(self) -> bool:
+        return self.parsed.is_loss
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The name of the number that it is or adds to, and those of the lengths tied to it."""
+        return (self.parsed.shared, *self.tied)
+
+    @property
+    def law(self) -> Law:
+        """The law of its uncertainty."""
+        return self.stated.law if self.stated else "normal"
+
+    @property
+    def deviation(self) -> float:
+        """Its standard uncertainty, 0 where nothing is stated."""
+        return self.stated.deviation if self.stated else 0.0
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of its law, 0 where nothing is stated."""
+        return self.stated.half_width if self.stated else 0.0
+
+    @property
+    def origin(self) -> str:
+        """Who states how exactly it is known."""
+        return self.stated.origin if self.stated else ""
+
+    @property
+    def tolerance(self) -> float | None:
+        """The amount that somebody states, None where nobody does."""
+        return self.stated.amount if self.stated and not self.stated.assumed else None
+
+    @property
+    def known(self) -> LengthUncertainty:
+        """How exactly a length is known: as stated, or by its role (`geometry.assumed`)."""
+        return length_uncertainty(self.name, Dimension(self.value, self.tolerance))
+
+
+def limits(name: str, value: float) -> tuple[float, float]:
+    """Lowest and highest number (SI) that a coefficient may have in matter that exists: a modulus is above zero, a loss
+    takes energy up. Coefficients that couple two motions may have either sign."""
+    parsed = ParameterName.parse(name)
+    if parsed.is_dimension:
+        return -math.inf if parsed.is_shape else 0.0, math.inf
+    coefficient = parsed.key.rpartition(".")[2]
+    if coefficient in ("c12", "c13", "e31", "e33", "e15"):
+        return -math.inf, math.inf
+    if not parsed.is_loss:
+        return 0.0, math.inf
+    return (min(0.0, value), math.inf) if coefficient.startswith("eps") else (-math.inf, max(0.0, value))
 
 
 def plain_words(text: str) -> str:
