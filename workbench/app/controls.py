@@ -6,16 +6,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, LengthUncertainty, is_film, length_uncertainty
+from geometry.assumed import FILM_FACTOR, SHAPE_UNCERTAINTY, is_film
 from geometry.chip import Chip
-from geometry.dimension import Dimension
 from geometry.names import CAVITY
 from geometry.stretch import movable, tied
 from materials.kinds import Fluid, IsotropicSolid
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import parse_quantity, shown_factor, shown_unit
+from workbench.model.device_numbers import assumed_by_role, coefficient_number, length_number
 from workbench.model.dimensions import flexible_within
-from workbench.model.numbers import LOSS, ParameterKind, ParameterName, real_part
+from workbench.model.numbers import LOSS, Number, ParameterName, real_part
 from workbench.model.problem import Problem
 
 #: How far a number can be moved to either side unless told otherwise, relative. Twice as far, a range model of six
@@ -36,65 +36,25 @@ ENDS = ".."
 _THIN = 2e-4
 
 
-@dataclass(frozen=True)
-class Control:
-    """A number that can be moved.
+@dataclass(frozen=True, kw_only=True)
+class Control(Number):
+    """A number that can be moved: between ``low`` and ``high``, from the value in the chip's file.
 
-    ``value`` is that of the chip's file, ``low`` and ``high`` the range, ``tolerance`` what the chip's file states of a
-    length (limits), or the entry of a material of a constant (standard uncertainty), None where nobody stated one; all
-    SI. A length without a tolerance is known as its role lets assume (`geometry.assumed`). The number is shown in
-    ``unit``, ``factor`` of which are one in SI. ``narrowed`` says in words that the range does not hold the limits.
+    What is stated of a length are limits, of a constant a standard uncertainty; a length that nobody states is known as
+    its role lets assume (`geometry.assumed`). The number is shown in ``shown_unit``, ``factor`` of which are one in SI.
+    ``narrowed`` says in words that the range does not hold the limits.
     """
 
-    name: str
-    value: float
-    low: float
-    high: float
-    tolerance: float | None
-    unit: str
+    shown_unit: str
     factor: float
     narrowed: str = ""
-
-    @property
-    def label(self) -> str:
-        """What it is, in words: "substrate thickness", "pla shear modulus"."""
-        return self.parsed.in_words
-
-    @property
-    def parsed(self) -> ParameterName:
-        return ParameterName.parse(self.name)
-
-    @property
-    def is_length(self) -> bool:
-        return self.parsed.is_dimension
-
-    @property
-    def is_radius(self) -> bool:
-        return self.parsed.is_radius
-
-    @property
-    def known(self) -> LengthUncertainty:
-        """The uncertainty of the length: by its tolerance, or by its role."""
-        return length_uncertainty(self.name, Dimension(self.value, self.tolerance))
-
-    @property
-    def deviation(self) -> float:
-        """Standard deviation (SI) that the tolerance or the assumption stands for, 0 where there is none."""
-        if self.is_length:
-            return self.known.deviation
-        return self.tolerance or 0.0
-
-    @property
-    def assumed(self) -> str:
-        """In words what is taken to be known of a length without a tolerance; empty where one is stated."""
-        return self.known.assumed if self.is_length else ""
 
     @property
     def told_tolerance(self) -> str:
         """The tolerance as its field shows it, in ``unit``: a film's assumed one as a factor; empty for none."""
         if self.tolerance is not None:
             return f"{self.tolerance * self.factor:.4g}"
-        if not self.is_length:
+        if not self.is_dimension:
             return ""
         if is_film(self.name):
             return f"\N{MULTIPLICATION SIGN}{FILM_FACTOR:g}"
@@ -104,23 +64,23 @@ class Control:
     def farthest(self) -> tuple[float, float]:
         """The ends (SI) that it can be moved to, beyond its range."""
         ends = [self.low, self.high, self.value / FARTHEST, self.value * FARTHEST]
-        if self.is_length:
+        if self.is_dimension:
             ends += [self.known.lowest, self.known.highest]
         return min(ends), max(ends)
 
     def saved(self, length: float) -> float:
         """A length (m or rad) as a chip file holds it: rounded to :data:`SAVED_DIGITS` digits in its unit."""
-        unit = self.unit.replace("µ", "u")
-        return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", self.parsed.quantity,
+        unit = self.shown_unit.replace("µ", "u")
+        return parse_quantity(f"{length * self.factor:.{SAVED_DIGITS}g} {unit}", self.quantity,
                               source="live view", field=self.name)
 
-    def shown(self, number: float) -> str:
-        """A number (SI) in ``unit``, without it."""
-        return f"{number * self.factor:.6g}"
+    def shown(self, number: float, digits: int = 6) -> str:
+        """A number (SI) in ``shown_unit``, without it."""
+        return f"{number * self.factor:.{digits}g}"
 
-    def told(self, number: float) -> str:
+    def told(self, number: float, digits: int = 6) -> str:
         """A number (SI) with its unit."""
-        return f"{self.shown(number)} {self.unit}".rstrip()
+        return f"{self.shown(number, digits)} {self.shown_unit}".rstrip()
 
     def reaching(self, number: float) -> Control:
         """The same with a range that holds `number` (SI) well within."""
@@ -151,7 +111,7 @@ def controls(chip: Chip, problem: Problem, wanted: Sequence[str] = ()) -> tuple[
             raise InputError("command line", "--vary", text, "every number once; radii that coincide are one")
         found[name] = _control(chip, problem, name, real_part(felt, name), ends.strip())
     # Refuses a radius that would pass another one, and a shape that folds a cell.
-    flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_length})
+    flexible_within(problem, chip, {name: (each.low, each.high) for name, each in found.items() if each.is_dimension})
     return tuple(found.values())
 
 
@@ -166,31 +126,26 @@ def _usual(chip: Chip, problem: Problem) -> list[str]:
 
 
 def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -> Control:
-    parsed = ParameterName.parse(name)
-    if parsed.kind is ParameterKind.DIMENSION:
-        tolerance = chip.dimensions()[name].tolerance
-    else:
-        tolerance = _uncertainty(problem, parsed)
-    unit = parsed.unit
-    shown, factor = shown_unit(unit), shown_factor(unit)
-    if unit == "m" and value < _THIN:
+    number = _number(chip, problem, name, value)
+    shown, factor = shown_unit(number.unit), shown_factor(number.unit)
+    if number.unit == "m" and value < _THIN:
         shown, factor = "µm", 1e6
     narrowed = ""
     if ends:
-        low, high = _ends(name, ends, parsed.quantity)
+        low, high = _ends(name, ends, number.quantity)
     else:
-        reach = max(REACH * abs(value), TOLERANCES * (tolerance or 0.0))
-        if parsed.is_shape and tolerance is None:
-            reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[parsed.coefficient])
+        reach = max(REACH * abs(value), TOLERANCES * (number.tolerance or 0.0))
+        if number.parsed.is_shape and number.tolerance is None:
+            reach = max(reach, TOLERANCES * SHAPE_UNCERTAINTY[number.parsed.coefficient])
         low, high = value - reach, value + reach
-        if parsed.kind is ParameterKind.DIMENSION:
-            known = length_uncertainty(name, Dimension(value, tolerance))
+        if number.is_dimension:
+            known = number.known
             low, high = movable(chip, name, min(low, known.low), max(high, known.high))
             if low > known.low or high < known.high:
                 narrowed = (f"{low * factor:.6g} to {high * factor:.6g} {shown}, narrower than what is known of it: "
                             f"{known.low * factor:.6g} to {known.high * factor:.6g} {shown}; the mesh cannot be "
                             "stretched farther")
-    if parsed.kind is ParameterKind.DIMENSION and movable(chip, name, low, high) != (low, high):
+    if number.is_dimension and movable(chip, name, low, high) != (low, high):
         ends = f"{low:g}..{high:g} m"
         low, high = movable(chip, name, low, high)
         raise InputError("command line", f"--vary {name}", ends, f"a range within {low:g}..{high:g} m, where no length "
@@ -199,16 +154,19 @@ def _control(chip: Chip, problem: Problem, name: str, value: float, ends: str) -
         raise InputError("command line", f"--vary {name}", ends or f"{low:g}..{high:g}",
                          f"a lower number, then a higher one, with the present {value * factor:.6g} {shown} between "
                          "them")
-    return Control(name, value, low, high, tolerance, shown, factor, narrowed)
+    return Control(name, value, low, high, number.stated, number.unit, number.tied, shown_unit=shown, factor=factor,
+                   narrowed=narrowed)
 
 
-def _uncertainty(problem: Problem, parsed: ParameterName) -> float | None:
-    """The standard uncertainty that a material's entry states of a number, None where it does not."""
-    for material in problem.materials.values():
-        stated = material.values.get(parsed.coefficient) if material.name == parsed.owner else None
-        if stated is not None:
-            return stated.loss_uncertainty if parsed.is_loss else stated.uncertainty
-    return None
+def _number(chip: Chip, problem: Problem, name: str, value: float) -> Number:
+    """The number of that name and `value` (SI), with what its file states of it, or a length's role lets assume."""
+    parsed = ParameterName.parse(name)
+    if parsed.is_dimension:
+        found = length_number(chip, name)
+        return replace(found, stated=found.stated or assumed_by_role(name, value))
+    owner = next((each for each in problem.materials.values() if each.name == parsed.owner), None)
+    stated = None if owner is None else coefficient_number(owner, parsed.local).stated
+    return Number(name, value, stated=stated, unit=parsed.unit)
 
 
 def _ends(name: str, text: str, dimension: str) -> tuple[float, float]:

@@ -19,7 +19,7 @@ def typed_number(text: object, control: Control, field: str) -> float:
     Raises:
         InputError: no finite number, a decimal comma, or an unknown unit.
     """
-    typed, unit = str(text).strip(), control.unit or "no unit"
+    typed, unit = str(text).strip(), control.shown_unit or "no unit"
     comma = _COMMA.fullmatch(typed)
     if comma is not None:
         point = f"{comma[1] or 0}.{comma[2]}{comma[3] or ''}"
@@ -28,7 +28,7 @@ def typed_number(text: object, control: Control, field: str) -> float:
         number = float(typed)
     except ValueError:
         if typed[:1].isdigit() or typed[:1] in ("+", "-", "."):
-            return parse_quantity(typed, control.parsed.quantity, source="live view", field=field)
+            return parse_quantity(typed, control.quantity, source="live view", field=field)
         raise InputError("live view", field, typed, f"a number in {unit}, for example {control.shown(control.value)}"
                          ) from None
     if not math.isfinite(number):

@@ -103,7 +103,7 @@ class Works:
         if not isinstance(found, Refit):
             return "stopped"
         by_name = {each.name: each for each in session.controls}
-        told = ", ".join(f"{by_name[name].label} {by_name[name].told(number)} ± "
+        told = ", ".join(f"{by_name[name].parsed.in_words} {by_name[name].told(number)} ± "
                          f"{by_name[name].told(found.errors[name])}" for name, number in found.values.items())
         off = f"off by {found.before:.3g} % before, {found.after:.3g} % now"
         told = f"{off}: {told}. {' '.join(found.findings)}".strip()

@@ -76,11 +76,6 @@ class Parameter(Number):
         return self.stated.deviation if self.stated else None
 
     @property
-    def assumed(self) -> str:
-        """In words what was taken to be known where nobody states it."""
-        return self.stated.assumed if self.stated else ""
-
-    @property
     def is_film(self) -> bool:
         """Whether it is the thickness of a film of gel or glue, which spectra may show at several values."""
         return self.is_dimension and is_film(self.name) and not self.offset

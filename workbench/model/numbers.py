@@ -294,6 +294,11 @@ class Number:
         return (self.parsed.shared, *self.tied)
 
     @property
+    def quantity(self) -> str:
+        """Its dimension as files state it: dimensionless where its name does not tell."""
+        return self.parsed.quantity or "dimensionless"
+
+    @property
     def law(self) -> Law:
         """The law of its uncertainty."""
         return self.stated.law if self.stated else "normal"
@@ -312,6 +317,11 @@ class Number:
     def origin(self) -> str:
         """Who states how exactly it is known."""
         return self.stated.origin if self.stated else ""
+
+    @property
+    def assumed(self) -> str:
+        """In words what is taken to be known of it where nobody states it; empty where somebody does."""
+        return self.stated.assumed if self.stated else ""
 
     @property
     def tolerance(self) -> float | None:
