@@ -140,7 +140,7 @@ def test_a_failed_export_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest
     def fail(chip: Chip) -> None:
         raise SolidError("broken")
 
-    monkeypatch.setattr("geometry.export.solids", fail)
+    monkeypatch.setattr("geometry.export.chip_solids", fail)
     with pytest.raises(SolidError, match="broken"):
         export_step(DRILLED, path)
     assert path.read_text(encoding="utf-8") == "old"

@@ -20,13 +20,13 @@ SAVER = """
 import sys
 from dataclasses import replace
 from pathlib import Path
-from materials import Fit, Recording, Registry, fitted, save
+from materials import Fit, RecordingSource, Registry, fitted, save_fit
 folder, first, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 start = Registry().load("pzt5a/erturk_2011")
-fit = Fit(recordings=(Recording("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",
+fit = Fit(recordings=(RecordingSource("disc.csv", "0" * 64, "disc.toml"),), algorithm="joint", software="x 1",
           date="2026-11-21", band=(910e3, 1155e3), mape_percent=0.0, rms_log_residual=0.005, confidence=0.95, free=())
 def store(k):
-    return save(fitted(start, {}, fit=replace(fit, mape_percent=float(k))), "pzt4/disc_7", folder=folder)
+    return save_fit(fitted(start, {}, fit=replace(fit, mape_percent=float(k))), "pzt4/disc_7", folder=folder)
 """
 
 
@@ -111,7 +111,7 @@ def dying(left):
         if left < 0:
             os.kill(os.getpid(), signal.SIGKILL)
         return line
-    own = save.__code__, put.__code__
+    own = save_fit.__code__, put.__code__
     return lambda frame, event, argument: line if frame.f_code in own else None
 store(0)
 registry, kills, status = Registry((folder,)), 0, 1

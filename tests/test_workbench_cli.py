@@ -77,7 +77,7 @@ def outcome(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException | int], 
                 raise result
             return result
 
-        monkeypatch.setattr(export_command, "run", export)
+        monkeypatch.setattr(export_command, "run_export", export)
         return main(["export", CHIP, "-o", "out"])
 
     return end
@@ -119,7 +119,7 @@ def test_our_warnings_are_shown_once_and_others_are_not(
         warnings.warn_explicit("somebody else's", UserWarning, np.__file__, 1)
         return 0
 
-    monkeypatch.setattr(export_command, "run", export)
+    monkeypatch.setattr(export_command, "run_export", export)
     assert main(["export", CHIP, "-o", "out"]) == 0
     said = capsys.readouterr().err
     assert said.count("warning: mesh [too] coarse") == 1
@@ -134,7 +134,7 @@ def test_a_lost_imaginary_part_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> N
         np.zeros(1)[:] = np.array([1.0 + 1j])
         return 0
 
-    monkeypatch.setattr(export_command, "run", export)
+    monkeypatch.setattr(export_command, "run_export", export)
     with pytest.raises(np.exceptions.ComplexWarning):
         main(["export", CHIP, "-o", "out"])
 

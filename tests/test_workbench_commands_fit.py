@@ -151,7 +151,7 @@ def test_what_people_get_wrong(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # All of it before the search begins.
-    monkeypatch.setattr(fit_job, "fit", None)
+    monkeypatch.setattr(fit_job, "fit_parameters", None)
     (folder / "ten_times_thicker.toml").write_text(DISC.replace('"2 mm"', '"20 mm"'))
     (folder / "ten_times_wider.toml").write_text(DISC.replace('"3 mm"', '"30 mm"'))
     try:
@@ -165,7 +165,7 @@ def test_what_people_get_wrong(
 def test_a_gel_is_asked_for_where_there_is_none(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fit_job, "fit", None)
+    monkeypatch.setattr(fit_job, "fit_parameters", None)
     assert fit(folder, "disc", "--region", "transducer", "--gel-study", "5um", kind="polymer", out=tmp_path) == 2
     assert "isotropic solid" in capsys.readouterr().err
 
@@ -186,7 +186,7 @@ def test_an_interruption_ends_with_its_status(
     def interrupted(*_: object, **__: object) -> FitResult:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fit_job, "fit", interrupted)
+    monkeypatch.setattr(fit_job, "fit_parameters", interrupted)
     assert fit(folder, "disc", "--free", "c33", out=tmp_path / "out") == 130
 
 

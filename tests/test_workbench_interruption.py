@@ -55,7 +55,7 @@ def test_at_work_it_says_what_is_on_disk(swallowed: bool, tmp_path: Path) -> Non
             "    write_atomic(output_folder(options.output) / 'chip.step', 'x')\n"
             + ("    Gone()\n" if swallowed else "    os.killpg(0, signal.SIGINT)\n") +
             "    time.sleep(30.0)\n"
-            "export.run = run\n"
+            "export.run_export = run\n"
             f"sys.argv[1:] = ['export', {CHIP!r}, '-o', {str(tmp_path / 'out')!r}]\n"
             "sys.exit(main())\n")
     began = time.perf_counter()
@@ -76,7 +76,7 @@ def test_what_a_library_makes_of_it_is_an_interruption_all_the_same(
             raise ImportError("module could not be initialised") from None
         return 0
 
-    monkeypatch.setattr(export_command, "run", run)
+    monkeypatch.setattr(export_command, "run_export", run)
     assert main(["export", CHIP, "-o", str(tmp_path / "out")]) == 130
     assert f"interrupted: {tmp_path / 'out'} holds nothing" in " ".join(capsys.readouterr().err.split())
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -253,7 +253,8 @@ def test_a_line_is_drawn_through_its_interpolant_and_dots_are_not(
 
 def test_a_lossless_region_has_its_bar(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(plots, "save", lambda figure, _: said.extend(text.get_text() for text in figure.axes[0].texts))
+    monkeypatch.setattr(plots, "save_figure",
+                        lambda figure, _: said.extend(text.get_text() for text in figure.axes[0].texts))
     plots.draw_loss_budget({"couplant": 0.0, "substrate": 3e-3, "transducer": 1e-3}, tmp_path / "a.png", title="t")
     assert said == ["lossless", "25 %", "75 %"]
 

@@ -354,8 +354,8 @@ class LiveView:
         outside, rows = self.session.outside(), []
         for index, each in enumerate(self.session.controls):
             low, high = each.low * each.factor, each.high * each.factor
-            rows.append({"index": index, "name": each.name, "label": each.parsed.in_words,
-                         "unit": each.shown_unit, "low": low, "high": high, "step": (high - low) / _STEPS, "value": each.told(each.value),
+            rows.append({"index": index, "name": each.name, "label": each.parsed.in_words, "unit": each.shown_unit,
+                         "low": low, "high": high, "step": (high - low) / _STEPS, "value": each.told(each.value),
                          "tolerance": each.told_tolerance, "assumed": each.assumed, "entries": self._entries[each.name],
                          "free": each.name in self.works.free, "outside": each.name in outside})
         self._state.rows = rows

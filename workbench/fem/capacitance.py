@@ -1,9 +1,9 @@
 """Capacitance of the electrodes in a model: clamped, and at a frequency far below every mode.
 
-The clamped one, C0 in the reports, is what the electrodes hold while nothing moves: one electrostatic solve with the
-permittivity at constant strain. It is the parallel capacitance of the equivalent circuit with all its branches, and it
-depends on the transducer alone, not on what is mounted on it. The low-frequency one is what a meter at 1 kHz shows: it
-exceeds the clamped one by what all modes add together.
+The clamped capacitance, C0 in the reports, is the one at zero displacement: one electrostatic solve with the
+permittivity at constant strain. It is the parallel capacitance of the equivalent circuit with all its branches, and
+depends on the transducer alone, not on the parts mounted on it. The low-frequency capacitance is the reading of a meter
+at 1 kHz. It exceeds the clamped one by the sum of the capacitances of all modes.
 """
 
 from __future__ import annotations
@@ -55,5 +55,4 @@ def clamped_capacitance(operators: FullOperators, values: Values, frequency: flo
     whole.data = np.ascontiguousarray(operators.matrix(operators.coefficients(omega, values)[0]).real)
     live = whole[:, [electrode]].toarray().ravel()
     potential = splu(whole[inner][:, inner].tocsc()).solve(-live[inner])
-    # The charge is -x^T A x at unit voltage.
     return float(-(live[electrode] + live[inner] @ potential))

@@ -1,7 +1,8 @@
-"""All coefficients of a model at once: what each is made of, their values, and their derivatives by parameters.
+"""All coefficients of a model at once: their factors, their values, and their derivatives by parameters.
 
-A coefficient is a product of a shape over frequency, powers of parameters, and functions of several parameters. A model
-has thousands of coefficients and few of each of these, so each is evaluated once and the products are taken together.
+A coefficient is a product of a function of frequency, powers of parameters, and functions of several parameters. A
+model has thousands of coefficients but few distinct factors, so each factor is evaluated once and the products are
+taken together.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-#: A model as few matrices as its frequency dependence allows: h(w) (n,) and constants (integrals,) of each.
+#: A model as few matrices, one for each frequency dependence: h(w) (n,) and constants (integrals,) of each.
 Groups = tuple[tuple[Complex, Complex], ...]
 
 
@@ -33,7 +34,7 @@ class FrequencyLaw:
     name: str = ""
 
     def __call__(self, omega: Real, values: Values) -> Complex:
-        """(n,) at angular frequencies (n,)."""
+        """Values (n,) at angular frequencies (n,)."""
         if self.coefficient is None:
             return np.asarray(omega.astype(complex) ** self.power)
         if self.name:
@@ -47,10 +48,10 @@ Factor = tuple[str, float] | Constant
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """The coefficients g_q(w, theta) of ``count`` integrals, taken apart: scale_q shape_q(w) product of factors_qk.
+    """The coefficients g_q(w, theta) of ``count`` integrals, factorised: scale_q shape_q(w) product_k factor_qk.
 
-    ``shapes`` and ``factors`` are the distinct ones; ``shape`` (count,) says which is that of each, ``factor``
-    (count, m) which are its factors, the number after the last where there are fewer than m.
+    ``shapes`` and ``factors`` hold the distinct ones. ``shape`` (count,) is the index of each coefficient's shape,
+    ``factor`` (count, m) the indices of its factors. An index equal to the number of factors stands for the factor one.
     """
 
     scale: Complex
@@ -61,7 +62,7 @@ class Coefficients:
 
     @classmethod
     def of(cls, integrals: Sequence[Integral]) -> Coefficients:
-        """Those of a model's integrals."""
+        """The coefficients of a model's integrals."""
         shapes: dict[FrequencyLaw, int] = {}
         factors: dict[Factor, int] = {}
         scale, shape, rows = [], [], []
@@ -82,7 +83,8 @@ class Coefficients:
     def groups(self, omega: Real, values: Values) -> Groups:
         """Pairs of (h(w) (n,), constants (count,)) whose products sum to the coefficients at `omega` (n,) in rad/s.
 
-        Those with the same power of w share a pair, and those with the same other dependence. What is zero is left out.
+        Coefficients with the same power of w share a pair, and so do those with the same other dependence. Pairs that
+        are zero are left out.
 
         Raises:
             KeyError: a parameter without a value.
@@ -91,17 +93,18 @@ class Coefficients:
         found = []
         for k, shape in enumerate(self.shapes):
             own = np.where(self.shape == k, constants, 0.0)
-            # Asked at one frequency, so that the groups are the same at every one: a thick layer underflows at some.
+            # Tested at one fixed frequency, so that the groups do not depend on `omega`: a thick layer underflows at
+            # some.
             if own.any() and (shape.coefficient is None or shape(np.ones(1), values).any()):
                 found.append((shape(omega, values), own))
         return tuple(found)
 
     def __call__(self, omega: Real, values: Values) -> Complex:
-        """g_q (n, count) at angular frequencies (n,)."""
+        """Coefficients g_q (n, count) at angular frequencies (n,)."""
         return summed(self.groups(omega, values), omega.size, self.count)
 
     def slopes(self, values: Values, names: Sequence[str]) -> tuple[dict[FrequencyLaw, Complex], ...]:
-        """The derivatives of the coefficients by complex parameters: of each, constants (count,) by shape.
+        """Derivatives of the coefficients by complex parameters: for each parameter, constants (count,) by shape.
 
         Raises:
             KeyError: a parameter without a value.
@@ -110,7 +113,7 @@ class Coefficients:
         return tuple(self._slopes(values, name, factors) for name in names)
 
     def _slopes(self, values: Values, name: str, factors: Complex) -> dict[FrequencyLaw, Complex]:
-        """See :meth:`slopes`, for one parameter; `factors` as of :meth:`_factor_values`."""
+        """Derivatives by one parameter, as in :meth:`slopes`; `factors` are those of :meth:`_factor_values`."""
         found: dict[FrequencyLaw, Complex] = {}
 
         def add(shape: FrequencyLaw, members: Indices, constants: Complex) -> None:
@@ -140,7 +143,7 @@ class Coefficients:
         return found
 
     def acting(self, values: Values) -> NDArray[np.bool_]:
-        """Which (count,) are something at some parameters, or begin to be when one of these moves.
+        """Mask (count,) of the coefficients that are not zero at `values`, or whose first derivative there is not zero.
 
         Raises:
             KeyError: a parameter without a value.
@@ -154,18 +157,18 @@ class Coefficients:
 
     @cached_property
     def parameters(self) -> frozenset[str]:
-        """All that a coefficient depends on."""
+        """Names of all parameters that a coefficient depends on."""
         shapes = [shape.coefficient.parameters for shape in self.shapes if shape.coefficient is not None]
         return frozenset().union(*shapes, *map(_parameters, self.factors))
 
     def _factor_values(self, values: Values) -> Complex:
-        """(number of factors + 1,), the last one 1."""
+        """Values (number of factors + 1,) of the factors; the last one is 1."""
         return np.array([*(complex(values[each[0]]) ** each[1] if isinstance(each, tuple) else each.constant(values)
                            for each in self.factors), 1.0], dtype=complex)
 
 
 def summed(groups: Groups, frequencies: int, count: int) -> Complex:
-    """The coefficients (frequencies, count) that `groups` make up."""
+    """Coefficients (frequencies, count) as the sum of `groups`."""
     result = np.zeros((frequencies, count), dtype=complex)
     for h, constants in groups:
         result += np.outer(h, constants)

@@ -1,8 +1,8 @@
 """Dense systems at many frequencies: the reduced model's sweep.
 
-A reduced model is sum_g h_g(w) B_g with a few dense complex-symmetric matrices, asked at hundreds of frequencies. A
+A reduced model is sum_g h_g(w) B_g with a few dense complex-symmetric matrices, solved at hundreds of frequencies. A
 factorisation at each would cost the cube of the rank every time. Where the frequency dependence is that of stiffness
-and mass, and perhaps of fluids, the pencil is diagonalised once. A large system is projected first on the few states
+and mass, and perhaps of fluids, the pencil is diagonalised once. A large system is first projected on the few states
 that one set of parameters needs: the Krylov spaces of a few factorisations.
 """
 
@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Largest scaled residual of a sweep by eigenvectors; above, it is refined, and then every frequency is factorised.
-#: The charge has its square, times what resonances magnify.
+#: Largest relative residual of a sweep by eigenvectors. Above it, the sweep is refined once, and then every frequency
+#: is factorised. The error of the charge is the square of it, times the amplification at resonances.
 PENCIL_RESIDUAL = 1e-9
 
-#: Unknowns and frequencies from which on a system is projected before it is solved at all frequencies.
+#: Smallest numbers of unknowns and of frequencies at which a system is projected before the sweep.
 LARGE, MANY = 120, 60
 
-#: Of a projection: the first frequencies that it is factorised at, further ones at a time, and the vectors from each;
-#: the relative change of the charge by the last ones that is small enough. The charge's error is of second order, so
-#: what is left then is smaller still.
+#: Settings of the projection: number of frequencies factorised first, number added at a time, vectors from each, and
+#: the relative change of the charge at which it ends. The error of the charge is of second order, so the remaining
+#: error is smaller than the last change. Twice as many vectors cost twice the memory and change no digit that is shown.
 NODES, FURTHER, DEPTH, CHANGED = 8, 2, 6, 1e-5
 
-#: Entries of the systems that are solved at once: what that takes stays in the processor's cache.
+#: Number of matrix entries solved at once, so that they stay in the processor's cache. Twice as many are slower.
 ENTRIES = 500_000
 
 
@@ -47,7 +47,7 @@ class DenseSweep:
     """A dense system solved at n frequencies at unit electrode voltage.
 
     ``states`` (r, n), last entry 1; ``charge`` (n,), -x^T A x; ``residual`` (n,) relative to the load; ``span`` the few
-    vectors that the states are made of, where the system was projected on such.
+    vectors whose combinations the states are, if the system was projected on such vectors.
     """
 
     states: Complex
@@ -57,7 +57,7 @@ class DenseSweep:
 
 
 def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
-    """The states of sum_g factors_g(w) matrices_g at n frequencies: `factors` (g, n), symmetric `matrices` (g, r, r).
+    """Solve sum_g factors_g(w) matrices_g at n frequencies: `factors` (g, n), symmetric `matrices` (g, r, r).
 
     The last unknown is the electrode's voltage, which is held at one.
     """
@@ -73,7 +73,7 @@ def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
     else:
         vectors, images, small = projected
         x, remainder = vectors @ small, right - _product(factors, images, small)
-        # The electrode is a vector of its own, with the coordinate one.
+        # The electrode's voltage is one more vector of the span, with coordinate one.
         basis = np.zeros((rank + 1, vectors.shape[1] + 1), dtype=complex)
         basis[:-1, :-1], basis[-1, -1] = vectors, 1.0
         span = Span(basis, np.vstack([small, np.ones(count)]))
@@ -85,7 +85,8 @@ def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
 
 
 def _solved(factors: Complex, matrices: Complex, loads: Complex, right: Complex) -> tuple[Complex, Complex]:
-    """x (r, n) of systems whose right-hand sides (r, n) are the `factors` times `loads` (g, r), and what x leaves."""
+    """Solutions x (r, n) for right-hand sides (r, n), which are the `factors` times `loads` (g, r), and their
+    remainders."""
     pencil = Pencil.of(factors, matrices) if factors.shape[1] > 1 else None
     if pencil is not None:
         norm = np.linalg.norm(right, axis=0)
@@ -108,11 +109,12 @@ def _product(factors: Complex, matrices: Complex, x: Complex) -> Complex:
 def _projected(
     factors: Complex, matrices: Complex, loads: Complex, electrode: Complex
 ) -> tuple[Complex, Complex, Complex] | None:
-    """States (r, n) in the Krylov spaces of a few factorisations; None where those would be most of the system.
+    """States (r, n) in the Krylov spaces of a few factorisations, or None if the spaces would fill most of the system.
 
     With A_0 factorised at one frequency and dA the change to the next one, the states nearby lie close to the Krylov
     space of A_0^-1 dA started at the state there (see `solve.System.krylov`). Frequencies are added where the residual
-    is largest, until they change the charge by less than :data:`CHANGED` anywhere. `electrode` (g,) as `loads` (g, r).
+    is largest, until they change the charge by less than :data:`CHANGED` anywhere. `electrode` (g,) belongs to the last
+    unknown as `loads` (g, r) do to the others.
 
     Returns:
         vectors (r, k), their images (g, r, k) by the matrices, and the coordinates (k, n) of the states.
@@ -152,7 +154,7 @@ def _projected(
 
 
 def _krylov(whole: Complex, change: Complex, right: Complex, depth: int) -> Complex:
-    """Orthonormal vectors (r, depth): x = whole^-1 right and its Krylov space under whole^-1 change."""
+    """Orthonormal vectors (r, depth) of the Krylov space of whole^-1 change, started at x = whole^-1 right."""
     factor = scipy.linalg.lu_factor(whole, check_finite=False)
     found = np.zeros((right.size, depth), dtype=complex)
     vector = right
@@ -165,13 +167,14 @@ def _krylov(whole: Complex, change: Complex, right: Complex, depth: int) -> Comp
 
 
 def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
-    """Indices of `count` frequencies next to Chebyshev's nodes, as many as those fall on."""
+    """Indices of those of `count` frequencies that lie next to Chebyshev's nodes, without repetitions."""
     angles = np.pi * (np.arange(nodes) + 0.5) / nodes
     return np.unique(np.round(0.5 * (count - 1) * (1.0 - np.cos(angles))).astype(int))
 
 
 def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
-    """x (..., r, n) with sum_g factors_g(w) matrices_g (groups, r, r) times x = right (..., r, n), at n frequencies."""
+    """Solutions x (..., r, n) of sum_g factors_g(w) matrices_g (groups, r, r) times x = right (..., r, n), at n
+    frequencies."""
     count, rank = len(matrices), matrices.shape[1]
     if rank == 0:
         return np.zeros(right.shape, dtype=complex)
@@ -187,14 +190,14 @@ def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
 
 
 class Pencil:
-    """h(w) (B_0 + t B_1 + t^2 B_2) at n values of t: stiffness and mass, and what a fluid adds, with t = w^2.
+    """The pencil h(w) (B_0 + t B_1 + t^2 B_2) at n values of t = w^2: stiffness and mass, and the terms of a fluid.
 
-    With t = t0 (1 + s) it is P_0 + s P_1 + s^2 P_2; with y = s x its inverse follows from that of 1 + s S,
-    S = [[P_0^-1 P_1, P_0^-1 P_2], [-1, 0]] = V L V^-1, or S = P_0^-1 P_1 where there is no P_2, diagonalised once.
+    With t = t0 (1 + s) it is P_0 + s P_1 + s^2 P_2; with y = s x its inverse follows from that of 1 + s S, S = [[P_0^-1
+    P_1, P_0^-1 P_2], [-1, 0]] = V L V^-1, or S = P_0^-1 P_1 where there is no P_2, diagonalised once.
     """
 
     def __init__(self, scale: Complex, ratio: Complex, parts: Sequence[Complex]) -> None:
-        """`scale` h (n,), `ratio` t (n,) and two or three matrices B (r, r)."""
+        """Diagonalise for `scale` h (n,), `ratio` t (n,) and two or three matrices B (r, r)."""
         self._scale, self._parts = scale, parts
         self._powers = [np.ones(ratio.size), ratio, ratio**2][: len(parts)]
         middle = np.median(ratio.real)
@@ -214,7 +217,7 @@ class Pencil:
 
     @classmethod
     def of(cls, factors: Complex, matrices: Complex) -> Pencil | None:
-        """The pencil that sum_g factors_g (groups, n) matrices_g (groups, r, r) is; None if it is none."""
+        """The sum of factors_g (groups, n) matrices_g (groups, r, r) as a pencil, or None if it is not of that form."""
         if len(matrices) == 2:
             return cls(factors[0], factors[1] / factors[0], list(matrices))
         if len(matrices) != 3:
@@ -227,12 +230,13 @@ class Pencil:
         return None
 
     def solve(self, factors: Complex | None, loads: Complex) -> Complex:
-        """x (r, n) with the pencil times x = loads (r, g) times factors (g, n), or = loads (r, n) without factors."""
+        """Solution x (r, n) of the pencil times x = loads (r, g) times factors (g, n), or = loads (r, n) without
+        factors."""
         inside = self._back @ scipy.linalg.lu_solve(self._factor, loads, check_finite=False)
         inside = inside if factors is None else inside @ factors
         return np.asarray(self._vectors @ (self._damped * (inside / self._scale)))
 
     def product(self, x: Complex) -> Complex:
-        """The pencil times x (r, n)."""
+        """Product (r, n) of the pencil and x (r, n)."""
         return np.asarray(self._scale * sum(
             (part @ x) * power for part, power in zip(self._parts, self._powers, strict=True)))

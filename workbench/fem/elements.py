@@ -1,7 +1,7 @@
 """Lagrange elements of any order on quadrilaterals, on Gauss-Lobatto nodes.
 
 The cells of a section are rectangles whose local coordinates run along r and along z in every cell
-(`geometry.mesh.SectionMesh`), so the nodes of an edge are met in one order from both sides.
+(`geometry.mesh.SectionMesh`), so both cells beside an edge number its nodes in one order.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ Real = NDArray[np.float64]
 
 
 class Lagrange(ElementH1):
-    """Products of Lagrange polynomials of one order, 1 at one Gauss-Lobatto node and 0 at the others.
+    """Lagrange element of one order: products of polynomials that are 1 at one Gauss-Lobatto node and 0 at the others.
 
-    Of order 2 it is the biquadratic element of nine nodes.
+    Order 2 is the biquadratic element of nine nodes.
     """
 
     refdom = RefQuad
@@ -60,7 +60,7 @@ def lobatto_weights(order: int) -> Real:
 
 @lru_cache(maxsize=64)
 def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Real, Real]:
-    """:func:`polynomials` at some points, and their slopes: two (order + 1, *shape)."""
+    """Values and slopes of :func:`polynomials` at some points: two arrays (order + 1, *shape)."""
     x, nodes = np.frombuffer(points).reshape(shape), gauss_lobatto(order)
     slopes = []
     for node in range(order + 1):
@@ -72,7 +72,7 @@ def _polynomials(order: int, points: bytes, shape: tuple[int, ...]) -> tuple[Rea
 
 
 def polynomials(order: int, x: Real) -> Real:
-    """Values (order + 1, ...) at points `x` (...) of the polynomials of [0, 1] that are each 1 at one Gauss-Lobatto
+    """Values (order + 1, ...) at points `x` (...) of the Lagrange polynomials on [0, 1]. Each is 1 at one Gauss-Lobatto
     node and 0 at the others."""
     nodes = gauss_lobatto(order)
     values = []

@@ -1,8 +1,8 @@
-"""Sparse factorisations of complex-symmetric matrices of one pattern, one set of values after the other.
+"""Sparse factorisations of complex-symmetric matrices that share one pattern.
 
-What depends on the pattern alone (the ordering of the unknowns) is found once. SuperLU, which scipy brings, is the
+The ordering of the unknowns depends on the pattern alone and is found once. SuperLU, which scipy brings, is the
 reference. Where `rslab` is installed, as it is by default, its LDL^T is used instead: it keeps the symmetry, which
-halves the work, and its analysis of the pattern; on these meshes it takes half to a fifth of the time
+halves the work, and keeps its analysis of the pattern. On these meshes it takes half to a fifth of the time
 (`tests/benchmarks/factorisation.py`). Matrices come scaled to a diagonal of ones: without that SuperLU's symmetric mode
 takes a hundred times as long.
 """
@@ -27,15 +27,16 @@ from scipy.sparse.linalg import splu
 Complex = NDArray[np.complex128]
 Integers = NDArray[np.int32]
 
-#: Names the factorisation to use; what is installed decides where it is not set.
+#: Environment variable that names the factorisation to use. Without it, the installed packages decide.
 CHOICE = "WORKBENCH_FACTORISATION"
 
 
 class Factorisation(Protocol):
-    """A pattern, ready to be factorised with values after values."""
+    """A pattern, ready to be factorised with one set of values after the other."""
 
     def __call__(self, data: Complex) -> Callable[[Complex], Complex]:
-        """A function that solves with the matrix of these stored entries (nnz,): (n,) or (n, k) to the same shape.
+        """Factorise the matrix of these stored entries (nnz,); the result solves for (n,) or (n, k), in the shape
+        given.
 
         Raises:
             RuntimeError: the matrix is singular.
@@ -43,7 +44,8 @@ class Factorisation(Protocol):
 
 
 class SuperLU:
-    """Threshold pivoting on the diagonal (0.01), in an order of minimum degree that the pattern alone decides."""
+    """SuperLU with threshold pivoting on the diagonal (0.01), in a minimum-degree order found from the pattern alone.
+    """
 
     def __init__(self, pattern: sparse.csc_matrix) -> None:
         self._pattern = pattern
@@ -62,10 +64,11 @@ class SuperLU:
 
     @cached_property
     def _ordered(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Integers, Integers]:
-        """The order of elimination, and the pattern in it: which entry each stored one is, and where it stands."""
+        """The order of elimination, and the pattern in that order: the index of each stored entry, its row, and the
+        starts."""
         pattern = self._pattern
         column = np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.indptr))
-        # Values that need no pivots: a diagonal that outweighs its row.
+        # Values that need no pivots: each diagonal entry exceeds the sum of its row.
         dominant = np.where(pattern.indices == column, float(pattern.shape[0]), 1.0)
         found = splu(sparse.csc_matrix((dominant, pattern.indices, pattern.indptr), shape=pattern.shape),
                      permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -78,7 +81,7 @@ class SuperLU:
 
 
 class Ldlt:
-    """The LDL^T of `rslab`: Bunch-Kaufman pivots within supernodes, multifrontal."""
+    """The LDL^T factorisation of `rslab`: Bunch-Kaufman pivots within supernodes, multifrontal."""
 
     def __init__(self, pattern: sparse.csc_matrix) -> None:
         rslab = _lasting_rslab()
@@ -100,10 +103,10 @@ class Ldlt:
 
 
 def _lasting_rslab() -> ModuleType:
-    """`rslab`, loaded by a thread that lasts as long as the program.
+    """Load `rslab` in a thread that lasts as long as the program.
 
-    Its allocator keeps what belongs to the thread that loads it and reads that in every thread that comes later: loaded
-    by a worker that has ended since, the next new thread to factorise crashes (rslab 1.7).
+    Its allocator keeps memory that belongs to the thread that loads it, and every later thread reads that memory. If a
+    worker thread loads it and ends, the next new thread to factorise crashes (rslab 1.7).
     """
     if "rslab" not in sys.modules and threading.current_thread() is not threading.main_thread():
         loaded, forever = threading.Event(), threading.Event()
@@ -120,7 +123,7 @@ def _lasting_rslab() -> ModuleType:
     return importlib.import_module("rslab")
 
 
-#: By the name of what they need.
+#: Classes by the name of the package that they need.
 KNOWN: Mapping[str, Callable[[sparse.csc_matrix], Any]] = {"superlu": SuperLU, "rslab": Ldlt}
 
 
@@ -128,12 +131,12 @@ def chosen() -> str:
     """The name of the factorisation in use.
 
     Raises:
-        ValueError: the environment asks for one that is not known.
+        ValueError: the environment asks for an unknown one.
     """
     name = os.environ.get(CHOICE)
     if name is None:
         found = importlib.util.find_spec("rslab")
-        # A folder that happens to have that name is found too, without an origin.
+        # A folder of that name is found too, but has no origin.
         return "rslab" if found is not None and found.origin is not None else "superlu"
     if name not in KNOWN:
         raise ValueError(f"{CHOICE} is {name!r}; expected one of {', '.join(KNOWN)}")
@@ -141,6 +144,6 @@ def chosen() -> str:
 
 
 def factorisation(pattern: sparse.csc_matrix) -> Factorisation:
-    """The factorisation in use for a symmetric pattern (n, n), both triangles stored, indices sorted."""
+    """The factorisation in use, for a symmetric pattern (n, n) with both triangles stored and sorted indices."""
     found: Factorisation = KNOWN[chosen()](pattern)
     return found

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Entries of the states, at several frequencies together, that forms are made from at once: what that takes stays in
-#: the processor's cache.
+#: Number of entries of the states that forms are made from at once, so that they stay in the processor's cache.
 AT_ONCE = 40_000
 
 
 def bilinear(matrices: NDArray[np.inexact], left: Complex, right: Complex) -> Complex:
-    """left^T A right (n, k) for columns of `left` and `right` (r, n) and symmetric `matrices` A (k, r, r)."""
+    """Forms left^T A right (n, k) for columns of `left` and `right` (r, n) and symmetric `matrices` A (k, r, r)."""
     rank, points = right.shape
     result = np.empty((points, len(matrices)), dtype=complex)
     at_once = max(1, AT_ONCE // max(rank, 1))
@@ -27,7 +26,9 @@ def bilinear(matrices: NDArray[np.inexact], left: Complex, right: Complex) -> Co
 
 
 def real_times(matrices: NDArray[np.inexact], columns: Complex) -> Complex:
-    """`matrices` (k, r, r) times `columns` (r, n): (k, r, n). Real ones take one real product for both parts."""
+    """Products (k, r, n) of `matrices` (k, r, r) and `columns` (r, n).
+
+    Real matrices take one real product for the real and imaginary parts together."""
     count, rows, rank = matrices.shape
     flat, columns = matrices.reshape(count * rows, rank), np.ascontiguousarray(columns)
     images = flat @ columns if np.iscomplexobj(flat) else (flat @ columns.view(np.float64)).view(np.complex128)
@@ -35,7 +36,7 @@ def real_times(matrices: NDArray[np.inexact], columns: Complex) -> Complex:
 
 
 def combined_matrices(constants: Complex, matrices: Real) -> Complex:
-    """sum_q constants_q matrices_q, `constants` (..., integrals), for real `matrices` (integrals, ...)."""
+    """Sum over q of constants_q matrices_q, for `constants` (..., integrals) and real `matrices` (integrals, ...)."""
     flat = matrices.reshape(len(matrices), math.prod(matrices.shape[1:]))
     result = np.asarray(constants.real @ flat, dtype=complex)
     if constants.imag.any():

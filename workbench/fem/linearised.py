@@ -1,7 +1,6 @@
-"""A state at one frequency, and what moves it: exact derivatives by frequency and by parameters, full or reduced.
+"""A state at one frequency and its exact derivatives by frequency and by parameters, full or reduced.
 
 With A x = 0 on the free unknowns and the electrode held at one volt, A dx = -(dA) x for any change of A, and
-
     Q = -x^T A x,   dQ = -x^T (dA) x,   d2Q by a and b = -(2 x_a^T (A_b) x + x^T (A_ab) x).
 
 One factorisation serves all of them. Coefficients depend on frequency through few scalar functions; these are
@@ -26,8 +25,8 @@ from workbench.physics.term import Values
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Relative step of the differences of a scalar function of frequency, and its places and weights: of a function like a
-#: power of frequency they leave 1e-13 of the first derivative and 1e-11 of the second.
+#: Relative step of the differences of a scalar function of frequency, and their places and weights. For a power of
+#: frequency the relative error is 1e-13 in the first derivative and 1e-11 in the second.
 STEP = 3e-3
 PLACES = np.arange(-3.0, 4.0)
 FIRST = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
@@ -39,8 +38,8 @@ class LinearisedState:
     """A state at one frequency (Hz) and unit electrode voltage, e^{-i w t}, with its derivatives.
 
     ``state`` (size,), ``by_frequency`` (size,) per Hz and ``by_parameter`` (size, k) by the complex parameters
-    ``names``; ``charge`` (C), its first and second derivative by frequency, its derivatives (k,) by parameters, and
-    those (k,) by frequency and parameter.
+    ``names``; ``charge`` (C), its first and second derivative by frequency, its derivatives (k,) by parameters, and its
+    mixed derivatives (k,) by frequency and parameter.
     """
 
     solution: Solution
@@ -54,7 +53,7 @@ class LinearisedState:
 
     @property
     def frequency(self) -> float:
-        """Hz."""
+        """Frequency of the state in Hz."""
         return float(self.solution.frequency[0])
 
     @property
@@ -68,7 +67,7 @@ class LinearisedState:
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    """(dA) x for changes of A: by frequency once and twice (size,), by parameters (size, k), and by both (size, k)."""
+    """Products (dA) x for changes of A: by frequency once and twice (size,), by parameters and by both (size, k)."""
 
     by_frequency: Complex
     twice: Complex
@@ -77,7 +76,8 @@ class _Forces:
 
 
 def _linearised(solution: Solution, names: tuple[str, ...], forces: _Forces, moved: Complex) -> LinearisedState:
-    """`moved` (size, 1 + k): the states' derivatives by frequency and by the parameters."""
+    """The state with its derivatives; `moved` (size, 1 + k) are those of the state by frequency and by the parameters.
+    """
     state, by_frequency = solution.states[:, 0], moved[:, 0]
     return LinearisedState(
         solution, names, by_frequency, moved[:, 1:],
@@ -89,12 +89,12 @@ def _linearised(solution: Solution, names: tuple[str, ...], forces: _Forces, mov
 
 
 def difference_frequencies(frequency: float) -> Real:
-    """The frequencies (Hz) at which a function is asked for its derivatives at `frequency`, that one in the middle."""
+    """The frequencies (Hz) of the central differences at `frequency`, which is the middle one."""
     return frequency * (1.0 + STEP * PLACES)
 
 
 def by_frequency(function: Complex, frequency: float) -> tuple[Complex, Complex, Complex]:
-    """Value, first and second derivative (per Hz) of a function (..., 7) given at the places of
+    """Value, first and second derivative (per Hz) of a function given (..., 7) at the frequencies of
     :func:`difference_frequencies`."""
     step = STEP * frequency
     return function[..., 3], function @ FIRST / step, function @ SECOND / step**2
@@ -103,7 +103,7 @@ def by_frequency(function: Complex, frequency: float) -> tuple[Complex, Complex,
 def slope_columns(
     operators: Operators, frequency: float, values: Values, names: tuple[str, ...]
 ) -> tuple[Complex, Complex]:
-    """d g_q / d theta (integrals, k) at a frequency, and its derivative per Hz."""
+    """Derivatives d g_q / d theta (integrals, k) at a frequency, and their derivatives per Hz."""
     omega = 2.0 * np.pi * difference_frequencies(frequency)
     coefficients = operators.coefficients
     slopes, change = np.zeros((2, coefficients.count, len(names)), dtype=complex)
@@ -116,7 +116,7 @@ def slope_columns(
 
 
 class ReducedSystem:
-    """A reduced model with its parameter values in place, ready to be solved and linearised at any frequency."""
+    """A reduced model with parameter values, ready to be solved and linearised at any frequency."""
 
     def __init__(self, operators: ReducedOperators, values: Values) -> None:
         self.operators, self.values = operators, values
@@ -130,11 +130,11 @@ class ReducedSystem:
         return self.operators.combinations(np.array([constants for _, constants in self.groups(np.ones(1))]))
 
     def sweep(self, frequencies: Real) -> Solution:
-        """The states at all of some frequencies (n,) Hz."""
+        """Solve at some frequencies (n,) in Hz."""
         return solve_groups(self.operators, frequencies, self.groups(frequencies))
 
     def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """See :class:`LinearisedState`; parameters that nothing here depends on do not move it."""
+        """The state at one frequency with its derivatives; those by parameters of no coefficient are zero."""
         groups = self.groups(difference_frequencies(frequency))
         value, first, second = by_frequency(np.stack([h for h, _ in groups]), frequency)
         matrix = np.tensordot(value, self._matrices, axes=1)
@@ -166,14 +166,14 @@ class ReducedSystem:
 
 
 class FullSystem:
-    """The full model with its parameter values in place, linearised like a :class:`ReducedSystem`."""
+    """The full model with parameter values, linearised like a :class:`ReducedSystem`."""
 
     def __init__(self, operators: FullOperators, values: Values) -> None:
         self.operators, self.values = operators, values
         self._system = System(operators, values)
 
     def linearised(self, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """See :class:`LinearisedState`: one factorisation and a back substitution for each name.
+        """The state with its derivatives, by one factorisation and a back substitution for each name.
 
         Raises:
             NotConverged: the solve did not reach its tolerance.

@@ -1,8 +1,8 @@
 """From terms to operators: the affine symmetric system, full (sparse) or reduced (dense), behind one interface.
 
-``assemble`` turns a mesh and a tuple of terms into :class:`FullOperators`; ``FullOperators.project`` turns a basis
-into :class:`ReducedOperators`. Both answer the same questions (see :class:`Operators`), so that solving, fitting and
-diagnosing do not know which of the two they hold. Parameter values are never stored here.
+``assemble`` turns a mesh and a tuple of terms into :class:`FullOperators`; ``FullOperators.project`` turns a basis into
+:class:`ReducedOperators`. Both have the methods of :class:`Operators`, so that solving, fitting and diagnosing do not
+depend on which of the two they are given. Parameter values are never stored here.
 """
 
 from __future__ import annotations
@@ -44,35 +44,36 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-#: Cells whose points are projected on at once: what that takes stays in the processor's cache.
+#: Number of cells whose points are projected at once, so that they stay in the processor's cache.
 TOGETHER = 64
 
 
 class Operators(Protocol):
-    """What a solver needs to know of A(w, theta) = sum_q g_q(w, theta) A_q, whatever its size.
+    """Interface of A(w, theta) = sum_q g_q(w, theta) A_q for solvers, full or reduced.
 
     The last unknown is always the voltage of the live electrode.
     """
 
     @property
     def integrals(self) -> tuple[Integral, ...]:
-        """The g_q A_q, in the order of every array over integrals."""
+        """The integrals g_q A_q, in the order of every array over integrals."""
 
     @property
     def coefficients(self) -> Coefficients:
-        """The g_q."""
+        """The coefficients g_q."""
 
     @property
     def size(self) -> int:
         """Number of unknowns, electrode included."""
 
     def quadratic(self, left: Complex, right: Complex) -> Complex:
-        """left^T A_q right for columns left, right (size, n): (n, number of integrals)."""
+        """Forms left^T A_q right for columns left, right (size, n): (n, number of integrals)."""
 
     def combined_forms(self, states: Complex, constants: Complex, span: Span | None = None) -> Complex:
-        """x^T sum_q constants_kq A_q x for columns x of `states` (size, n) and `constants` (k, integrals): (n, k).
+        """Forms x^T sum_q constants_kq A_q x for columns x of `states` (size, n) and `constants` (k, integrals): (n,
+        k).
 
-        `span` may say what few vectors the states are made of.
+        `span` gives the few vectors whose combinations the states are, if known.
         """
 
 
@@ -80,9 +81,9 @@ class Operators(Protocol):
 class FullOperators(Brief):
     """The assembled model on a mesh: basis functions at quadrature points, and the numbering of the unknowns.
 
-    ``places`` are found by the :attr:`~workbench.physics.term.Integral.domain` of an integral.
-    ``numbering[component]`` (number of scalar mesh dofs,) is the row of an unknown in the system, or -1 where the
-    component does not exist or is held at zero; all points of the live electrode share the last row.
+    ``places`` are keyed by the :attr:`~workbench.physics.term.Integral.domain` of an integral. ``numbering[component]``
+    (number of scalar mesh dofs,) is the row of an unknown in the system, or -1 where the component does not exist or is
+    held at zero; all points of the live electrode share the last row.
     """
 
     mesh: SectionMesh
@@ -122,7 +123,7 @@ class FullOperators(Brief):
         return np.asarray(self.of(acting).quadratic(states, states) @ constants[:, acting].T)
 
     def element_quadratic(self, left: Complex, right: Complex) -> tuple[Complex, ...]:
-        """left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
+        """Forms left^T A_q right, element by element of the integral's domain: one array (ne, n) for every integral."""
         result: dict[int, Complex] = {}
         for place_name, group in self._by_place.items():
             place = self.places[place_name]
@@ -139,7 +140,7 @@ class FullOperators(Brief):
         return tuple(result[q] for q in range(len(self.integrals)))
 
     def of(self, integrals: NDArray[np.int64]) -> FullOperators:
-        """The same unknowns with some of the integrals (k,) only."""
+        """A copy with the same unknowns and only the integrals of these indices (k,)."""
         kept = tuple(self.integrals[q] for q in integrals)
         return replace(self, integrals=kept, places={i.domain: self.places[i.domain] for i in kept})
 
@@ -161,13 +162,14 @@ class FullOperators(Brief):
 
     @cached_property
     def forms(self) -> NDArray[np.int64]:
-        """Which of the distinct forms every integral is (integrals,): those of one place and form share a matrix."""
+        """Index (integrals,) of every integral's distinct form: integrals of one place and form share a matrix."""
         known: dict[tuple[str, frozenset[tuple[tuple[str, str], float]], Radial | None], int] = {}
         return np.array([known.setdefault((i.domain, frozenset((_pair(p), p.weight) for p in i.products), i.radial),
                                           len(known)) for i in self.integrals], dtype=int)
 
     def project(self, basis: Real, further: Real | None = None) -> Real:
-        """basis^T A basis for real columns (size, n), below it further^T A basis for more of them (size, m).
+        """Matrices basis^T A basis for real columns (size, n), and below them further^T A basis for `further` (size,
+        m).
 
         Returns:
             (number of distinct :attr:`forms`, n + m, n); the upper part is symmetric.
@@ -206,14 +208,15 @@ class FullOperators(Brief):
         return result
 
     def images(self, state: Complex, constants: Complex) -> Complex:
-        """sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k)."""
+        """Products sum_q constants_qk A_q x of one state x (size,) for `constants` (number of integrals, k): (size, k).
+        """
         result = np.empty((self.size, constants.shape[1]), dtype=complex)
         for column, each in zip(result.T, constants.T, strict=True):
             column[:] = self.summed(each).times(state)
         return result
 
     def summed(self, constants: Complex) -> Symmetric:
-        """sum_q constants_q A_q (size, size) for `constants` (number of integrals,)."""
+        """The matrix sum_q constants_q A_q (size, size) for `constants` (number of integrals,)."""
         upper = np.zeros(self._pattern.keys.size, dtype=complex)
         for block in self._blocks:
             weights = block.mixing @ constants
@@ -222,12 +225,12 @@ class FullOperators(Brief):
         return Symmetric(self._pattern, upper)
 
     def matrix(self, constants: Complex) -> NDArray[np.complex128]:
-        """The stored entries of sum_q constants_q A_q on :attr:`pattern`: (number of entries,) complex."""
+        """Stored entries (number of entries,), complex, of sum_q constants_q A_q on :attr:`pattern`."""
         return self.summed(constants).stored
 
     @property
     def pattern(self) -> sparse.csc_matrix:
-        """The symmetric sparsity pattern (size, size) with all ones, sorted indices."""
+        """The symmetric sparsity pattern (size, size) with all ones and sorted indices."""
         return self._pattern.matrix
 
     @cached_property
@@ -249,10 +252,10 @@ class FullOperators(Brief):
 
     @cached_property
     def _blocks(self) -> tuple[MatrixBlock, ...]:
-        """The real matrices that everything here is a sum of: of every pair of parts under every measure."""
+        """The real matrices that every sum here is made of: one for each pair of parts and each measure."""
         found: list[MatrixBlock] = []
         for place_name, group in self._by_place.items():
-            # How much of every pair of parts each integral holds; a pair counts once for both orders.
+            # Weight of every pair of parts in each integral; a pair counts once for both orders.
             held: dict[Kind, NDArray[np.float64]] = {}
             for integral in group:
                 for p in integral.products:
@@ -274,7 +277,8 @@ class FullOperators(Brief):
         kept = ((rows >= 0) & (columns >= 0)).ravel()
         positions, inverse = np.unique(self._pattern.position(rows.ravel()[kept], columns.ravel()[kept]),
                                        return_inverse=True)
-        # What is off the diagonal of the whole is counted on both sides of it; unknowns may be shared (an electrode).
+        # An entry off the cell's diagonal may fall on the diagonal of the system (a shared electrode); it then counts
+        # twice.
         twice = np.where((rows != columns).ravel()[kept], 1.0, 2.0)
         entries = np.empty((len(kinds), positions.size))
         for k, (a, b, radial) in enumerate(kinds):
@@ -284,7 +288,7 @@ class FullOperators(Brief):
                     weights = weights * place.factor(part[2])
             product = place.shapes[a[1]].transpose(0, 2, 1) @ (weights[:, :, None] * place.shapes[b[1]])
             if components[0] == components[1]:
-                # Its two triangles fall on one.
+                # Both triangles fall on the upper one.
                 product = 0.5 * (product + product.transpose(0, 2, 1))
             entries[k] = 0.5 * np.bincount(inverse, weights=product.ravel()[kept] * twice, minlength=positions.size)
         return MatrixBlock(mixing, positions, entries)
@@ -302,7 +306,7 @@ class FullOperators(Brief):
 
 
 def _pair(product: Product) -> tuple[str, str]:
-    """The operators of a product in an order of their own: forms are symmetric."""
+    """The two operators of a product in alphabetical order, since forms are symmetric."""
     return (product.row, product.column) if product.row <= product.column else (product.column, product.row)
 
 

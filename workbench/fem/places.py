@@ -19,7 +19,7 @@ from workbench.physics.term import FACING, Integral, ModelError, Radial
 
 Real = NDArray[np.float64]
 
-#: Cells that differ by less than this share of their size are the same: rounding of where they are.
+#: Largest relative difference of cell sizes that counts as rounding. Twice as much would change nothing.
 SAME_SHAPE = 1e-9
 
 
@@ -43,13 +43,13 @@ class Place:
     facing_normal: Real | None = None
 
     def of(self, cells: slice) -> Place:
-        """A part of the elements."""
+        """The place restricted to some of its elements."""
         normals = [None if each is None else each[:, cells] for each in (self.normal, self.facing_normal)]
         return Place(self.dofs[:, cells], self.weights[cells], self.radius[cells],
                      {kind: s[cells] for kind, s in self.shapes.items()}, self.elements[cells], *normals)
 
     def measure(self, radial: Radial | None) -> Real:
-        """The weights (ne, nq) with a further factor of the measure."""
+        """The weights (ne, nq) times a further factor of the measure."""
         return self.weights if radial is None else self.weights * radial(self.radius)
 
     def factor(self, name: str) -> Real:
@@ -61,9 +61,9 @@ class Place:
 
 
 def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
-    """The place of an integral; None if nothing is left of it.
+    """The place of an integral, or None if it is empty.
 
-    Where cells are those of a variant of the mesh, what restricts a region is moved with them.
+    For cells of a variant of the mesh, the limits of a restricted region move with the cells.
     """
     if integral.variant:
         mesh = replace(mesh, shown=integral.variant)
@@ -79,9 +79,9 @@ def place_of(mesh: SectionMesh, integral: Integral) -> Place | None:
 
 
 def _degree(mesh: SectionMesh) -> int:
-    """The degree of polynomials that quadrature is exact for."""
-    # So many Gauss points integrate r times a product of two functions exactly: of order two nine. Where cells are not
-    # rectangles no number does; with one more the error is far below that of the fields.
+    """The degree of polynomials that the quadrature integrates exactly."""
+    # This many Gauss points integrate r times a product of two functions exactly: nine for order two. In cells that are
+    # not rectangles no number does; with one more the error is far below that of the fields.
     return 2 * mesh.order + (1 if mesh.nodes is None else 3)
 
 
@@ -97,11 +97,11 @@ def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
     if not beyond:
         return _cells(mesh, cells, points, weights)
     _check_straight(mesh, cells, integral)
-    # Of the whole region, of which this may be a column.
+    # Outer radius of the parent region, which may have cells outside this column.
     edge = mesh.mesh.p[0, mesh.mesh.t[:, np.asarray(mesh.mesh.subdomains[across_columns(region)])]].max()
     radii = mesh.mesh.p[0, mesh.mesh.t[:, cells]]
     inner, outer = radii.min(axis=0), radii.max(axis=0)
-    # The share of each cell's width that lies inside the radius from which on the place begins.
+    # The share of each cell's width that lies inside the radius at which the place begins.
     left_out = np.clip((beyond * edge - inner) / (outer - inner), 0.0, 1.0)
     if left_out.min() > 1.0 - SAME_SHAPE:
         return None
@@ -114,15 +114,15 @@ def _volume_place(mesh: SectionMesh, integral: Integral) -> Place | None:
 
 
 def _check_straight(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> None:
-    """Refuse to restrict a region whose cells are not rectangles, where shapes are no parameters."""
+    """Raise if a region to be restricted has cells that are not rectangles, unless shapes are parameters."""
     if not integral.variant and not are_rectangles(mesh, cells):
         raise ModelError(f"{integral.domain!r} is a part of a region of which some cells are no rectangles: only a "
                          "layer with plane faces and upright sides can be restricted")
 
 
 def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> NDArray[np.int64]:
-    """The cells of a region, given by its own, that are a skin of it."""
-    # Upside down where the skin is the lower one.
+    """The cells that form the skin of a region, out of the region's cells."""
+    # Upside down for the lower skin.
     heights = np.sign(integral.skin) * mesh.mesh.p[1, mesh.mesh.t[:, cells]]
     whole = np.ptp(heights)
     skin, rounding = abs(integral.skin) * whole, SAME_SHAPE * whole
@@ -134,7 +134,7 @@ def _skin(mesh: SectionMesh, cells: NDArray[np.int64], integral: Integral) -> ND
 
 
 def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: Real) -> Place:
-    """Some cells, at local points (2, nq) of weights (nq,)."""
+    """The place of some cells, at local points (2, nq) of weights (nq,)."""
     dofs, shapes, r, slopes = _tabulated(mesh, cells, points)
     return Place(dofs, 2.0 * np.pi * r * areas(slopes) * weights, r, shapes, cells)
 
@@ -142,10 +142,10 @@ def _cells(mesh: SectionMesh, cells: NDArray[np.int64], points: Real, weights: R
 def _tabulated(
     mesh: SectionMesh, cells: NDArray[np.int64], points: Real
 ) -> tuple[NDArray[np.int64], dict[str, Real], Real, Real]:
-    """Some cells at local points (2, nq).
+    """Basis functions of some cells at local points (2, nq).
 
     Returns:
-        dofs and shapes as of a `Place`, the radii of the points (ne, nq), and the slopes (2, 2, ne, nq) of r and z
+        dofs and shapes as in `Place`, the radii of the points (ne, nq), and the slopes (2, 2, ne, nq) of r and z
         along the local coordinates.
     """
     element = Lagrange(mesh.order)
@@ -168,15 +168,16 @@ def mapped(mesh: SectionMesh, cells: NDArray[np.int64], points: Real) -> tuple[R
 
 
 def mapped_nodes(own: Real, points: Real) -> tuple[Real, Real]:
-    """The same as of :func:`mapped` for cells by the coordinates (2, nodes, cells) of their nodes."""
-    # Four corners, or nodes of the order that cells are curved by.
+    """Radii and slopes as in :func:`mapped`, for cells given by the coordinates (2, nodes, cells) of their nodes."""
+    # Four corners, or the nodes of a curved cell of some order.
     value, along, across = Lagrange(math.isqrt(own.shape[1]) - 1).tabulated(points)
     slopes = np.stack([np.einsum("xie,qi->xeq", own, each) for each in (along, across)], axis=1)
     return np.einsum("ie,qi->eq", own[0], value), slopes
 
 
 def areas(slopes: Real) -> Real:
-    """What an area in local coordinates is multiplied by (ne, nq), from the slopes (2, 2, ne, nq) of :func:`mapped`."""
+    """Jacobian determinant (ne, nq) of the map from local coordinates, from the slopes (2, 2, ne, nq) of
+    :func:`mapped`."""
     (r_along, r_across), (z_along, z_across) = slopes
     return np.asarray(r_along * z_across - r_across * z_along)
 
@@ -206,7 +207,7 @@ def _together(parts: Sequence[Place]) -> Place:
 def _facing_facets(
     mesh: SectionMesh, facets: NDArray[np.int64], integral: Integral
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The facets of a boundary and those across the layer, in order of their radius."""
+    """The facets of a boundary and of the opposite one, both in order of their radius."""
     both = []
     for each in (facets, np.asarray(mesh.mesh.boundaries[integral.facing])):
         radii = mesh.mesh.p[0, mesh.mesh.facets[:, each]]
@@ -222,7 +223,7 @@ def _facing_facets(
 
 
 def _facing_place(near: Place, far: Place) -> Place:
-    """Both boundaries as one place, integrated over the first."""
+    """Two opposite boundaries as one place, integrated over the first."""
     if not np.array_equal(np.diff(near.radius) > 0.0, np.diff(far.radius) > 0.0):
         raise ModelError("the points of two boundaries that face each other are in different order")
     shapes = {kind: np.concatenate([s, np.zeros_like(far.shapes[kind])], axis=2) for kind, s in near.shapes.items()}
@@ -232,13 +233,13 @@ def _facing_place(near: Place, far: Place) -> Place:
                  far.normal)
 
 
-#: Of the sides of a cell in the order of the mesh: the local coordinate that is fixed there, where, and whether cells
-#: lie to the left of it, where the other coordinate grows.
+#: The sides of a cell in the order of the mesh: the local coordinate that is fixed there, its value, and whether the
+#: cells lie to the left when the other coordinate grows.
 SIDES = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, -1.0), (0, 0, -1.0))
 
 
 def _boundary_place(mesh: SectionMesh, facets: NDArray[np.int64], solid: str) -> Place:
-    """Some facets, their points in order of radius or height, their normals out of `solid`."""
+    """The place of some facets, with points in order of radius or height, and normals out of `solid`."""
     owners = mesh.mesh.f2t[0, facets]
     outwards = np.where(np.isin(owners, mesh.mesh.subdomains[solid]), 1.0, -1.0)
     (along,), weights = get_quadrature(RefLine, _degree(mesh))

@@ -1,4 +1,4 @@
-"""The affine system on a small basis: dense symmetric matrices with the same questions as the full one."""
+"""The affine system on a small basis: dense symmetric matrices with the interface of the full system."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ReducedOperators(Brief):
         summed = self.by_form(constants)
         parts = np.concatenate([summed.real, summed.imag])
         acting = np.flatnonzero(parts.any(axis=1))
-        # Most rows are the derivative by one parameter, which few forms follow.
+        # Most rows are the derivative by one parameter, which appears in few forms.
         upper = np.asarray(sparse.csr_array(parts[acting]) @ self._upper)
         forms = np.zeros((states.shape[1], len(parts)), dtype=complex)
         matrices = self._whole(upper)
@@ -58,7 +58,7 @@ class ReducedOperators(Brief):
         return forms[:, : len(constants)] + 1j * forms[:, len(constants) :]
 
     def combinations(self, constants: Complex) -> Complex:
-        """sum_q constants_kq A_q for `constants` (k, integrals): (k, r, r)."""
+        """Matrices sum_q constants_kq A_q for `constants` (k, integrals): (k, r, r)."""
         summed = self.by_form(constants)
         acting = summed.any(axis=0)
         upper = self._upper if acting.all() else self._upper[acting]
@@ -66,7 +66,7 @@ class ReducedOperators(Brief):
         return np.asarray(self._whole(parts[: len(constants)] + 1j * parts[len(constants) :]))
 
     def _whole(self, upper: NDArray[np.inexact]) -> NDArray[np.inexact]:
-        """Symmetric matrices (k, r, r) from upper triangles (k, r(r+1)/2) as :attr:`_upper` has them."""
+        """Symmetric matrices (k, r, r) from upper triangles (k, r(r+1)/2) in the convention of :attr:`_upper`."""
         return np.take(upper * self._halved, self._mirror, axis=1)
 
     @cached_property
@@ -79,7 +79,7 @@ class ReducedOperators(Brief):
 
     @cached_property
     def _halved(self) -> Real:
-        """What an entry of :attr:`_upper` is to be multiplied by to be one of the matrix: (r(r+1)/2,)."""
+        """Factors (r(r+1)/2,) that turn entries of :attr:`_upper` into entries of the matrix."""
         row, column = np.triu_indices(self.size)
         return np.where(row == column, 1.0, 0.5)
 
@@ -90,7 +90,7 @@ class ReducedOperators(Brief):
 
     @cached_property
     def _upper(self) -> Real:
-        """The upper triangles of the matrices, row by row, what is beside the diagonal twice: (forms, r(r+1)/2)."""
+        """The upper triangles of the matrices, row by row, off-diagonal entries doubled: (forms, r(r+1)/2)."""
         rank = self.size
         row, column = np.triu_indices(rank)
         return np.ascontiguousarray(self.matrices[:, row, column] * np.where(row == column, 1.0, 2.0))

@@ -1,4 +1,5 @@
-"""Solving the full model at given frequencies, and what follows from a solution by quadratic forms alone.
+"""Solutions of the full and the reduced model at given frequencies, and the quantities that are quadratic forms of
+them.
 
 A solution is taken at unit voltage of the live electrode. Because A is symmetric and the drive is the electrode
 voltage, the electrode charge is Q = -x^T A x, and its derivative with respect to any coefficient is one more quadratic
@@ -34,13 +35,13 @@ Complex = NDArray[np.complex128]
 RESIDUAL_LIMIT = 1e-10
 
 
-#: Step of a difference quotient by frequency, relative. What depends on frequency alone has no resonance: doubled, the
-#: quotient is still exact to seven digits.
+#: Relative step of a difference quotient by frequency. The functions it is used on have no resonance: with the step
+#: doubled, the quotient is still exact to seven digits.
 NEIGHBOURING = 1e-4
 
 
 class NotConverged(RuntimeError):
-    """A linear solve whose residual stayed above the limit. Carries the frequency, the residual and the iterate."""
+    """A linear solve whose residual stayed above the limit, with the frequency, the residual and the iterate."""
 
     def __init__(self, frequency: float, residual: float, iterate: Complex) -> None:
         super().__init__(
@@ -59,8 +60,8 @@ class Solution(Brief):
 
     ``frequency`` (n,) in Hz, ``states`` (size, n) with the electrode voltage last, ``groups`` the model at these
     frequencies (`coefficients.Coefficients.groups`), ``charge`` (n,) C of the live electrode, -x^T A x, ``residual``
-    (n,) scaled residual of each solve, ``span`` the few vectors that the states of a reduced model are made of, if
-    known.
+    (n,) scaled residual of each solve, ``span`` the few vectors whose combinations the states of a reduced model are,
+    if known.
     """
 
     operators: Operators
@@ -77,31 +78,32 @@ class Solution(Brief):
 
     @cached_property
     def coefficients(self) -> Complex:
-        """g_q(w) (n, integrals)."""
+        """Coefficients g_q(w) (n, integrals)."""
         return summed(self.groups, self.frequency.size, self.operators.coefficients.count)
 
     @cached_property
     def forms(self) -> Complex:
-        """x^T A_q x (n, integrals): all that follows from a solution without its conjugate."""
+        """Forms x^T A_q x (n, integrals), from which all quantities without the conjugate follow."""
         return self.operators.quadratic(self.states, self.states)
 
     @property
     def admittance(self) -> Complex:
-        """Y = -i w Q (n,), siemens, e^{-i w t}."""
+        """Admittance Y = -i w Q (n,), siemens, e^{-i w t}."""
         return -1j * self.omega * self.charge
 
     @property
     def impedance(self) -> Complex:
-        """Z (n,), ohm, e^{-i w t}: a capacitor has a *positive* imaginary part. Spectra hold the conjugate."""
+        """Impedance Z (n,), ohm, e^{-i w t}: a capacitor has a *positive* imaginary part. Spectra hold the conjugate.
+        """
         return 1.0 / self.admittance
 
     def impedance_gradient(self) -> Complex:
-        """dZ/dg_q (n, integrals) with respect to every complex coefficient g_q, e^{-i w t}."""
+        """Derivatives dZ/dg_q (n, integrals) by every complex coefficient g_q, e^{-i w t}."""
         # Z = i / (w Q), dQ = -x^T A_q x dg.
         return (1j / (self.omega * self.charge**2))[:, None] * self.forms
 
     def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
-        """dZ/dtheta (n, len(names)) with respect to complex parameters, e^{-i w t}.
+        """Derivatives dZ/dtheta (n, len(names)) by complex parameters, e^{-i w t}.
 
         For a spectrum (the conjugate), the derivative by the real part of theta is conj(dZ), by the imaginary part
         conj(i dZ).
@@ -128,10 +130,10 @@ class Solution(Brief):
         return np.asarray((1j / (self.omega * self.charge**2))[:, None] * result)
 
     def frequency_gradient(self, values: Values) -> Complex:
-        """dZ/dw (n,) by the angular frequency, e^{-i w t}, where the parameters are `values`.
+        """Derivative dZ/dw (n,) by the angular frequency, e^{-i w t}, at the parameters `values`.
 
-        Z = i / (w Q) and dQ = -x^T dA x; what coefficients do with frequency is smooth, and its difference quotient
-        over :data:`NEIGHBOURING` exact to eight digits.
+        Z = i / (w Q) and dQ = -x^T dA x. Coefficients are smooth functions of frequency, and their difference quotient
+        over :data:`NEIGHBOURING` is exact to eight digits.
         """
         coefficients, omega = self.operators.coefficients, self.omega
         after, before = (coefficients.groups(omega * (1.0 + sign * NEIGHBOURING), values) for sign in (1.0, -1.0))
@@ -143,7 +145,7 @@ class Solution(Brief):
     def dissipation(self) -> Real:
         """Time-averaged power (W) lost in each integral at 1 V amplitude: (n, integrals).
 
-        -w/2 Im(g_q) x^H A_q x. Their sum is the electrical input power w/2 Im Q (Acevedo-Espinosa et al. (RP-UEIS),
+        It is -w/2 Im(g_q) x^H A_q x. The sum is the electrical input power w/2 Im Q (Acevedo-Espinosa et al. (RP-UEIS),
         eq. A.4 integrated over the volume).
         """
         forms = self.operators.quadratic(np.conj(self.states), self.states).real
@@ -156,13 +158,13 @@ class Solution(Brief):
 
 @cache
 def _threads() -> ThreadpoolController:
-    """The BLAS libraries in use; looking for them takes a hundred times as long as limiting them."""
+    """The BLAS libraries in use. Finding them takes a hundred times as long as limiting them."""
     return ThreadpoolController()
 
 
 @dataclass
 class _Limit:
-    """The limit of BLAS threads in force, and by how many it is asked for: threads of ours come and go."""
+    """The limit of BLAS threads in force, and the number of our threads that ask for it at the moment."""
 
     lock: Lock
     asked: int = 0
@@ -174,7 +176,7 @@ _LIMIT = _Limit(Lock())
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One BLAS thread: two made sparse factorisations up to 300 times slower on a busy two-core machine."""
+    """Limit BLAS to one thread: two made sparse factorisations up to 300 times slower on a busy two-core machine."""
     with _LIMIT.lock:
         if _LIMIT.asked == 0:
             _LIMIT.limiter = _threads().limit(limits=1, user_api="blas")
@@ -198,7 +200,7 @@ class Factor:
     solve_scaled: Callable[[Complex], Complex]
 
     def solve(self, right: Complex) -> tuple[Complex, float]:
-        """x with matrix x = right (size - 1,), and its scaled residual, after iterative refinement.
+        """Solution x of matrix x = right (size - 1,) after iterative refinement, and its scaled residual.
 
         Raises:
             NotConverged: the scaled residual stays above :data:`RESIDUAL_LIMIT`.
@@ -219,7 +221,7 @@ class Factor:
 
 
 class System:
-    """The full model with its parameter values in place, ready to be factorised at any frequency.
+    """The full model with parameter values, ready to be factorised at any frequency.
 
     Matrices of equal frequency dependence are summed once (see `coefficients.Coefficients.groups`).
     """
@@ -230,16 +232,16 @@ class System:
         self._entries = np.stack([operators.matrix(constants) for _, constants in groups])
 
     def factors(self, frequencies: Real) -> Complex:
-        """h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
+        """Factors h_g(w) of every group of equal frequency dependence: (number of groups, n)."""
         groups = self.operators.coefficients.groups(2.0 * np.pi * frequencies, self.values)
         return np.stack([h for h, _ in groups])
 
     def group_matrices(self) -> list[sparse.csr_matrix]:
-        """B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
+        """Matrices B_g (size, size) of every group: A(w) = sum_g h_g(w) B_g."""
         return [self._stored(entries) for entries in self._entries]
 
     def matrix(self, frequency: float) -> sparse.csr_matrix:
-        """A(w) (size, size), complex symmetric, electrode included."""
+        """The matrix A(w) (size, size), complex symmetric, electrode included."""
         return self._stored(self._at(frequency))
 
     def charge(self, frequency: float, state: Complex) -> complex:
@@ -251,12 +253,12 @@ class System:
         return np.asarray(self.factors(np.array([frequency]))[:, 0] @ self._entries)
 
     def _stored(self, entries: Complex) -> sparse.csr_matrix:
-        # By rows or by columns is one for a symmetric matrix; by rows it is multiplied with faster.
+        # A symmetric matrix is the same by rows and by columns; products are faster by rows.
         pattern = self.operators.pattern
         return sparse.csr_matrix((entries, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def factored(self, frequency: float) -> tuple[sparse.csr_matrix, Factor]:
-        """A(w) (size, size), electrode included, and the factorised part without it.
+        """The matrix A(w) (size, size), electrode included, and the factorised part without the electrode.
 
         Raises:
             NotConverged: the matrix is singular.
@@ -274,7 +276,7 @@ class System:
     def krylov(
         self, frequency: float, count: int, *, step: float = 0.01, tangents: tuple[str, ...] = ()
     ) -> tuple[Complex, float]:
-        """The state at `frequency`, `count` - 1 further vectors that make up its neighbours, and `tangents`.
+        """The state at `frequency`, `count` - 1 further vectors that span the states nearby, and `tangents`.
 
         With A_0 = A(w) factorised once, A(w') x = b is (1 + A_0^-1 (A(w') - A_0)) x = x_0, so the states nearby lie
         close to the Krylov space of A_0^-1 (A(w (1 + step)) - A_0) started at x_0: one factorisation serves a whole
@@ -292,7 +294,8 @@ class System:
     ) -> tuple[Factor, Complex, float]:
         """The factorisation at `frequency`, and the vectors and the residual of :meth:`krylov`.
 
-        With `moves` (len(tangents), k) the derivatives along these directions of parameters, in place of by each.
+        With `moves` (len(tangents), k), the derivatives are taken along these directions of parameters, not by each
+        parameter.
         """
         whole, factor = self.factored(frequency)
         free = whole.shape[0] - 1
@@ -319,7 +322,7 @@ class System:
         return factor, states, residual
 
     def _changes(self, frequency: float, state: Complex, names: tuple[str, ...], moves: Real) -> Complex:
-        """(dA / dtheta) x (size, k) for complex parameters along `moves` (len(names), k)."""
+        """Products (dA / dtheta) x (size, k) for complex parameters along `moves` (len(names), k)."""
         omega = np.array([2.0 * np.pi * frequency])
         coefficients = self.operators.coefficients
         slopes = np.zeros((coefficients.count, len(names)), dtype=complex)
@@ -332,7 +335,7 @@ class System:
 def factorise(
     matrix: sparse.csc_matrix | sparse.csr_matrix, frequency: float, factorisation: Factorisation | None = None
 ) -> Factor:
-    """Scale a symmetric matrix (n, n) to unit diagonal and factorise it, with what knows its pattern if there is one.
+    """Scale a symmetric matrix (n, n) to unit diagonal and factorise it, with `factorisation` if it knows the pattern.
 
     The diagonal scaling brings displacement, potential and pressure to one size; without it energy does not close.
 
@@ -357,12 +360,14 @@ def sweep(
     operators: FullOperators, frequencies: Real, values: Values, *,
     failed: Callable[[NotConverged], None] | None = None,
 ) -> Iterator[Solution]:
-    """The full model at one frequency after the other, each as soon as it is solved, so that a stop loses nothing.
+    """Solve the full model at one frequency after the other, and yield each solution at once, so that a stop loses
+    none.
 
-    A frequency at which the solve does not converge is left out if there is a function `failed`, which is told.
+    If there is a function `failed`, it is called for a frequency at which the solve does not converge, and that
+    frequency is left out.
 
     Raises:
-        NotConverged: there is no such function.
+        NotConverged: a solve does not converge, and there is no such function.
     """
     system = System(operators, values)
     for frequency in np.asarray(frequencies, dtype=float):
@@ -380,7 +385,7 @@ def sweep(
 
 
 def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> Solution:
-    """The full model at every frequency with all states kept: for a few frequencies. Long spectra: :func:`sweep`."""
+    """Solve the full model at a few frequencies, with all states kept. For long spectra see :func:`sweep`."""
     parts = list(sweep(operators, frequencies, values))
     frequency = np.concatenate([p.frequency for p in parts])
     return Solution(operators, frequency, operators.coefficients.groups(2.0 * np.pi * frequency, values),
@@ -389,14 +394,14 @@ def solve_full(operators: FullOperators, frequencies: Real, values: Values) -> S
 
 
 def solve_reduced(operators: ReducedOperators, frequencies: Real, values: Values) -> Solution:
-    """The reduced model at every frequency: batched dense solves."""
+    """Solve the reduced model at every frequency: batched dense solves."""
     frequencies = np.asarray(frequencies, dtype=float)
     groups = operators.coefficients.groups(2.0 * np.pi * frequencies, values)
     return solve_groups(operators, frequencies, groups)
 
 
 def solve_groups(operators: ReducedOperators, frequencies: Real, groups: Groups) -> Solution:
-    """The reduced model at every frequency, of which `groups` is all that depends on values."""
+    """Solve the reduced model at every frequency, where `groups` is all that depends on parameter values."""
     summed = operators.combinations(np.array([constants for _, constants in groups]))
     with one_thread():
         found = solve_dense(np.stack([h for h, _ in groups]), summed)

@@ -1,4 +1,4 @@
-"""The sparsity pattern of an assembled model, and the real matrices on it that its sums are made of."""
+"""The sparsity pattern of an assembled model, and the real matrices on it whose sums are the model."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Kind = tuple[Part, Part, Radial | None]
 class MatrixBlock:
     """Real matrices of some kinds of pairs of parts at one place.
 
-    ``entries`` (kinds, m) at the ``positions`` (m,) of the upper triangle; ``mixing`` (kinds, integrals) how much of
-    each kind the integrals hold.
+    ``entries`` (kinds, m) at the ``positions`` (m,) of the upper triangle; ``mixing`` (kinds, integrals) is the weight
+    of each kind in each integral.
     """
 
     mixing: Real
@@ -34,10 +34,10 @@ class MatrixBlock:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A symmetric sparsity pattern: ``mirror`` says which entry of its upper triangle each stored one is.
+    """A symmetric sparsity pattern; ``mirror`` maps each stored entry to its index in the upper triangle.
 
-    ``rows`` (upper,) of the entries of the upper triangle, by columns, of which each begins at one of ``starts``
-    (size + 1,); ``keys`` (upper,) are column * size + row, ascending.
+    ``rows`` (upper,) are those of the entries of the upper triangle, column by column; the columns begin at ``starts``
+    (size + 1,). ``keys`` (upper,) are column * size + row, ascending.
     """
 
     matrix: sparse.csc_matrix
@@ -65,7 +65,7 @@ class Pattern:
         return cls(both, mirror, keys, once.indices, once.indptr)
 
     def position(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Where in the upper triangle entries (k,) belong, of either triangle."""
+        """Indices in the upper triangle of entries (k,) of either triangle."""
         wanted = np.maximum(rows, columns).astype(np.int64) * self.matrix.shape[0] + np.minimum(rows, columns)
         return np.searchsorted(self.keys, wanted)
 
@@ -79,7 +79,7 @@ class Symmetric:
 
     @property
     def stored(self) -> Complex:
-        """Its entries as `Pattern.matrix` stores them."""
+        """Its entries in the order of `Pattern.matrix`."""
         return self.upper[self.pattern.mirror]
 
     def times(self, state: NDArray[np.inexact]) -> Complex:
@@ -96,8 +96,10 @@ class Symmetric:
 
 @dataclass(frozen=True, eq=False)
 class FreeUnknowns:
-    """What is solved for when the voltage is given: ``pattern`` of the unknowns but the last, ``entries`` its places
-    among those of the whole, and the ``factorisation`` that knows the pattern."""
+    """The unknowns of a solve at given voltage: all but the last.
+
+    ``pattern`` is theirs, ``entries`` the indices of its entries in the pattern of the whole system, ``factorisation``
+    the method prepared for the pattern."""
 
     pattern: sparse.csc_matrix
     entries: NDArray[np.int64]
