@@ -19,14 +19,13 @@ from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
 from workbench.diagnosis.findings import Found, NotTried, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns
-from workbench.diagnosis.knowledge import Taken
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Left, SuspectPlace
 from workbench.diagnosis.record import record
 from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
-from workbench.model.numbers import Stated
+from workbench.model.numbers import Number, Stated
 from workbench.physics.term import Admissible
 from workbench.results.spectrum import Spectrum
 
@@ -68,8 +67,9 @@ def settled(*effects: Effect, off: float = 0.0, region: str = "") -> Settled:
 
 
 def campaign() -> Any:
+    gel = Number("couplant.thickness", 20e-6, stated=Stated(1e-6, origin="campaign.toml"), unit="m")
     return SimpleNamespace(name="device", fitted=(state("empty"),), held_out=(state("filled"),), tied={}, known={},
-                           taken=(Taken("couplant.thickness", 1e-6, "m", "campaign.toml"),))
+                           taken=(gel,))
 
 
 def model() -> Any:

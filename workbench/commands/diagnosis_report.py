@@ -155,7 +155,7 @@ def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
 
 def _taken(campaign: Campaign) -> TextTable:
     return TextTable(("parameter", "standard uncertainty", "unit", "from"), tuple(
-        (each.name, number_text(each.uncertainty * shown_factor(each.unit), 3), shown_unit(each.unit), each.source)
+        (each.name, number_text(each.deviation * shown_factor(each.unit), 3), shown_unit(each.unit), each.origin)
         for each in campaign.taken))
 
 

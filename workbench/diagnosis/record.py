@@ -102,7 +102,7 @@ def record(found: Diagnosis) -> dict[str, Any]:
                     "log_odds": decision.log_odds[e.hypothesis.name], "accuracy": e.accuracy,
                     "reduced_chi_square": float(np.mean(e.residual.vector**2))}
                    for settled in found.found.final for e in [settled.explanation]],
-        "taken": [vars(taken) for taken in found.campaign.taken], "undone": list(found.found.undone),
+        "taken": _taken(found.campaign), "undone": list(found.found.undone),
         "not_tried": [vars(each) for each in found.found.not_tried],
         # Of a search that was cut short: what explains best of what it looked at.
         "provisional": None if found.provisional is None else {"effects": _effects(found.provisional)},
@@ -120,7 +120,7 @@ def stopped_record(campaign: Campaign, seconds: float) -> dict[str, Any]:
         "read": {state.name: {"recording": state.measured.origin.source,
                               "points": int(state.measured.frequency.size), "held_out": state.held_out}
                  for state in campaign.states},
-        "taken": [vars(taken) for taken in campaign.taken], "seconds": seconds,
+        "taken": _taken(campaign), "seconds": seconds,
     }
 
 
@@ -131,3 +131,9 @@ def _effects(found: Diagnosis) -> list[dict[str, Any]]:
 
 def _estimate(found: FoundNumber) -> dict[str, Any]:
     return {"value": found.value, "low": found.low, "high": found.high, "unit": found.unit}
+
+
+def _taken(campaign: Campaign) -> list[dict[str, object]]:
+    """The numbers that were taken as known: how exactly, and who says so."""
+    return [{"name": each.name, "uncertainty": each.deviation, "unit": each.unit, "source": each.origin}
+            for each in campaign.taken]

@@ -15,7 +15,7 @@ from geometry.stretch import movable
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError, nearest_names
-from workbench.model.device_numbers import assumed_by_role, coefficient_number, length_number
+from workbench.model.device_numbers import assumed_by_role, bench_number, coefficient_number, length_number
 from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterKind, ParameterName, Stated
 from workbench.model.problem import Problem
 
@@ -236,9 +236,9 @@ def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
     if element not in BENCH_ELEMENTS:
         raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
                          nearest_names(element, BENCH_ELEMENTS))
-    known = BENCH_ELEMENTS[element]
-    return Parameter(BENCH + element, 0.0, known.low, known.high, Stated(known.prior, origin="benches of laboratories"),
-                     known.unit, recordings=tuple(recordings))
+    found = bench_number(element)
+    return Parameter(found.name, found.value, found.low, found.high, found.stated, found.unit,
+                     recordings=tuple(recordings))
 
 
 def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequence[str]) -> tuple[Parameter, ...]:

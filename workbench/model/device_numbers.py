@@ -13,7 +13,7 @@ from geometry.chip import Chip
 from geometry.stretch import tied
 from materials.kinds import Material
 from workbench.files.errors import InputError
-from workbench.model.numbers import LOSS, Number, ParameterName, Stated, limits
+from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterName, Stated, limits
 
 #: The amount that stands for what is assumed of a length by the role of its layer.
 ASSUMED = "assumed"
@@ -61,6 +61,13 @@ def coefficient_number(material: Material, name: str) -> Number:
     spread = entry and (entry.loss_uncertainty if parsed.is_loss else entry.uncertainty)
     stated = Stated(spread, origin=material.name) if spread else None
     return Number(str(parsed), value, *limits(str(parsed), value), stated, parsed.unit)
+
+
+def bench_number(element: str) -> Number:
+    """An element of the bench, a key of `workbench.model.numbers.BENCH_ELEMENTS`; zero where the bench is ideal."""
+    known = BENCH_ELEMENTS[element]
+    return Number(BENCH + element, 0.0, known.low, known.high, Stated(known.prior, origin="benches of laboratories"),
+                  known.unit)
 
 
 def assumed_by_role(name: str, value: float) -> Stated:
