@@ -14,11 +14,11 @@ import numpy as np
 from workbench.commands.asked import output_folder
 from workbench.commands.study_tables import confirmed_table, extremes_table, missing_table, statistics_table
 from workbench.commands.terminal import print_table, progress_bars, say_finding
-from workbench.design.axes import NumberAxis
 from workbench.design.figures import figure_named
 from workbench.design.plan import read_study
 from workbench.design.study import study
 from workbench.design.study_result import STATE, StudyResult
+from workbench.design.variables import VariedNumber
 from workbench.files.errors import InputError
 from workbench.files.quantities import shown_factor, shown_unit
 from workbench.model.problem import fill
@@ -101,7 +101,7 @@ def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], li
     plan, there = found.study, found.columns[STATE] == state
     parameters = [
         StudyColumn(_label(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
-        if isinstance(axis, NumberAxis) else StudyColumn(axis.name, plan.sample[:, at], axis.materials)
+        if isinstance(axis, VariedNumber) else StudyColumn(axis.name, plan.sample[:, at], axis.materials)
         for at, axis in enumerate(plan.axes)]
     figures = [StudyColumn(_label(name, figure_named(name).shown),
                            found.columns[name][there] / figure_named(name).factor)

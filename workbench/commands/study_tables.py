@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from workbench.design.axes import NumberAxis
 from workbench.design.figures import figure_named
 from workbench.design.study_result import MISSING, STATE, StudyResult
+from workbench.design.variables import VariedNumber
 from workbench.files.quantities import shown_factor, shown_unit
 from workbench.report.page import TextTable, number_text
 
@@ -43,7 +43,7 @@ def _place(result: StudyResult, row: int) -> str:
     for axis in result.study.axes:
         value = result.columns[axis.name][row]
         told.append(f"{axis.name} {number_text(value * shown_factor(axis.unit))} {shown_unit(axis.unit)}".strip()
-                    if isinstance(axis, NumberAxis) else f"{axis.name} {value}")
+                    if isinstance(axis, VariedNumber) else f"{axis.name} {value}")
     return ", ".join(told)
 
 
