@@ -31,12 +31,13 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "instruments": ("workbench.instruments",),
     "simulation": ("workbench.simulation",),
     "jobs": ("workbench.jobs",),
-    "report": ("workbench.report",),
     "bench": ("workbench.bench",),
+    "search": ("workbench.search",),
     "fitting": ("workbench.fitting", "workbench.reproduction"),
     "render": ("workbench.render",),
     "diagnosis": ("workbench.diagnosis",),
     "design": ("workbench.design",),
+    "report": ("workbench.report",),
     "live view": ("workbench.app",),
     "commands": ("workbench.commands", "workbench.cli", "workbench.__main__"),
 }
@@ -76,6 +77,7 @@ def arrows() -> dict[str, set[str]]:
 
     Raises:
         CycleError: imports in a circle.
+        LookupError: a module belongs to no group.
     """
     found: dict[str, set[str]] = {group: set() for group in GROUPS}
     for package in PACKAGES:
@@ -83,7 +85,9 @@ def arrows() -> dict[str, set[str]]:
             module = module_name(path)
             own = group_of(module)
             if own is None:
-                continue
+                if module == "workbench":
+                    continue
+                raise LookupError(f"{module} belongs to no group of GROUPS")
             for name in imports(ast.parse(path.read_text(encoding="utf-8"))):
                 if name.split(".")[0] in PACKAGES and not (
                         module == FOR_NOTEBOOKS[0] and name.startswith(FOR_NOTEBOOKS[1])):

@@ -526,9 +526,9 @@ def report(
     results: Sequence[Draw], gap: float,
 ) -> None:
     """Draw the pictures and write ``report.html``."""
-    from workbench.render.canvas import new_figure, save_figure
+    from workbench.render.canvas import Picture, new_figure, save_figure
     from workbench.render.plots import draw_loss_budget
-    from workbench.report.page import Note, Picture, TextTable, write_report
+    from workbench.report.page import Note, TextTable, write_report
 
     figure = new_figure(7.5, 4.0)
     axes = figure.subplots()

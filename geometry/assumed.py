@@ -1,7 +1,7 @@
 """Uncertainties of lengths that nobody measured, assumed by the role of their layer.
 
-A number that is freed without a statement of how exact it is - in a fit, a live view, a tolerance analysis or a
-diagnosis - is given the one that people who make such parts would give. Reports show it as assumed.
+A number that is freed without a stated accuracy - in a fit, a live view, a tolerance analysis or a diagnosis - gets the
+accuracy that people who make such parts would state. Reports show it as assumed.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from dataclasses import dataclass
 from geometry.dimension import Dimension
 from geometry.names import CAVITY, role_of
 
-#: Films that are spread by hand: they are known to within this factor, and searched within the shares of the value
-#: beside it. Doubled, a gel stated as 20 um would be as likely one of 120 um as one of 20 um.
+#: Films that are spread by hand: their thickness is known to within this factor, and searched within these multiples of
+#: its value. Doubled, a gel stated as 20 um would be as likely one of 120 um as one of 20 um.
 FILMS = ("couplant", "bond")
 FILM_FACTOR, FILM_RANGE = 3.0, (0.1, 5.0)
 
-#: Roles of the parts that are printed, layer on layer, and how far (m) their lengths and those of the hole in them are
-#: off: a layer, or half the width of a line of filament.
+#: Roles of parts that are printed layer on layer, and the tolerance (m) of their lengths and of those of their holes: a
+#: layer, or half the width of a line of filament.
 PRINTED = ("substrate", "sidewall")
 PRINTED_TOLERANCE = 50e-6
 
-#: What is turned, lapped or bought, relative: catalogues of discs and lids state 0.5 to 2 %.
+#: Relative tolerance of turned, lapped or bought parts: catalogues of discs and lids state 0.5 to 2 %.
 MACHINED_TOLERANCE = 0.01
 
-#: Standard uncertainty of a shape (m; rad for a draft), as far as parts of its kind have it: printers and moulds widen
-#: a hole by a degree, a printed side bulges by a tenth of a line of filament, glass as thin as a lid and lapped discs
-#: are flat to a few micrometres.
+#: Standard uncertainty of a shape (m; rad for a draft), as found in parts of its kind: printers and moulds widen a hole
+#: by a degree, a printed side bulges by a tenth of a line of filament, glass as thin as a lid and lapped discs are flat
+#: to a few micrometres.
 SHAPE_UNCERTAINTY: Mapping[str, float] = {"draft": math.radians(1.0), "barrel": 4e-5, "bow": 4e-6, "dome": 2e-6}
 
 
@@ -37,8 +37,8 @@ class LengthUncertainty:
     """The uncertainty of a length.
 
     ``deviation`` (m; rad for an angle) is the standard uncertainty; ``low`` and ``high`` are the limits that stand for
-    it, and ``lowest`` and ``highest`` those of a search. ``assumed`` says in words what was taken to be known where the
-    chip file states nothing, and is empty where it does.
+    it, and ``lowest`` and ``highest`` those of a search. ``assumed`` says in words which assumption was made, and is
+    empty if the chip file states the accuracy.
     """
 
     deviation: float
@@ -58,7 +58,7 @@ def is_film(name: str) -> bool:
 def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
     """The uncertainty of the dimension ``<region>.<what>``: stated in the chip file, or assumed by its role.
 
-    A tolerance is the limit of a uniform law. A search goes to three tolerances, or 2 % of the length where that is
+    A tolerance is the limit of a uniform law. A search goes to three tolerances, or to 2 % of the length if that is
     more. The thickness of a film is known to a factor: its logarithm is uniform.
     """
     region, _, what = name.rpartition(".")
@@ -79,7 +79,7 @@ def length_uncertainty(name: str, length: Dimension) -> LengthUncertainty:
 
 
 def assumed_uncertainty(name: str, value: float) -> LengthUncertainty:
-    """The uncertainty assumed of a dimension of that `value` (m or rad), whatever the chip file states."""
+    """The uncertainty assumed for a dimension of that `value` (m or rad), whatever the chip file states."""
     return length_uncertainty(name, Dimension(value))
 
 

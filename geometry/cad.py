@@ -18,25 +18,26 @@ from workbench.files.errors import InputError
 if TYPE_CHECKING:
     from cadquery import Face
 
-#: Faces that have more than this in common (mm^2) overlap: far below what anybody means, far above rounding.
+#: Largest area (mm^2) that two faces may have in common without an overlap: far below any intended one, far above
+#: rounding.
 SOME = 1e-7
 
 
 @dataclass(frozen=True)
 class DrawnLayer:
-    """The section of a layer, and what of its solid it leaves out ("" for nothing)."""
+    """The section of a layer, and a note on parts of its solid that the section leaves out ("" for none)."""
 
     face: Face
     left_out: str = ""
 
 
 def place(point: Any) -> str:
-    """A point of the section as messages show it."""
+    """A point of the section as text for messages."""
     return f"r = {point.x:.4g} mm, z = {point.z:.4g} mm"
 
 
 def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
-    """The distance (mm) between two shapes, and the points of the first one where it is so small."""
+    """The distance (mm) between two shapes, and the points of the first one at that distance."""
     from OCP.BRepExtrema import BRepExtrema_DistShapeShape
 
     near = BRepExtrema_DistShapeShape(one.wrapped, other.wrapped)
@@ -46,14 +47,14 @@ def closest(one: Any, other: Any) -> tuple[float, list[Any]]:
 
 def profile_face(profile: Profile, sizes: Mapping[str, float], bottom: float, *, source: str, field: str,
                  is_transducer: bool = False) -> DrawnLayer:
-    """The section of a layer whose bottom is at that height (m).
+    """The section of a layer whose bottom is at the height `bottom` (m).
 
     Args:
         sizes: the layer's own dimensions by name (m).
 
     Raises:
-        InputError: the outline is not closed, crosses itself or leaves the half plane, a script or a STEP file has not
-            what is asked for, or a solid does not turn about the axis.
+        InputError: the outline is not closed, crosses itself or leaves the half plane, a script or a STEP file lacks
+            the named part, or a solid is not a body of revolution about the axis.
     """
     where = profile.source
     if isinstance(where, Outline):
@@ -130,7 +131,7 @@ def _arc(begin: Any, middle: Any, end: Any, *, source: str, field: str) -> Any:
 
 
 def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
-    """Refuse an outline that meets itself elsewhere than in the corners of neighbours."""
+    """Raise if an outline meets itself elsewhere than in the corners of neighbours."""
     count = len(edges)
     for i in range(count):
         for j in range(i + 1, count):
@@ -149,11 +150,11 @@ def _check_simple(edges: Sequence[Any], source: str, field: str) -> None:
 
 
 def _section(made: Any, asymmetry: float, placement: Placement, source: str, field: str) -> DrawnLayer:
-    """The section of what a script or a file holds: of a solid, or the face itself."""
+    """The section of the content of a script or a file: of a solid, or the face itself."""
     cadquery = cadquery_module()
     values = [made]
     if isinstance(made, cadquery.Workplane):
-        # Lines that were drawn and nothing was made of yet.
+        # Lines that were drawn but not yet made into a shape.
         drawn = [*made.ctx.pendingWires, *([cadquery.Wire.assembleEdges(made.ctx.pendingEdges)]
                                            if made.ctx.pendingEdges else [])]
         values = drawn or list(made.vals())
@@ -194,11 +195,11 @@ def _step_section(where: StepPart, asymmetry: float, placement: Placement) -> Dr
 
 
 def measured_part(where: StepPart, asymmetry: float, placement: Placement) -> dict[str, float]:
-    """Where the solid of a STEP file begins and how large it is: ``bottom``, ``thickness``, ``radius`` and, of one with
-    a hole along the axis, ``cavity_radius`` (m).
+    """Measures (m) of the solid of a STEP file: ``bottom``, ``thickness``, ``radius`` and, if there is a hole along the
+    axis, ``cavity_radius``.
 
     Raises:
-        InputError: as of :func:`profile_face`.
+        InputError: as in :func:`profile_face`.
     """
     box = _step_section(where, asymmetry, placement).face.BoundingBox()
     found = {"bottom": box.zmin, "thickness": box.zmax - box.zmin, "radius": box.xmax}
@@ -231,7 +232,7 @@ def curve_of(edge: Any) -> Arc:
 
 
 def face_of(arcs: Iterable[Arc]) -> Face:
-    """The face that whole lines and parabolas bound (`geometry.curves`), whose poles are those of Bezier curves."""
+    """The face bounded by whole lines and parabolas (`geometry.curves`), whose poles are those of Bezier curves."""
     cadquery = cadquery_module()
     edges = []
     for arc in arcs:

@@ -1,5 +1,7 @@
-"""Checks of a chip's description. Each raises the InputError of the first mistake it finds; `file` is the name it is
-reported under, and lengths in messages are in millimetres."""
+"""Checks of a chip's description. Each raises the InputError of the first mistake it finds.
+
+`file` is the name that mistakes are reported under; lengths in messages are in millimetres.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,9 @@ from workbench.files.errors import InputError, choose
 def check_dimensions(
     layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], file: str
 ) -> None:
-    """The lengths are above zero with tolerances below them, and the `band` (Hz) rises.
+    """Check that lengths are above zero, tolerances below them, and the ends of the `band` (Hz) in order.
 
-    `named` are all lengths by name, as of `geometry.chip.Chip.dimensions`.
+    `named` are all lengths by name, as in `geometry.chip.Chip.dimensions`.
     """
     low, high = band
     if not 0.0 < low < high:
@@ -52,7 +54,7 @@ def check_dimensions(
 
 
 def check_shapes(layers: Sequence[Layer], file: str) -> None:
-    """What is stated of the shapes of layers is finite, and can be made; tolerances are not negative."""
+    """Check that stated shapes of layers are finite and can be made, and that their tolerances are not negative."""
     profiled = any(layer.profile is not None for layer in layers)
     for i, layer in enumerate(layers):
         for name, size in layer.shapes.items():
@@ -73,13 +75,13 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
 
 
 def _shown(name: str, size: float) -> str:
-    """A size of the shape of that name as messages show it."""
+    """A size of the shape of that name, as text for messages."""
     return f"{math.degrees(size):.4g} deg" if SHAPES[name] == "angle" else millimetres(size)
 
 
 def check_cavity(layers: Sequence[Layer], file: str) -> None:
-    """The holes are in neighbouring layers, narrower than these, and closed below and above."""
-    # A hole is only ever as wide as its neighbours reach, so no ring is left resting on nothing either.
+    """Check that holes are in neighbouring layers, narrower than these, and closed below and above."""
+    # A hole is never wider than its neighbours, so no ring is left without support either.
     places = [i for i, layer in enumerate(layers) if layer.cavity_radius is not None]
     for i in places:
         layer = layers[i]
@@ -126,7 +128,7 @@ def _hole(layer: Layer) -> str:
 
 
 def check_stack(layers: Sequence[Layer], file: str) -> None:
-    """Every layer has a role, one is the transducer, and each rests on the one below."""
+    """Check that every layer has a role, that one is the transducer, and that each rests on the one below."""
     roles = [layer.role for layer in layers]
     for i, layer in enumerate(layers):
         choose(layer.role, ROLES, source=file, field=f"layers[{i}].role")
@@ -148,7 +150,7 @@ def check_stack(layers: Sequence[Layer], file: str) -> None:
             continue
         below = layers[i - 1]
         if layer.profile is not None or below.profile is not None:
-            continue  # whether they fit is seen in the section
+            continue  # The section shows whether they fit.
         distance = layer.z_bottom - below.z_top
         if abs(distance) > SAME_LENGTH:
             fault = "leaves a gap above" if distance > 0 else "overlaps"
@@ -173,7 +175,7 @@ def _nearest(profile: Profile, layer: Layer) -> float:
 
 
 def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
-    """The electrodes lie on the transducer, whose radius is `rim` (metres)."""
+    """Check that the electrodes lie on the transducer, whose radius is `rim` (metres)."""
     choose(electrodes.live, ("top", "bottom"), source=file, field="electrodes.live")
     for name, disc in discs(electrodes):
         radius = rim if disc.radius is None else disc.radius.value
@@ -187,7 +189,7 @@ def check_electrodes(electrodes: Electrodes, rim: float, file: str) -> None:
 
 
 def check_ports(ports: Ports | None, holes: Sequence[Layer], file: str) -> None:
-    """The ports run through the wall of the cavity, beside each other."""
+    """Check that the ports run through the wall of the cavity, beside each other."""
     if ports is None:
         return
     if not holes:
@@ -215,7 +217,7 @@ def check_ports(ports: Ports | None, holes: Sequence[Layer], file: str) -> None:
 
 
 def check_states(states: Sequence[State], layers: Sequence[Layer], file: str) -> None:
-    """The cavity has a filling in every state, and a particle fits into it."""
+    """Check that the cavity has a filling in every state, and that a particle fits into it."""
     holes = [layer for layer in layers if layer.cavity_radius is not None]
     if not states:
         raise InputError(file, "states", None, "at least one state")

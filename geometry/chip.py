@@ -1,7 +1,7 @@
 """A chip as a person describes it: layers from bottom to top, a cavity through some of them, and its states.
 
-:func:`read_chip` reads a TOML file; every length carries its unit, every mistake is answered by an
-`InputError` that names the file, the field, the value and the remedy. Materials are only names here.
+:func:`read_chip` reads a TOML file. Every length carries its unit; every mistake raises an `InputError` that names the
+file, the field, the value and the remedy. Materials are only names here.
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ class Chip:
     """A chip whose description has been checked.
 
     ``layers`` from bottom to top, ``band`` the two ends (Hz) of the frequencies it is meant for, ``states`` in the
-    order of the file, ``source`` where the description comes from, ``file`` the name errors are reported under.
-    ``unusual`` names what is meant although nobody would expect it (`geometry.plausible`): a gel of 2 mm, a wide band.
+    order of the file, ``source`` the origin of the description, ``file`` the name errors are reported under.
+    ``unusual`` lists names whose values are meant although they look like a slip (`geometry.plausible`): a gel of 2 mm,
+    a wide band.
 
     Raises:
-        InputError: the layers do not make a chip (`geometry.checks`), whether read from a file or made in code.
+        InputError: the layers do not make a chip (`geometry.checks`), read from a file or made in code.
     """
 
     name: str
@@ -82,12 +83,12 @@ class Chip:
 
     @property
     def is_shaped(self) -> bool:
-        """Whether a layer is no disc with plane faces and upright sides."""
+        """Whether some layer is not a disc with plane faces and upright sides."""
         return self.is_profiled or any(layer.shapes for layer in self.layers)
 
     @property
     def is_profiled(self) -> bool:
-        """Whether the outline of a layer is another than a rectangle (`geometry.profile`)."""
+        """Whether the outline of some layer is not a rectangle (`geometry.profile`)."""
         return any(layer.profile is not None for layer in self.layers)
 
     def layer(self, region: str) -> Layer:
@@ -100,7 +101,7 @@ class Chip:
         return layers[choose(region, layers, source=self.file, field="region")]
 
     def state(self, name: str | None = None) -> State:
-        """The state of that name; the last one of the file, in which a device works, if none is given.
+        """The state of that name, or without a name the last one of the file, in which a device works.
 
         Raises:
             InputError: the chip has no such state.
@@ -114,7 +115,7 @@ class Chip:
         """The layer the ports run through and the height of their axes (metres, in the chip's own z).
 
         Raises:
-            InputError: the chip has no ports, or their height lies beside the cavity.
+            InputError: the chip has no ports, or their height is outside the cavity.
         """
         return port_axis(self.ports, self.holes, file=self.file)
 
@@ -131,20 +132,20 @@ class Chip:
     def dimensions(self) -> dict[str, Dimension]:
         """Every length that can be changed by name, in the order of the layers.
 
-        ``<region>.thickness`` and ``<region>.radius``; ``cavity.radius`` when all holes are equally wide, otherwise
-        ``<region>.cavity_radius`` each; ``electrode_live.radius``, ``electrode_live.inner_radius`` and the same of the
-        ground electrode where they are not the whole face; ``ports.diameter`` and ``ports.height`` where given.
+        ``<region>.thickness`` and ``<region>.radius``; ``cavity.radius`` if all holes are equally wide, otherwise
+        ``<region>.cavity_radius`` each; ``electrode_live.radius``, ``electrode_live.inner_radius`` and likewise of the
+        ground electrode if they do not cover the whole face; ``ports.diameter`` and ``ports.height`` if given.
         """
         return dict(named_dimensions(self.layers, self.electrodes, self.ports))
 
     def with_dimensions(self, values: Mapping[str, float], *, unusual: Collection[str] = ()) -> Chip:
-        """The same chip with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
+        """A copy with other lengths (metres), by the names of :meth:`dimensions`; layers above move along.
 
-        The tolerance of a length was that of its old value, and goes with it. A length that no such part has is refused
-        unless its name is among the `unusual` ones; a small move beyond what is usual makes it one of these.
+        A changed length loses its tolerance, which was that of its old value. A length outside the usual range is
+        refused unless its name is among the `unusual` ones; a small move out of the range makes it unusual.
 
         Raises:
-            InputError: unknown name, a length that is no such part's, or the new lengths do not make a chip.
+            InputError: unknown name, a length outside the usual range, or the new lengths do not make a chip.
         """
         known = self.dimensions()
         beyond = [name for name, value in values.items()
@@ -207,12 +208,12 @@ class Chip:
 
 
 def _resized(old: Dimension, value: float) -> Dimension:
-    """A dimension of another size, which has no tolerance; itself where the size is its own."""
+    """A dimension of another size without tolerance; the dimension itself if the size is its own."""
     return old if value == old.value else replace(old, value=value, tolerance=None)
 
 
 def read_chip(path: Path | str) -> Chip:
-    """The chip described by a TOML file.
+    """Read the chip described by a TOML file.
 
     Raises:
         InputError: the file is missing, is not TOML, or does not describe a chip.
@@ -221,7 +222,7 @@ def read_chip(path: Path | str) -> Chip:
 
 
 def parse_chip(content: Mapping[str, Any], *, source: str) -> Chip:
-    """The chip described by the content of a chip file; `source` is the name its mistakes are reported under.
+    """The chip described by the content of a chip file; `source` is the name that mistakes are reported under.
 
     Raises:
         InputError: the content does not describe a chip.

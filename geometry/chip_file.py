@@ -1,13 +1,10 @@
-"""The text of a chip file: what `geometry.chip.read_chip` reads back to the same chip."""
+"""The text of a chip file, which `geometry.chip.read_chip` reads back to an equal chip."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-
-import tomli_w
 
 from geometry.chip import Chip
 from geometry.dimension import SHAPES, Dimension
@@ -15,14 +12,12 @@ from geometry.names import TRANSDUCER
 from geometry.parts import Electrodes, Layer, Ports, ReportedFigures, State, discs
 from geometry.profile import ASYMMETRY, AXES, Corner, Outline, Placement, Profile, Script, Size, StepPart
 from workbench.files.quantities import format_quantity
+from workbench.files.toml import TomlEntry, toml_heading, toml_table
 from workbench.files.writing import write_atomic
-
-#: What stands behind a key: texts, numbers, flags, and tables and lists of these.
-Entry = str | float | bool | Mapping[str, "Entry"] | list["Entry"]
 
 
 def write_chip(chip: Chip, path: Path | str) -> Path:
-    """Write `chip` to `path` as a chip file, whole or not at all. Comments of the file it was read from are not kept.
+    """Write `chip` to `path` as a chip file, whole or not at all. Comments of an earlier file are not kept.
 
     Raises:
         OSError: the file cannot be written.
@@ -34,58 +29,23 @@ def write_chip(chip: Chip, path: Path | str) -> Path:
 
 def chip_text(chip: Chip, folder: Path = Path()) -> str:
     """The chip as the text of a chip file in `folder`: lengths with unit, tolerance and note; no digit is lost."""
-    head: dict[str, Entry] = {"name": chip.name}
+    head: dict[str, TomlEntry] = {"name": chip.name}
     head |= {key: text for key, text in (("description", chip.description), ("source", chip.source)) if text}
     head["band"] = [format_quantity(end, "frequency", ("MHz", "kHz", "Hz")) for end in chip.band]
     head |= {"unusual": list(chip.unusual)} if chip.unusual else {}
-    parts = [_table("[chip]", head)]
+    parts = [toml_table("[chip]", head)]
     for layer, below in zip(chip.layers, (None, *chip.layers), strict=False):
-        # A bottom is written only where the layer does not start where the one below ends, to the last digit.
+        # A bottom is written only if the layer does not start exactly at the end of the one below.
         resting = (0.0 if below is None else below.z_top) == layer.z_bottom
-        parts.append(_table("[[layers]]", _layer(layer, chip.electrodes, folder, with_bottom=not resting)))
+        parts.append(toml_table("[[layers]]", _layer(layer, chip.electrodes, folder, with_bottom=not resting)))
     if chip.ports is not None:
-        parts.append(_table("[cavity]", {"ports": _ports(chip.ports)}))
-    parts += [_table(_heading("states", state.name), _state(state)) for state in chip.states]
+        parts.append(toml_table("[cavity]", {"ports": _ports(chip.ports)}))
+    parts += [toml_table(toml_heading("states", state.name), _state(state)) for state in chip.states]
     return "\n".join(parts)
 
 
-def _table(heading: str, content: Mapping[str, Entry]) -> str:
-    return "\n".join([heading, *_lines(content), ""])
-
-
-def _heading(*names: str) -> str:
-    """The heading of a table, its names quoted where they must be."""
-    nested: dict[str, object] = {}
-    for name in reversed(names):
-        nested = {name: nested}
-    return tomli_w.dumps(nested).strip().splitlines()[-1]
-
-
-def _lines(content: Mapping[str, Entry]) -> Iterator[str]:
-    """One line a key, tables and lists on it; only a text of several lines keeps them."""
-    for key, value in content.items():
-        if isinstance(value, str) and "\n" in value and "\r" not in value:
-            yield tomli_w.dumps({key: value}, multiline_strings=True).rstrip("\n")
-        else:
-            yield f"{_assigned(key)}{_inline(value)}"
-
-
-def _assigned(key: str) -> str:
-    """The key with its equals sign, quoted where it must be."""
-    return tomli_w.dumps({key: 0}).removesuffix("0\n")
-
-
-def _inline(value: Entry) -> str:
-    """The value on one line, as people write chip files: `tomli_w` gives tables and lists lines of their own."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_assigned(key)}{_inline(each)}" for key, each in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_inline, value)) + "]"
-    return tomli_w.dumps({"x": value}).removeprefix("x = ").rstrip("\n")
-
-
 def _length(value: float) -> str:
-    # Films and gels in micrometres, all else in millimetres.
+    # Micrometres for films and gels, millimetres otherwise.
     return format_quantity(value, "length", ("um", "mm", "m") if abs(value) < 1e-4 else ("mm", "um", "m"))
 
 
@@ -93,9 +53,9 @@ def _angle(value: float) -> str:
     return format_quantity(value, "angle", ("deg", "rad"))
 
 
-def _dimension(dimension: Dimension, kind: str = "length") -> Entry:
+def _dimension(dimension: Dimension, kind: str = "length") -> TomlEntry:
     written = _angle if kind == "angle" else _length
-    table: dict[str, Entry] = {"value": written(dimension.value)}
+    table: dict[str, TomlEntry] = {"value": written(dimension.value)}
     if dimension.tolerance is not None:
         table["tolerance"] = written(dimension.tolerance)
     if dimension.assumed:
@@ -105,8 +65,8 @@ def _dimension(dimension: Dimension, kind: str = "length") -> Entry:
     return table if len(table) > 1 else table["value"]
 
 
-def _layer(layer: Layer, electrodes: Electrodes, folder: Path, *, with_bottom: bool) -> dict[str, Entry]:
-    found: dict[str, Entry] = {"role": layer.role, "material": layer.material}
+def _layer(layer: Layer, electrodes: Electrodes, folder: Path, *, with_bottom: bool) -> dict[str, TomlEntry]:
+    found: dict[str, TomlEntry] = {"role": layer.role, "material": layer.material}
     if layer.density is not None:
         found["density"] = format_quantity(layer.density, "density", ("kg/m^3",))
     found |= {"thickness": _dimension(layer.thickness), "radius": _dimension(layer.radius)}
@@ -120,8 +80,8 @@ def _layer(layer: Layer, electrodes: Electrodes, folder: Path, *, with_bottom: b
     return found | ({"electrodes": _electrodes(electrodes)} if layer.role == TRANSDUCER else {})
 
 
-def _profile(profile: Profile, folder: Path) -> Entry:
-    found: dict[str, Entry] = {}
+def _profile(profile: Profile, folder: Path) -> TomlEntry:
+    found: dict[str, TomlEntry] = {}
     match profile.source:
         case Outline(corners):
             found["points"] = [_corner(corner) for corner in corners]
@@ -137,9 +97,9 @@ def _profile(profile: Profile, folder: Path) -> Entry:
     return found | ({"asymmetry": profile.asymmetry} if profile.asymmetry != ASYMMETRY else {})
 
 
-def placement_keys(placement: Placement) -> dict[str, Entry]:
-    """The keys of a profile that say how its solid stands, those that are not as usual."""
-    found: dict[str, Entry] = {}
+def placement_keys(placement: Placement) -> dict[str, TomlEntry]:
+    """The keys of a profile that place its solid, without those at their usual value."""
+    found: dict[str, TomlEntry] = {}
     if placement.axis != AXES["z"]:
         named = next((name for name, axis in AXES.items() if axis == placement.axis), None)
         found["axis"] = named or [*placement.axis]
@@ -155,14 +115,14 @@ def _beside(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
-def _corner(corner: Corner) -> Entry:
-    def size(value: Size) -> Entry:
+def _corner(corner: Corner) -> TomlEntry:
+    def size(value: Size) -> TomlEntry:
         return value if isinstance(value, str) else _length(value)
 
-    def point(values: tuple[Size, Size]) -> Entry:
+    def point(values: tuple[Size, Size]) -> TomlEntry:
         return [size(each) for each in values]
 
-    found: dict[str, Entry] = {"at": point(corner.at)}
+    found: dict[str, TomlEntry] = {"at": point(corner.at)}
     if corner.fillet is not None:
         found["fillet"] = size(corner.fillet)
     if corner.through:
@@ -172,8 +132,8 @@ def _corner(corner: Corner) -> Entry:
     return found if len(found) > 1 else found["at"]
 
 
-def _electrodes(electrodes: Electrodes) -> Entry:
-    found: dict[str, Entry] = {"live": electrodes.live}
+def _electrodes(electrodes: Electrodes) -> TomlEntry:
+    found: dict[str, TomlEntry] = {"live": electrodes.live}
     for prefix, (_, disc) in zip(("live", "ground"), discs(electrodes), strict=True):
         for key, dimension in ((f"{prefix}_radius", disc.radius), (f"{prefix}_inner_radius", disc.inner_radius)):
             if dimension is not None:
@@ -181,13 +141,13 @@ def _electrodes(electrodes: Electrodes) -> Entry:
     return found
 
 
-def _ports(ports: Ports) -> Entry:
-    height: dict[str, Entry] = {} if ports.height is None else {"height": _dimension(ports.height)}
+def _ports(ports: Ports) -> TomlEntry:
+    height: dict[str, TomlEntry] = {} if ports.height is None else {"height": _dimension(ports.height)}
     return {"diameter": _dimension(ports.diameter), **height, "count": ports.count}
 
 
-def _state(state: State) -> dict[str, Entry]:
-    found: dict[str, Entry] = {}
+def _state(state: State) -> dict[str, TomlEntry]:
+    found: dict[str, TomlEntry] = {}
     if state.cavity is not None:
         found["cavity"] = state.cavity
     if state.temperature is not None:
@@ -203,6 +163,6 @@ def _state(state: State) -> dict[str, Entry]:
     return found
 
 
-def _reported(figures: ReportedFigures) -> Entry:
+def _reported(figures: ReportedFigures) -> TomlEntry:
     return {"label": figures.label, "f0": format_quantity(figures.f0, "frequency", ("MHz", "kHz", "Hz")),
             "z_min": format_quantity(figures.z_min, "resistance", ("ohm",)), "q": figures.q}

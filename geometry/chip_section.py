@@ -1,4 +1,4 @@
-"""The half section of any chip: of rectangles where all layers are discs, else of the faces that CadQuery draws."""
+"""The half section of any chip: rectangles if all layers are discs, else the faces that CadQuery draws."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 def chip_section(chip: Chip, like: FreeSection | None = None) -> Section | FreeSection:
-    """The half section of `chip`, the cavity included whatever fills it, its ports left out.
+    """The half section of `chip` with its cavity, filled or not, and without its ports.
 
-    Where layers have profiles their faces are cut as those of another section are that it should be `like`, so that
-    only what differs moves.
+    Faces of layers with profiles are cut at the radii of another section, `like`, if given, so that only differing
+    lines move.
 
     Raises:
         InputError: outlines that cannot be made or do not fit each other.
@@ -77,7 +77,7 @@ def section_faces(chip: Chip) -> dict[str, Face]:
     """The faces of the layers of a chip with profiles, and of its cavity, by region (mm).
 
     Raises:
-        InputError: as of :func:`chip_section`.
+        InputError: as in :func:`chip_section`.
         SolidError: CadQuery is not installed.
     """
     from geometry.dissection import faces_of
@@ -86,10 +86,10 @@ def section_faces(chip: Chip) -> dict[str, Face]:
 
 
 def volumes(chip: Chip) -> dict[str, float]:
-    """Volume of every region in cubic metres, by the outlines of its section; ports are not counted.
+    """Volume of every region in cubic metres, from the outlines of its section; ports are not counted.
 
     Raises:
-        InputError: as of :func:`chip_section`.
+        InputError: as in :func:`chip_section`.
         SolidError: a layer has a profile and CadQuery is not installed.
     """
     if chip.is_profiled:

@@ -51,7 +51,7 @@ def read_band(head: FileTable) -> tuple[float, float]:
 
 
 def read_layers(root: FileTable) -> tuple[tuple[Layer, ...], Electrodes]:
-    """The layers from bottom to top, each on the one below unless it says where its bottom is, and the electrodes."""
+    """The layers from bottom to top, each on the one below unless its bottom is stated, and the electrodes."""
     expected = "a list of layers from bottom to top, each under [[layers]]"
     tables = root.tables("layers", expected=expected)
     if not tables:
@@ -98,25 +98,25 @@ def read_layers(root: FileTable) -> tuple[tuple[Layer, ...], Electrodes]:
 
 
 def _other_way(profile: Profile) -> str:
-    """The axis of a profile in the other direction, as a file says it."""
+    """The opposite direction of a profile's axis, in the words of a file."""
     reverse = tuple(-each + 0.0 for each in profile.placement.axis)
     return next((name for name, axis in AXES.items() if axis == reverse), str(list(reverse)))
 
 
 def _refuse_not_round(table: FileTable) -> None:
-    """Refuse keys of things that are not round, with what to say in their place."""
+    """Raise for keys of things that are not round, with the advice for each."""
     for key in table:
         if key.casefold() in NOT_KEYS:
             raise InputError(table.source, table.at(key), table.content[key], NOT_KEYS[key.casefold()])
 
 
 def _dimension_or(table: FileTable, key: str, measured: Mapping[str, float]) -> Dimension:
-    """A dimension of the file, or of a part that was measured."""
+    """A dimension from the file, or else from a measured part."""
     return read_dimension(table, key) if key in table or key not in measured else Dimension(measured[key])
 
 
 def _radius_or(table: FileTable, key: str, diameter: str, measured: Mapping[str, float]) -> Dimension:
-    """A radius of the file, a diameter halved, or a part's that was measured."""
+    """A radius from the file, from a halved diameter, or else from a measured part."""
     if key in table or diameter in table or key not in measured:
         return read_radius(table, key, diameter)
     return Dimension(measured[key])
@@ -135,7 +135,7 @@ def _disc(table: FileTable, name: str, rim: float) -> ElectrodeDisc:
         key = f"{name}_radius" if f"{name}_radius" in table else f"{name}_diameter"
         size = f"radius, {millimetres(rim)}" if key.endswith("radius") else f"diameter, {millimetres(2.0 * rim)}"
         raise InputError(table.source, table.at(key), radius.typed, f"at most the transducer's {size}")
-    # An electrode as wide as its disc covers the face and follows the disc when its radius is changed.
+    # An electrode as wide as its disc covers the face and follows the disc's radius.
     covers = radius is None or abs(radius.value - rim) <= SAME_LENGTH
     return ElectrodeDisc(None if covers else radius,
                          _optional_radius(table, f"{name}_inner_radius", f"{name}_inner_diameter"))
@@ -149,7 +149,7 @@ def read_ports(table: FileTable) -> Ports:
 
 
 def read_states(states: FileTable) -> tuple[State, ...]:
-    """The states in the order of the file; one called ``default`` where it has none."""
+    """The states in the order of the file; without any, one called ``default``."""
     if not states.content:
         return (State("default"),)
     return tuple(_state(name, states.table(name)) for name in states)

@@ -14,19 +14,19 @@ from scipy.interpolate import BSpline
 
 Real = NDArray[np.float64]
 
-#: Points that a curve is looked at between two of its knots.
+#: Number of points per knot interval at which a curve is sampled. Twice as many find crossings twice as close.
 SAMPLES = 9
 
-#: Points and weights of a quadrature between two knots.
+#: Points and weights of a quadrature between two knots, exact for polynomials of degree 15.
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
-#: A curve whose points lie this close to the chord (m) is a line.
+#: Largest distance (m) of the points of a line from its chord.
 STRAIGHT = 1e-10
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve from t = 0 to t = 1: ``poles`` (r w, z w, w) of a rational B-spline, r and z in metres, w its weights."""
+    """A curve from t = 0 to t = 1: ``poles`` (r w, z w, w) of a rational B-spline, r and z in metres, w the weights."""
 
     degree: int
     knots: tuple[float, ...]
@@ -49,7 +49,7 @@ class Curve:
 
     @cached_property
     def is_line(self) -> bool:
-        """Whether it is a line that is passed at one speed."""
+        """Whether it is a line with constant speed."""
         return self.degree == 1 and len(self.poles) == 2 and self.poles[0][2] == self.poles[1][2] == 1.0
 
     def at(self, t: Real) -> Real:
@@ -63,7 +63,7 @@ class Curve:
         return np.moveaxis(found[..., :2] / found[..., 2:], -1, 0)
 
     def slope(self, t: Real) -> Real:
-        """Their derivatives (2, ...) by t."""
+        """Derivatives (2, ...) of the points by t."""
         found, slopes = self._spline(t), self._spline(t, 1)
         weight = found[..., 2:]
         return np.moveaxis((slopes[..., :2] - found[..., :2] * slopes[..., 2:] / weight) / weight, -1, 0)
@@ -91,12 +91,12 @@ class Arc:
 
     @cached_property
     def back(self) -> Arc:
-        """The same in the other direction."""
+        """The arc in the other direction."""
         return Arc(self.curve, self.end, self.start)
 
     @cached_property
     def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The points (m) it starts and ends at."""
+        """The points (m) at its start and its end."""
         (r0, r1), (z0, z1) = self.at(np.array([0.0, 1.0])).tolist()
         return (r0, z0), (r1, z1)
 
@@ -129,7 +129,7 @@ class Arc:
 
     @cached_property
     def turning(self) -> float:
-        """The angle (rad) that its tangent turns by altogether."""
+        """The total angle (rad) by which its tangent turns."""
         steps = np.column_stack([self.direction(0.0), np.diff(self.polyline, axis=1), self.direction(1.0)])
         steps = steps[:, np.hypot(*steps) > 0.0]
         angles = np.arctan2(steps[1], steps[0])
@@ -137,7 +137,7 @@ class Arc:
 
     @cached_property
     def is_straight(self) -> bool:
-        """Whether it is a line."""
+        """Whether it is a straight line."""
         (r0, z0), (r1, z1) = self.ends
         chord = np.array([r1 - r0, z1 - z0]) / math.hypot(r1 - r0, z1 - z0)
         r, z = self.polyline
@@ -145,17 +145,18 @@ class Arc:
 
     @property
     def area(self) -> float:
-        """Its share of the area (m^2) of what it bounds anticlockwise: the integral of r dz."""
+        """Its contribution to the area (m^2) that a loop bounds anticlockwise: the integral of r dz."""
         return self._integral(lambda point, slope: point[0] * slope[1])
 
     @property
     def volume(self) -> float:
-        """Its share of the volume (m^3) of what it bounds, turned about the axis: the integral of pi r^2 dz."""
+        """Its contribution to the volume (m^3) that a loop bounds when turned about the axis: the integral of pi r^2
+        dz."""
         return self._integral(lambda point, slope: math.pi * point[0] ** 2 * slope[1])
 
     def share_of(self, axis: int, value: float) -> float | None:
-        """The share of the way at which a coordinate (0 r, 1 z) is `value` (m); None where it never is between its
-        ends. The first one of several."""
+        """The share of the way at which a coordinate (0 r, 1 z) is `value` (m), the first of several; None if it never
+        is between the ends."""
         if self.curve.is_line:
             begin, end = (point[axis] for point in self.ends)
             return (value - begin) / (end - begin) if min(begin, end) < value < max(begin, end) else None

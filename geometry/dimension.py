@@ -1,4 +1,4 @@
-"""One size of a chip: its value, how exact it is, and where it comes from."""
+"""One size of a chip: its value, its tolerance, and its source."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from workbench.files.tables import FileTable
 SAME_LENGTH = 1e-9
 
 
-#: What may be stated of the shape of a layer, and the dimension of each.
+#: Shapes that may be stated for a layer, and the dimension of each.
 SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length", "dome": "length"}
 
 
@@ -22,9 +22,9 @@ SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "lengt
 class Dimension:
     """One length of a chip, or one angle.
 
-    ``value`` and ``tolerance`` in metres, or radians (``None``: nobody said how exact), ``assumed`` when it was not
-    measured or published but chosen, ``note`` where it comes from. ``typed`` is the value as a file has it, for
-    messages; it says nothing where the value is another by now.
+    ``value`` and ``tolerance`` in metres, or radians (tolerance ``None`` if nobody stated it); ``assumed`` if it was
+    not measured or published but chosen; ``note`` its source. ``typed`` is the value as written in a file, for
+    messages; it is ignored if the value has changed since.
     """
 
     value: float
@@ -35,12 +35,12 @@ class Dimension:
 
 
 def millimetres(length: float) -> str:
-    """A length (metres) as messages show it."""
+    """A length (metres) as text for messages."""
     return f"{1e3 * length:.6g} mm"
 
 
 def dimension_text(dimension: Dimension, kind: str = "length") -> str:
-    """A length or an angle as messages show it: as it was typed, where that is what it still is."""
+    """A length or an angle as text for messages: as it was typed, if the value is still that."""
     try:
         if parse_quantity(dimension.typed, kind, source="", field="") == dimension.value:
             return dimension.typed
@@ -50,7 +50,7 @@ def dimension_text(dimension: Dimension, kind: str = "length") -> str:
 
 
 def read_radius(table: FileTable, key: str, diameter: str) -> Dimension:
-    """The radius under `key`, or half of the diameter under that key, as :func:`read_dimension` reads each.
+    """The radius under `key`, or half of the diameter under `diameter`, each read by :func:`read_dimension`.
 
     Raises:
         InputError: both are given, or neither.
@@ -64,7 +64,7 @@ def read_radius(table: FileTable, key: str, diameter: str) -> Dimension:
 
 
 def read_dimension(table: FileTable, key: str, kind: str = "length") -> Dimension:
-    """``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
+    """Read ``"2.02 mm"`` or ``{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "..." }``."""
     example = {"length": "2.02 mm", "angle": "3 deg"}[kind]
     if not isinstance(table.required(key, f'{"an" if kind == "angle" else "a"} {kind} with its unit, for example '
                                           f'"{example}"'), dict):

@@ -1,9 +1,9 @@
-"""From the faces of layers to a section: what they leave free, and how they are cut into faces that are easy to mesh.
+"""From the faces of layers to a section: the space they enclose, and cuts into faces that are easy to mesh.
 
-Faces of neighbours have to fit: they may not overlap, and what they enclose is the cavity or a gap that nobody meant.
-A face with four sides is filled with rows and columns of quadrilaterals. Others are cut by lines along z, in corners
-that point into them and on both sides of what is steep or strongly curved (a fillet, a drafted wall), so that only a
-small part remains that is not.
+Faces of neighbours have to fit: they may not overlap, and the space they enclose is the cavity, or else an unintended
+gap. A face with four sides is filled with rows and columns of quadrilaterals. Other faces are cut by lines along z, in
+corners that point into them and on both sides of steep or strongly curved parts (a fillet, a drafted wall), so that
+only a small part without four sides remains.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from workbench.files.errors import InputError
 if TYPE_CHECKING:
     import cadquery
 
-#: Angles (degrees) by which the tangent turns in a corner of a face; less is a smooth passage.
+#: Least angle (degrees) by which the tangent turns in a corner of a face; less is a smooth passage.
 CORNER = 30.0
 
-#: A side of a face with four sides is no more oblique than this (degrees), nor curved more.
+#: Largest slope (degrees) of a side of a face with four sides, and its largest curvature.
 OBLIQUE = 40.0
 
-#: Beside what is steep or curved a face is cut as far off as half of its width and this share of the face's height.
+#: A face is cut beside a steep or curved part at half the width of that part plus this share of the face's height.
 MARGIN = 0.3
 
 
@@ -43,11 +43,13 @@ def section_of(
     drawn: Mapping[str, cad.DrawnLayer], electrodes: Sequence[Electrode], rectangles: Sequence[Rectangle], *,
     walls: Collection[str], source: str, cuts: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> FreeSection:
-    """The section of layers drawn in the half plane, from bottom to top by region; with a cavity that those called
-    `walls` are around, if there are any. Regions with `cuts` (m) are cut there beside what is steep or curved.
+    """The section of layers drawn in the half plane, from bottom to top by region.
+
+    It has a cavity if there are layers, called `walls`, around one. Regions with `cuts` (m) are cut at these radii
+    beside steep or curved parts.
 
     Raises:
-        InputError: layers overlap, leave a gap or do not touch, or what should be the cavity is open.
+        InputError: layers overlap, leave a gap or do not touch, or the cavity is open.
     """
     faces = faces_of(drawn, walls=walls, source=source)
     notes = tuple(f"{region}: {each.left_out}" for region, each in drawn.items() if each.left_out)
@@ -63,7 +65,7 @@ def faces_of(drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], sou
     """The faces of layers by region, and of the cavity that they enclose if some are its `walls`.
 
     Raises:
-        InputError: as of :func:`section_of`.
+        InputError: as in :func:`section_of`.
     """
     faces = {region: each.face for region, each in drawn.items()}
     _check_fit(faces, source)
@@ -72,7 +74,7 @@ def faces_of(drawn: Mapping[str, cad.DrawnLayer], *, walls: Collection[str], sou
 
 
 def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
-    """Refuse faces that overlap, and those that do not touch what is below."""
+    """Raise if faces overlap, or do not touch the one below."""
     for (one, first), (other, second) in combinations(faces.items(), 2):
         common = [each for each in first.intersect(second).Faces() if each.Area() > cad.SOME]
         if common:
@@ -90,7 +92,7 @@ def _check_fit(faces: Mapping[str, cadquery.Face], source: str) -> None:
 
 
 def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], source: str) -> cadquery.Face | None:
-    """What the faces leave free inside: the cavity, if there is to be one."""
+    """The space that the faces enclose: the cavity, if there is to be one."""
     whole = cadquery_module().Compound.makeCompound(list(faces.values()))
     around = revolution.half_plane(whole.BoundingBox())
     edge = around.BoundingBox()
@@ -117,7 +119,7 @@ def _enclosed(faces: Mapping[str, cadquery.Face], *, walls: Collection[str], sou
 
 
 def _opening(faces: Mapping[str, cadquery.Face]) -> str:
-    """Where the layers around an open cavity come closest to closing it."""
+    """The place where the layers around an open cavity come closest to closing it, in words."""
     found = []
     for (one, first), (other, second) in combinations(faces.items(), 2):
         distance, points = cad.closest(first, second)
@@ -134,8 +136,8 @@ def _opening(faces: Mapping[str, cadquery.Face]) -> str:
 def _pieces(
     face: cadquery.Face, beside: Sequence[float] | None = None
 ) -> tuple[list[cadquery.Face], tuple[float, ...]]:
-    """A face, cut so that most of it has four sides, and the radii (m) at which it is cut beside what is steep or
-    curved: those given as `beside`, if any."""
+    """A face, cut so that most of it has four sides, and the radii (m) of the cuts beside steep or curved parts: those
+    given as `beside`, if any."""
     loops = [[cad.curve_of(edge) for edge in edges] for edges in cad.directed_edges(face)]
     if len(loops) == 1 and four_sides(loops[0]) is not None:
         return [face], ()
@@ -143,7 +145,7 @@ def _pieces(
     if beside is None:
         points = np.concatenate([arc.polyline for loop in loops for arc in loop], axis=1)
         left, right = points[0].min(), points[0].max()
-        # Not where only a sliver would be cut off.
+        # A cut that would leave only a sliver is not made.
         beside = [radius for low, high in zones for radius in (low, high)
                   if left + 0.2 * (high - low) < radius < right - 0.2 * (high - low)]
     corners = [radius for radius in _corners(loops) if not any(low < radius < high for low, high in zones)]
@@ -157,7 +159,7 @@ def _pieces(
 
 
 def _zones(loops: Sequence[Sequence[Arc]]) -> list[tuple[float, float]]:
-    """Between which radii (m) a face is steep or curved, with margins; those that meet are one."""
+    """Ranges of radii (m) in which a face is steep or curved, with margins; ranges that meet are one."""
     arcs = [arc for loop in loops for arc in loop]
     points = np.concatenate([arc.polyline for arc in arcs], axis=1)
     merged: list[tuple[float, float]] = []
@@ -184,7 +186,7 @@ def _corners(loops: Sequence[Sequence[Arc]]) -> Iterator[float]:
 
 
 def _steepest(arc: Arc) -> float:
-    """The largest angle (degrees) between a curve and the plane z = 0; none for a line along z."""
+    """The largest angle (degrees) between a curve and the plane z = 0; zero for a line along z."""
     if arc.is_straight and abs(arc.ends[0][0] - arc.ends[1][0]) < SAME_LENGTH:
         return 0.0
     steps = np.abs(np.diff(arc.polyline, axis=1))
@@ -198,9 +200,9 @@ def turned(before: Arc, after: Arc) -> float:
 
 
 def four_sides(loop: Sequence[Arc]) -> list[list[int]] | None:
-    """The edges (places in the loop) of the four sides of a face, anticlockwise; None for a face with others.
+    """The edges (indices in the loop) of the four sides of a face, anticlockwise; None for any other face.
 
-    The first side begins in the corner that is lowest, and furthest in.
+    The first side begins in the corner that is lowest and nearest to the axis.
     """
     turns = [turned(loop[k - 1], loop[k]) for k in range(len(loop))]
     corners = [k for k, angle in enumerate(turns) if angle > CORNER]

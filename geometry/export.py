@@ -1,4 +1,4 @@
-"""Files of the solids of a chip for other programs: STEP with part names, and one STL a part. Millimetres."""
+"""Files of the solids of a chip for other programs: STEP with part names, and one STL per part. Millimetres."""
 
 from __future__ import annotations
 
@@ -36,6 +36,6 @@ def export_stl(chip: Chip, folder: Path, *, deviation: float = 1e-5) -> dict[str
     for name, shape in chip_solids(chip).items():
         written[name] = folder / f"{name}.stl"
         with replacing(written[name]) as whole:
-            # The facets are bounded by the deviation alone: the angle, in radians, is left wide.
+            # The deviation alone bounds the facets: the angle, in radians, is left wide.
             shape.exportStl(str(whole), tolerance=1e3 * deviation, angularTolerance=0.5, relative=False)
     return written

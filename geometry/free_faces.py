@@ -1,4 +1,4 @@
-"""Faces that gmsh fills: triangles and quadrilaterals, which are then cut into quadrilaterals."""
+"""Faces filled by gmsh with triangles and quadrilaterals, which are then cut into quadrilaterals."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from geometry.mesh_size import MeshSize
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-#: Sides of an element on the rim of a face that turn by less than this (degrees) belong to one smooth line.
+#: Two sides of an element on the rim of a face that turn by less than this (degrees) belong to one smooth line.
 FLAT = 40.0
 
 
-#: gmsh is one session for the whole process: threads take turns.
+#: A lock, since gmsh is one session for the whole process: threads take turns.
 _TURN = RLock()
 
 
 def _keep_broken_pipes_errors() -> None:
-    """Let writing to a closed pipe or socket be an error again, as Python has it: gmsh lets it end the program.
+    """Make writing to a closed pipe or socket an error again, as Python does: gmsh lets it end the program.
 
-    From any thread, which :func:`signal.signal` is not made for.
+    It works from any thread; :func:`signal.signal` does not.
     """
     if hasattr(signal, "SIGPIPE") and signal.getsignal(signal.SIGPIPE) is signal.SIG_IGN:
         set_handler = ctypes.pythonapi.PyOS_setsig
@@ -43,10 +43,9 @@ def _keep_broken_pipes_errors() -> None:
 
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
-    """gmsh, started with its own defaults and shut down on leaving, error or not.
+    """Start gmsh with its own defaults, and shut it down on leaving, error or not.
 
-    gmsh is one global session with global options: starting it for every mesh is what keeps one mesh from changing the
-    next.
+    gmsh is one global session with global options. A new session for every mesh keeps one mesh from changing the next.
 
     Raises:
         MeshError: gmsh is not installed, or a session is open already.
@@ -70,7 +69,7 @@ def gmsh_session() -> Iterator[ModuleType]:
 def freely(
     layout: SectionLayout, faces: Sequence[int], along: Sequence[Integers], points: Real, size: MeshSize
 ) -> Iterator[tuple[Real, Integers]]:
-    """Faces that gmsh fills: points inside (2, n) of each, numbered on from those there are, and cells (4, m)."""
+    """Fill faces with gmsh: for each, points inside (2, n), numbered on from the existing ones, and cells (4, m)."""
     if not faces:
         return
     with gmsh_session() as gmsh:
@@ -80,7 +79,7 @@ def freely(
 
         def point(number: int) -> int:
             if number not in tags:
-                r, z = MILLIMETRES * points[:, number]  # the tolerances of gmsh are made for such numbers
+                r, z = MILLIMETRES * points[:, number]  # The tolerances of gmsh are made for such numbers.
                 tags[number] = geo.addPoint(r, z, 0.0)
             return tags[number]
 
@@ -129,8 +128,11 @@ def freely(
 def _elements(
     gmsh: ModuleType, surface: int, known: Mapping[int, int], points: Real
 ) -> tuple[list[list[int]], Real]:
-    """What gmsh filled a surface with: the corners of its elements, anticlockwise, and the points inside (2, n), which
-    are numbered on from those of `points` (2, count). Of these it has the ones `known` by their tag."""
+    """Elements of a surface that gmsh filled: their corners, anticlockwise, and the points inside (2, n).
+
+    The points inside are numbered on from those of `points` (2, count). `known` gives the numbers of these by their
+    tag.
+    """
     kinds, _, members = gmsh.model.mesh.getElements(2, surface)
     tags, coordinates, _ = gmsh.model.mesh.getNodes(2, surface)
     inner = coordinates.reshape(-1, 3)[:, :2].T / MILLIMETRES
@@ -147,11 +149,11 @@ def _elements(
 
 
 def _opened(elements: list[list[int]], rim: set[tuple[int, int]], at: Callable[[int], Real]) -> list[list[int]]:
-    """The same without elements that have two sides in a row on the `rim` (pairs of points, the smaller one first)
-    where it is smooth: what such an element is cut into has a corner of 180 degrees there.
+    """Elements without any that has two sides in a row on a smooth part of the `rim` (pairs of points, the smaller
+    number first). Cut into quadrilaterals, such an element would have a corner of 180 degrees there.
 
-    A quadrilateral is halved from that corner; a triangle is joined with what is behind it, and both divided from
-    there.
+    A quadrilateral is halved from that corner; a triangle is joined with the element behind it, and both are divided
+    from there.
     """
     found = [list(element) for element in elements]
     for place, element in enumerate(found):
@@ -188,13 +190,13 @@ def _flat(element: Sequence[int], rim: set[tuple[int, int]], at: Callable[[int],
 def _subdivided(
     elements: Sequence[Sequence[int]], halves: Mapping[tuple[int, int], int], points: Real, inner: Real
 ) -> tuple[Real, Integers]:
-    """Triangles and quadrilaterals cut into quadrilaterals: points inside (2, n), numbered on from those there are,
+    """Cut triangles and quadrilaterals into quadrilaterals: points inside (2, n), numbered on from the existing ones,
     and cells (4, m).
 
     Args:
         elements: numbers of their corners, anticlockwise.
         halves: the point in the middle of every side on the rim, by the numbers of its ends.
-        points: (2, count) metres, those there are; `inner` (2, k) the first ones inside.
+        points: (2, count) metres, the existing ones; `inner` (2, k) the first ones inside.
     """
     added, count = list(inner.T), points.shape[1]
     middles = dict(halves)

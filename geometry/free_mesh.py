@@ -1,8 +1,9 @@
 """From a section of any shape to a mesh of quadrilaterals whose sides follow its curves.
 
-Faces with four sides are filled with rows and columns, like the rectangles of a stack of discs. The others gmsh fills
+Faces with four sides are filled with rows and columns, like the rectangles of a stack of discs. gmsh fills the others
 with triangles and quadrilaterals of twice the size, which are then cut into three or four quadrilaterals each; the
-sides of such a face are divided twice as often."""
+sides of such a face are divided twice as often.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +28,10 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How the faces of a section are divided, for sections that differ from it in sizes alone.
+    """The division of the faces of a section, for sections that differ from it in sizes alone.
 
-    ``layout`` of its edges, the shares at which each is ``divided``, and for every face that gmsh filled its cells
-    (4, m) and the points inside (2, n), by the ``size`` asked for.
+    ``layout`` of its edges, the shares at which each is ``divided``, and for every face that gmsh filled its cells (4,
+    m) and the points inside (2, n), by the ``size`` asked for.
     """
 
     layout: SectionLayout
@@ -55,9 +56,9 @@ def mesh_free(section: FreeSection, size: MeshSize) -> SectionMesh:
 
 
 def moved_free(mesh: SectionMesh, section: FreeSection) -> SectionMesh:
-    """The same cells on a section that differs from that of `mesh` in sizes alone.
+    """The cells of `mesh` on a section that differs from its own in sizes alone.
 
-    What is divided alike stays so; points inside a face that gmsh filled move as its sides do, by a mean over their
+    Divisions of edges are kept. Points inside a face that gmsh filled follow its sides, each by the mean of its
     neighbours: linearly, so that a small change of a size is a small change of the mesh.
 
     Raises:
@@ -90,7 +91,7 @@ class _Made:
 
 
 def _on_edges(layout: SectionLayout, divided: Sequence[Real]) -> tuple[Real, list[Integers]]:
-    """The points on the edges (2, n), those at their ends first, and the numbers of those along every edge."""
+    """The points on the edges (2, n), those at the ends first, and the numbers of the points along every edge."""
     points = [np.array(layout.points).T]
     count = points[0].shape[1]
     along: list[Integers] = []
@@ -104,7 +105,7 @@ def _on_edges(layout: SectionLayout, divided: Sequence[Real]) -> tuple[Real, lis
 
 
 def _placed(plan: Plan, layout: SectionLayout) -> _Made:
-    """The cells of a plan on a layout like its own."""
+    """The cells of a plan on a layout with the edges and faces of its own."""
     local, divided = gauss_lobatto(plan.size.order), plan.divided
     on_edges, along = _on_edges(layout, divided)
     sides: dict[tuple[int, int], Real] = {}
@@ -134,8 +135,8 @@ def _placed(plan: Plan, layout: SectionLayout) -> _Made:
 
 
 def _followed(moved: Real, inner: Real, cells: Integers, count: int) -> Real:
-    """By how much the points inside a face (2, n), numbered from `count` on, are moved where those on the edges are
-    (2, m): each by the mean of its neighbours in the cells (4, k)."""
+    """Shifts of the points inside a face (2, n), numbered from `count` on, for shifts of the points on the edges (2,
+    m): each is the mean of those of its neighbours in the cells (4, k)."""
     pairs = np.unique(np.sort(np.concatenate([cells[[a, b]] for a, b in ((0, 1), (1, 2), (2, 3), (3, 0))], axis=1),
                               axis=0), axis=1)
     own = [np.concatenate([pairs[0], pairs[1]]), np.concatenate([pairs[1], pairs[0]])]
@@ -154,7 +155,7 @@ def _block(
 ) -> tuple[Real, Integers, Real]:
     """A face with four sides: points inside (2, n) numbered from `count` on, cells (4, m), nodes (2, m, k, k).
 
-    All nodes lie by transfinite interpolation between the sides.
+    All nodes follow from the sides by transfinite interpolation.
     """
     order = local.size - 1
     bottom, right, top, left = (_sampled(layout, side, divided, local) for side in layout.sides[face])
@@ -176,7 +177,7 @@ def _block(
 
 
 def _sampled(layout: SectionLayout, side: Sequence[Directed], divided: Sequence[Real], local: Real) -> Real:
-    """The nodes (2, n) along a side, those of all its elements in a row."""
+    """The nodes (2, n) along a side, of all its elements in a row."""
     parts = []
     for number, forwards in side:
         shares = divided[number] if forwards else 1.0 - divided[number][::-1]
@@ -186,7 +187,7 @@ def _sampled(layout: SectionLayout, side: Sequence[Directed], divided: Sequence[
 
 
 def _position(line: Real) -> Real:
-    """How far along the chord points (2, n) of a side are, as shares."""
+    """Positions of points (2, n) of a side along its chord, as shares."""
     chord = line[:, -1] - line[:, 0]
     return np.asarray(chord @ (line - line[:, :1]) / (chord @ chord))
 

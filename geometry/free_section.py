@@ -1,6 +1,6 @@
 """The half section of a chip whose layers are of any shape: faces bounded by curves, with the names of their regions.
 
-What `geometry.section.Section` is for rectangles. Regions may be cut into several faces, for the mesh.
+It corresponds to `geometry.section.Section` for rectangles. Regions may be cut into several faces, for the mesh.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Directed = tuple[int, bool]
 
 
 def faces_beside(faces: Sequence[Sequence[Sequence[Directed]]], count: int) -> tuple[tuple[int, ...], ...]:
-    """The faces, one or two, on the sides of each of `count` edges, by the loops of every face."""
+    """The faces, one or two, on the sides of each of `count` edges, from the loops of every face."""
     found: list[list[int]] = [[] for _ in range(count)]
     for number, loops in enumerate(faces):
         for edge in (edge for loop in loops for edge, _ in loop):
@@ -29,7 +29,7 @@ def faces_beside(faces: Sequence[Sequence[Sequence[Directed]]], count: int) -> t
 
 @dataclass(frozen=True)
 class Face:
-    """A face of a region: its loops of edges, what they bound to their left; the outer one first."""
+    """A face of a region: its loops of edges, the outer one first; the face is on the left of each."""
 
     region: str
     loops: tuple[tuple[Directed, ...], ...]
@@ -40,8 +40,9 @@ class FreeSection:
     """Faces that share the edges between them.
 
     ``points`` (r, z) in metres, ``edges`` between them with the numbers of their ``ends``; ``rectangles`` are the
-    layers as discs and rings of their stated sizes, ``electrodes`` lines on the transducer's faces. ``notes`` say what
-    of the solids the section leaves out, ``cuts`` at which radii (m) regions are cut beside what is steep or curved.
+    layers as discs and rings of their stated sizes, ``electrodes`` lines on the transducer's faces. ``notes`` describe
+    the parts of solids that the section leaves out; ``cuts`` are the radii (m) at which regions are cut beside steep or
+    curved parts.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -89,7 +90,8 @@ class FreeSection:
 
     @staticmethod
     def name_of(regions: Sequence[str], *, on_axis: bool) -> str | None:
-        """Name of the boundary between these regions on both sides of an edge, of one at the rim; None inside one."""
+        """Name of the boundary between the regions on both sides of an edge, or at the rim of one; None inside a
+        region."""
         if len(regions) == 2:
             return interface(*regions) if regions[0] != regions[1] else None
         return AXIS if on_axis else outside(regions[0])
@@ -100,8 +102,8 @@ class FreeSection:
         return self.name_of([self.faces[face].region for face in self.beside[edge]], on_axis=on_axis)
 
     def boundary_names(self) -> tuple[str, ...]:
-        """Names of all boundaries a mesh of this section has, sorted; electrodes are counted besides what they are on.
-        """
+        """Names of all boundaries a mesh of this section has, sorted; an electrode counts besides the boundary it lies
+        on."""
         names = {electrode.name for electrode in self.electrodes}
         names |= {name for edge in range(len(self.edges)) if (name := self.name(edge)) is not None}
         return tuple(sorted(names))

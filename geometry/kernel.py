@@ -1,4 +1,4 @@
-"""CadQuery, the kernel that solids are made with. Lengths are in **millimetres** there, as in every CAD file."""
+"""CadQuery, the kernel that makes solids. Lengths are in **millimetres** there, as in every CAD file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""The sides of a section's faces and how they are divided: the plan of a mesh (`geometry.free_mesh`).
+"""The sides of a section's faces and their divisions: the plan of a mesh (`geometry.free_mesh`).
 
-What divides one side of a face with four sides divides the opposite one too, from face to face."""
+A division of one side of a face with four sides divides the opposite one too, from face to face.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +27,10 @@ Integers = NDArray[np.int64]
 #: Places on a side closer than this share of its length are one.
 SAME_PLACE = 1e-6
 
-#: The angle (rad) that the side of an element turns by at most; of one that gmsh makes, before it is cut.
+#: Largest angle (rad) by which the side of an element turns; in a face that gmsh fills, before it is cut.
 TURN = math.radians(30.0)
 
-#: Elements that gmsh is to continue from are no more than so many times as long as their neighbours.
+#: Largest ratio of the lengths of neighbouring elements that gmsh is to continue from.
 GROWTH = 2.0
 
 #: Rounds in which divisions pass from face to face; more than faces in a row, unless they run in a spiral.
@@ -38,11 +39,11 @@ MOST_ROUNDS = 200
 
 @dataclass
 class SectionLayout:
-    """The edges of a section, further divided, and how faces are bounded by them.
+    """The edges of a section, further divided, and the faces that they bound.
 
-    ``loops`` holds the loops of every face, ``sides`` of those with four sides these, bottom and top in one direction
-    and left and right in one. ``lines`` are the edges that were divided at a height or radius that was asked for, and
-    the shares.
+    ``loops`` holds the loops of every face. ``sides`` holds the four sides of faces that have four: bottom and top in
+    one direction, left and right in one direction. ``lines`` are the edges that were divided at a requested height or
+    radius, with the shares.
     """
 
     edges: list[Arc]
@@ -89,9 +90,10 @@ class SectionLayout:
                     break
 
     def places(self, side: Sequence[Directed]) -> list[float]:
-        """Where along a side its edges begin and end: shares of the way in r if it is more level than steep, else in z.
+        """Places along a side at which its edges begin and end: shares of the way in r if it is more level than steep,
+        else in z.
 
-        By these, what divides a side divides the opposite one straight above or beside it, whatever shape either has.
+        By these, a division of a side divides the opposite one straight above or beside it, whatever shape either has.
         """
         corners = [self.points[self.ends[number][0 if forwards else 1]] for number, forwards in side]
         last, forwards = side[-1]
@@ -100,7 +102,7 @@ class SectionLayout:
         return [(corner[axis] - start) / length for corner in corners]
 
     def _along(self, side: Sequence[Directed]) -> tuple[int, float, float]:
-        """The coordinate (0 r, 1 z) that a side runs along, where it begins and how far it goes (m)."""
+        """The coordinate (0 r, 1 z) that a side runs along, its start and its length (m)."""
         (first, forwards), (last, along) = side[0], side[-1]
         start = self.points[self.ends[first][0 if forwards else 1]]
         end = self.points[self.ends[last][1 if along else 0]]
@@ -108,7 +110,7 @@ class SectionLayout:
         return axis, start[axis], end[axis] - start[axis]
 
     def divide(self, side: Sequence[Directed], place: float) -> None:
-        """Divide the edge of a side that reaches across a place."""
+        """Divide the edge of a side that contains a place."""
         places = self.places(side)
         number = next(k for k in range(len(side)) if places[k] < place < places[k + 1])
         axis, start, length = self._along(side)
@@ -123,9 +125,10 @@ class SectionLayout:
 
 
 def laid_out(section: FreeSection, size: MeshSize, like: SectionLayout | None = None) -> SectionLayout:
-    """The edges of a section, divided where electrodes end, at the levels, skins and radii that are asked for, and
-    where opposite sides are. What is asked for is at the shares of edges that it has in a layout that this one should
-    be `like`.
+    """The edges of a section, divided at the ends of electrodes, at the requested levels, skins and radii, and opposite
+    the divisions of opposite sides.
+
+    Requested divisions are at the shares of edges that they have in another layout, `like`, if given.
 
     Raises:
         MeshError: sides divide each other without an end.
@@ -148,7 +151,7 @@ def laid_out(section: FreeSection, size: MeshSize, like: SectionLayout | None = 
             layout.split(edge, share)
         layout.lines = list(like.lines)
     for _ in range(MOST_ROUNDS):
-        # Every face is looked at in every round.
+        # Every face is examined in every round.
         changed = [_matched(layout, one, other) for sides in layout.sides.values()
                    for one, other in ((sides[0], sides[2]), (sides[1], sides[3]))]
         if not any(changed):
@@ -157,7 +160,7 @@ def laid_out(section: FreeSection, size: MeshSize, like: SectionLayout | None = 
 
 
 def _lines(layout: SectionLayout, size: MeshSize) -> list[tuple[int, float]]:
-    """Divide edges at the heights and radii that are asked for; which ones, and the shares."""
+    """Divide edges at the requested heights and radii; the divided edges with the shares."""
     found = []
     regions = dict.fromkeys(layout.regions)
     for height in size.levels:
@@ -178,8 +181,8 @@ def _reversed(side: Sequence[Directed]) -> list[Directed]:
 
 
 def _break(layout: SectionLayout, region: str, axis: int, value: float) -> list[tuple[int, float]]:
-    """Divide the edges of a region's faces with four sides that run along a coordinate (0 r, 1 z) where it is `value`;
-    which ones, and the shares."""
+    """Divide edges of a region's four-sided faces that run along a coordinate (0 r, 1 z), at the place of `value`; the
+    divided edges with the shares."""
     divided = []
     for number, sides in list(layout.sides.items()):
         if layout.regions[number] != region:
@@ -196,7 +199,7 @@ def _break(layout: SectionLayout, region: str, axis: int, value: float) -> list[
 
 
 def _matched(layout: SectionLayout, one: list[Directed], other: list[Directed]) -> bool:
-    """Divide two opposite sides where the other one is; whether there was anything to divide."""
+    """Divide two opposite sides at each other's divisions; whether there was anything to divide."""
     changed = False
     for side, opposite in ((one, other), (other, one)):
         for place in layout.places(side)[1:-1]:
@@ -252,7 +255,7 @@ def _level(arc: Arc) -> bool:
 
 
 def _least(layout: SectionLayout, size: MeshSize, edge: int, faces: Sequence[int]) -> int:
-    """How many elements there are at least along an edge: where it is the height of a row of faces."""
+    """The least number of elements along an edge that is the height of a row of faces."""
     least, arc = 1, layout.edges[edge]
     for face in faces:
         sides = layout.sides.get(face)
@@ -265,7 +268,7 @@ def _least(layout: SectionLayout, size: MeshSize, edge: int, faces: Sequence[int
 
 
 def _groups(layout: SectionLayout) -> tuple[list[int], list[bool]]:
-    """The group of edges that are divided alike that every edge belongs to, and whether it runs as the group does."""
+    """The group of equally divided edges that every edge belongs to, and whether it runs as the group does."""
     count = len(layout.edges)
     parent, same = list(range(count)), [True] * count
 
@@ -290,10 +293,10 @@ def _groups(layout: SectionLayout) -> tuple[list[int], list[bool]]:
 
 
 def _graded(layout: SectionLayout, section: FreeSection, size: MeshSize) -> dict[tuple[int, bool], float]:
-    """Size of elements, relative to the others, at points where fields are singular, on level edges and on others.
+    """Relative size of elements at points where fields are singular, on level edges and on others.
 
-    As for rectangles: in re-entrant corners of the solids, at the rim of a couplant, at the ends of electrodes; and at
-    the tip of a crack, where a fillet meets what is beside it, as at these.
+    As for rectangles, these are re-entrant corners of the solids, the rim of a couplant and the ends of electrodes. The
+    tip of a crack, where a fillet meets its neighbour, is treated like them.
     """
     inside: dict[int, float] = {}
     wet: set[int] = set()
@@ -314,7 +317,7 @@ def _graded(layout: SectionLayout, section: FreeSection, size: MeshSize) -> dict
                     rims.add(point)
     found: dict[tuple[int, bool], float] = {}
     for point, angle in inside.items():
-        # Of 360 degrees there is the tip of a crack, or nothing but solids around.
+        # With 360 degrees there is the tip of a crack, or solids all around.
         if angle > 190.0 and (angle < 350.0 or point in wet) and layout.points[point][0] > 0.0:
             sharp = 1 if angle < 350.0 else 3
             found[point, True] = found[point, False] = size.corner_refinement**sharp
@@ -353,7 +356,7 @@ def under_electrodes(layout: SectionLayout, section: FreeSection) -> dict[int, s
             if (r1 < r0) == (electrode.z == highest) and (
                     electrode.r_inner - SAME_LENGTH < min(r0, r1) and max(r0, r1) < electrode.r_outer + SAME_LENGTH):
                 found[directed[0]] = electrode.name
-    # What lies inside the transducer is a cut of its face.
+    # An edge inside the transducer is a cut of its face.
     beside = layout.beside()
     return {edge: name for edge, name in found.items()
             if [layout.regions[face] for face in beside[edge]].count(TRANSDUCER) == 1}

@@ -1,4 +1,4 @@
-"""Limits of the model, in the words that messages and the documentation use alike."""
+"""Limits of the model, in the words of messages and of the documentation."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Mapping
 
 AXISYMMETRIC = "axisymmetric only: every layer is a disc or a ring about one axis"
 
-#: In place of a body that is not round.
+#: Advice for a body that is not round.
 NOT_ROUND = (f"{AXISYMMETRIC}; in place of a rectangular plate state a disc of its thickness and area, radius = "
              "sqrt(width length / pi), which has its thickness resonances and not its lateral ones")
 
 CENTRED = (f"{AXISYMMETRIC}; in place of a part beside the axis state it on the axis, or as a ring of its area "
            "at its distance")
 
-#: In place of transducers other than one full disc.
+#: Advice for transducers other than one full disc.
 ONE_DISC = ("one transducer that is a full disc; rings, tubes and several transducers are not modelled yet: in place "
             "of a ring state a disc of its thickness and area, radius = sqrt(R^2 - r^2), which has its thickness "
             "resonance and not its radial ones; of several transducers state the one that is driven")
@@ -24,10 +24,10 @@ ONE_CAVITY = (f"{AXISYMMETRIC}, with one closed cavity; of two cavities model th
 CLOSED = (f"{AXISYMMETRIC}, with one closed cavity; in place of a free surface (an open well) state a superstrate so "
           "thin that it hardly weighs, such as 10 um of a polymer, and the depth of the fluid as height of the wall")
 
-#: Keys of a state that people write of a cavity that is not filled to its top.
+#: Keys that people write for a cavity that is not filled to its top.
 FILL_KEYS = ("fill", "fill_height", "filling", "level", "liquid_height", "height")
 
-#: Keys that people state of things that are not round, and what to say.
+#: Keys that people write for things that are not round, and the advice for each.
 NOT_KEYS: Mapping[str, str] = {
     **dict.fromkeys(("width", "length", "side", "depth", "breadth", "lx", "ly", "x_length", "y_length", "size"),
                     NOT_ROUND),

@@ -5,8 +5,8 @@ by construction. Each interval between two breaks is divided into panels of elem
 Quadrilaterals with straight sides describe such a section exactly, so the mesh has first-order geometry whatever the
 order of the fields on it. Sections of any shape: `geometry.free_mesh`.
 
-Element size: a share of the slowest wavelength at the highest frequency, in every row and in every column that of the
-slowest region in it; smaller towards the corners in which fields are singular.
+Element size is a share of the wavelength at the highest frequency, of the slowest wave in the slowest region of each
+row and each column. Elements are smaller towards the corners in which fields are singular.
 """
 
 from __future__ import annotations
@@ -27,17 +27,18 @@ from geometry.quads import measures, numbering
 from geometry.section import VOID, Section, boundary_name
 from workbench.files.errors import InputError, nearest_names
 
-#: Agreement demanded between a region of the mesh and the section's own arithmetic, relative. Rounding accumulates to
+#: Largest relative difference between a region of the mesh and the section's own arithmetic. Rounding accumulates to
 #: about 1e-14 over ten thousand cells; a missing or doubled element shows as 1e-5 or more.
 VOLUME_TOLERANCE = 1e-9
 
 
-#: The same where cells have curved sides: polynomials of order 4 leave 2e-8 of an arc that turns by 30 degrees.
+#: Largest relative difference for cells with curved sides: polynomials of order 4 leave 2e-8 of an arc that turns by 30
+#: degrees.
 CURVED_TOLERANCE = 1e-6
 
 
 class MeshError(RuntimeError):
-    """The mesh is not the one the section asked for, or gmsh could not be used."""
+    """The mesh does not fit its section, or gmsh could not be used."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,13 @@ class SectionMesh:
     """The mesh of a section.
 
     ``mesh``: quadrilaterals with straight sides, coordinates (r, z) in metres, cell indices by region in
-    ``mesh.subdomains``, facet indices by boundary name in ``mesh.boundaries``. The four nodes of every cell run
-    (bottom left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes are
-    numbered along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
+    ``mesh.subdomains``, facet indices by boundary name in ``mesh.boundaries``. The four nodes of every cell run (bottom
+    left, bottom right, top right, top left), so the local coordinates point along r and along z. Nodes are numbered
+    along r, then upwards; so are cells. ``order``: polynomial order of the fields the mesh was sized for.
     ``coordinates`` (2, nodes, cells) in metres of the nodes of any order in every cell, numbered as those of
-    `workbench.fem.elements.Lagrange`, where cells are not straight: ``mesh`` is then where they come from. ``variants``
-    are such coordinates for other shapes of the layers, by name; ``shown`` is the one in use, if any. ``plan`` is what
-    the mesh of a section of any shape can be moved by (`geometry.free_mesh.Plan`).
+    `workbench.fem.elements.Lagrange`, if cells are not straight; ``mesh`` then has their straight origins. ``variants``
+    are such coordinates for other shapes of the layers, by name; ``shown`` is the one in use, if any. ``plan`` is the
+    plan by which the mesh of a section of any shape can be moved (`geometry.free_mesh.Plan`).
 
     Raises:
         MeshError: a region or boundary of the section is missing, empty or not named in the section, or the area or
@@ -68,7 +69,7 @@ class SectionMesh:
 
     def __post_init__(self) -> None:
         if self.shown:
-            return  # the same mesh, checked before
+            return  # The mesh was checked before it was shown in this variant.
         _check_names(self.mesh, self.section)
         if isinstance(self.section, Section):
             _check_rectangles(self.mesh, self.section)
@@ -77,7 +78,7 @@ class SectionMesh:
 
     @property
     def nodes(self) -> NDArray[np.float64] | None:
-        """The coordinates that cells have: of the variant shown, or of the mesh itself."""
+        """The coordinates of the cells: of the variant shown, or of the mesh itself."""
         return self.variants[self.shown] if self.shown else self.coordinates
 
 
@@ -85,7 +86,7 @@ def elements_per_wavelength(mesh: SectionMesh, slowest_wave: Mapping[str, float]
     """Elements per wavelength in the longest edge of each region of `slowest_wave`, at `frequency` (Hz).
 
     Raises:
-        InputError: `slowest_wave` (m/s) names a region the mesh has not.
+        InputError: `slowest_wave` (m/s) names an unknown region.
     """
     edges = np.ptp(mesh.mesh.p[:, mesh.mesh.t], axis=1).max(axis=0)
     counts = {}
@@ -122,7 +123,7 @@ def _generate(section: Section, size: MeshSize) -> _Cells:
     region = section.grid()[np.ix_(rows, columns)]
     row, column = np.nonzero(region != VOID)
     place = row * r.size + column
-    # Along r, then upwards; anticlockwise from bottom left.
+    # Order along r, then upwards; corners anticlockwise from bottom left.
     used, cells = np.unique(np.stack([place, place + 1, place + r.size + 1, place + r.size]), return_inverse=True)
     return _Cells(np.stack([r[used % r.size], z[used // r.size]]), cells.reshape(4, -1), region[row, column])
 
@@ -141,7 +142,7 @@ def _named(cells: _Cells, section: Section, order: int) -> SectionMesh:
     """The cells as a mesh whose regions and boundaries carry the names of the section."""
     mesh = skfem.MeshQuad(cells.points, cells.cells)
     regions = {name: np.flatnonzero(cells.region == i) for i, name in enumerate(section.regions)}
-    # Region on either side of every facet, VOID beyond the outer boundary; smaller index first.
+    # Region on either side of every facet, VOID outside the outer boundary; smaller index first.
     neighbours = np.append(cells.region, VOID)[mesh.f2t]
     neighbours.sort(axis=0)
     r, z = mesh.p[:, mesh.facets]
@@ -159,7 +160,7 @@ def _named(cells: _Cells, section: Section, order: int) -> SectionMesh:
 
 
 def _check_names(mesh: skfem.MeshQuad, section: Section | FreeSection) -> None:
-    """See :class:`SectionMesh`."""
+    """Check the names of regions and boundaries, see :class:`SectionMesh`."""
     for kind, found, expected in (
         ("regions", mesh.subdomains or {}, section.regions),
         ("boundaries", mesh.boundaries or {}, section.boundary_names()),
@@ -173,7 +174,7 @@ def _check_names(mesh: skfem.MeshQuad, section: Section | FreeSection) -> None:
 
 
 def _check_rectangles(mesh: skfem.MeshQuad, section: Section) -> None:
-    """See :class:`SectionMesh`."""
+    """Check the cells of a section of rectangles, see :class:`SectionMesh`."""
     r, z = mesh.p[:, mesh.t]
     widths, heights = r[1] - r[0], z[3] - z[0]
     if min(widths.min(), heights.min()) <= 0.0:
@@ -183,7 +184,7 @@ def _check_rectangles(mesh: skfem.MeshQuad, section: Section) -> None:
 
 
 def _check_cells(mesh: SectionMesh) -> None:
-    """See :class:`SectionMesh`."""
+    """Check the cells of a section of any shape, see :class:`SectionMesh`."""
     if mesh.coordinates is None:
         raise MeshError("the mesh of a section of any shape comes without the nodes of its cells")
     order = math.isqrt(mesh.coordinates.shape[1]) - 1

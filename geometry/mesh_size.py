@@ -1,4 +1,4 @@
-"""How fine a mesh has to be."""
+"""The required fineness of a mesh."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from workbench.files.errors import InputError, nearest_names
 
 @dataclass(frozen=True)
 class MeshSize:
-    """How fine a mesh has to be.
+    """The required fineness of a mesh.
 
-    ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` where nothing propagates (a
+    ``slowest_wave``: the slowest sound or shear speed (m/s) of every region, ``math.inf`` if nothing propagates (a
     vacuum). ``frequency_max`` in Hz. ``elements_per_wavelength`` for fields of polynomial ``order``.
     ``minimum_through_thickness``: elements across the thinnest layer. ``minimum_through_quarter_wave``: elements across
     a layer that is thicker than a quarter of the slowest wavelength in it. ``corner_refinement``: largest size of the
-    elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube
-    at the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
+    elements in re-entrant corners of the solids and at the rim of a couplant, relative to the others, and its cube at
+    the ends of electrodes; 1 leaves them alike. ``growth``: ratio between neighbouring elements from there on.
     ``skins``: regions that have a row of elements of its own at either face, and the share of the thickness that it
-    takes. ``levels``: heights (m) at which elements end besides: what a film moves beside it decays within there.
-    ``radii``: radii (m) at which they do: where a layer may end that the section has as a whole; not those very close
-    to another line.
+    takes. ``levels``: heights (m) of further lines of nodes; the near field of a film decays within them. ``radii``:
+    radii (m) of further lines of nodes, at which a layer may end within the section's own; those very close to another
+    line are left out.
     """
 
     slowest_wave: Mapping[str, float]

@@ -1,7 +1,7 @@
 """The closed vocabulary of regions and boundaries.
 
-A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its region is called like its role, with ``_2``,
-``_3``, ... appended when a role occurs again further up. The holes through the layers together are the region
+A chip is a stack of layers. Every layer has a role from :data:`ROLES`; its region has the name of its role, with
+``_2``, ``_3``, ... appended if the role occurs again further up. The holes through the layers together are the region
 :data:`CAVITY`. Boundaries are called :data:`AXIS`, :data:`ELECTRODE_LIVE`, :data:`ELECTRODE_GROUND`,
 ``<region>|<region>`` (alphabetical, :func:`interface`) and ``<region>|outside`` (:func:`outside`). A part of one of
 these within one layer of the stack is ``<place>@<layer>`` (:func:`part_name`), and a part of that within one column
@@ -38,17 +38,17 @@ OUTSIDE = "outside"
 #: Joins a region or boundary and the layer of the stack that a part of it lies in: ``cavity@sidewall``.
 PART = "@"
 
-#: In place of a layer: the part of a boundary that lies in a plane of constant z.
+#: Stands for a layer in the name of the part of a boundary that lies in a plane of constant z.
 LEVEL = "level"
 
-#: Joins what a part is called and the column, between two radii, or the radius that a part of it is in:
+#: Joins the name of a part and the column, between two radii, or the radius that a part of it is in:
 #: ``cavity@sidewall#0``.
 COLUMN = "#"
 
 #: Joins a region or a part of one and the shapes of layers that move its cells: ``cavity@sidewall~sidewall.draft``.
 MOVED = "~"
 
-#: What a state writes for a cavity with nothing in it: its walls are then traction-free.
+#: Name in a state of an empty cavity: its walls are then traction-free.
 VACUUM = "vacuum"
 
 
@@ -69,12 +69,12 @@ def role_of(region: str) -> str:
 
 
 def interface(a: str, b: str) -> str:
-    """Name of the boundary between the two regions, the same whichever is named first."""
+    """Name of the boundary between two regions, in either order."""
     return "|".join(sorted((a, b)))
 
 
 def outside(region: str) -> str:
-    """Name of the part of the region's boundary beyond which there is nothing (the axis not included)."""
+    """Name of the outer boundary of a region, without the axis."""
     return f"{region}|{OUTSIDE}"
 
 
@@ -84,7 +84,7 @@ def part_name(place: str, layer: str) -> str:
 
 
 def moved_by(place: str, shapes: Iterable[str]) -> str:
-    """Name of the cells of a region, or of a part of one, that these shapes of layers move and no others."""
+    """Name of the cells of a region, or of a part of one, that exactly these shapes of layers move."""
     return f"{place}{MOVED}{'+'.join(shapes)}"
 
 

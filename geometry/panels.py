@@ -1,4 +1,4 @@
-"""How the intervals between the breaks of a section are divided: panels of elements in geometric progression."""
+"""Division of the intervals between the breaks of a section: panels of elements in geometric progression."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from workbench.files.errors import InputError
 
 COUPLANT = "couplant"
 
-#: Regions with these roles hold a fluid, or nothing.
+#: Roles of regions that hold a fluid, or nothing.
 FLUID_ROLES = (CAVITY, COUPLANT)
 
-#: A radius where a layer may end is taken for another line that is closer than this share of the section's radius.
+#: Least distance of a radius where a layer may end from another line, as a share of the section's radius; a closer one
+#: counts as that line. Doubled, the end of such a layer is placed twice as roughly.
 CLOSEST = 0.005
 
 
@@ -35,7 +36,7 @@ class Panel:
     ratio: float
 
     def nodes(self) -> NDArray[np.float64]:
-        """(count + 1,) coordinates from start to end, both exact."""
+        """Coordinates (count + 1,) from start to end, both exact."""
         lengths = self.ratio ** np.arange(self.count)
         steps = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
         nodes: NDArray[np.float64] = self.start + (self.end - self.start) * steps
@@ -47,8 +48,8 @@ def _panels(
     breaks: tuple[float, ...], largest: NDArray[np.float64], graded: Mapping[float, float], *, size: MeshSize,
     minimum: NDArray[np.int64], cuts: Sequence[float] = (),
 ) -> list[Panel]:
-    """Panels of the intervals between `breaks`: elements no longer than `largest`, `minimum` of them at least (one
-    value an interval each).
+    """Panels of the intervals between `breaks`: elements no longer than `largest`, at least `minimum` of them (one
+    value per interval each).
 
     They are graded towards the breaks in `graded`, to elements of that share of the largest. There is a line of nodes
     at each of the `cuts` too.
@@ -70,7 +71,7 @@ def _panels(
 
 
 def apart(radii: Sequence[float], breaks: Sequence[float]) -> list[float]:
-    """Those radii that are no closer to a break, or to one before, than elements should be small."""
+    """The radii that keep a distance from breaks and from smaller radii that elements need not be tiny for."""
     least, kept = CLOSEST * breaks[-1], list[float]()
     for radius in sorted(radii):
         if all(abs(radius - other) > least for other in (*breaks, *kept)):
@@ -83,15 +84,15 @@ def _divide(
 ) -> tuple[list[float], list[int], list[float]]:
     """Lengths, counts and ratios of the panels of one interval.
 
-    The interval is divided into equal parts no longer than `largest`, `minimum` at least. A part next to a graded end,
-    half of it where it is next to both, is divided again: from an element no longer than so much of `largest` as `ends`
-    say on they grow by `growth`. An end of 1 is not graded.
+    The interval is divided into equal parts no longer than `largest`, at least `minimum`. A part next to a graded end,
+    or half of it if both ends are graded, is divided again: elements grow by `growth` from a first one no longer than
+    the share of `largest` in `ends`. An end of 1 is not graded.
     """
     parts = max(minimum, _ceiling(length / largest))
     share = 0.5 if parts == 1 and max(ends) < 1.0 else 1.0
     piece = share * length / parts
     first, last = (_graded(piece, end * largest, growth) if end < 1.0 else 1 for end in ends)
-    if first == last == 1:  # too thin to be graded, or not to be
+    if first == last == 1:  # Too thin to be graded, or no graded end.
         return [length], [parts], [1.0]
     # A half that is too thin stays one element.
     graded = (first > 1 or share < 1.0, last > 1 or share < 1.0)
@@ -106,7 +107,7 @@ def _divide(
 def division(
     length: float, largest: float, ends: tuple[float, float], growth: float, minimum: int
 ) -> NDArray[np.float64]:
-    """Shares of a length at which elements end, 0 and 1 included; as of :func:`_divide`."""
+    """Shares of a length at which elements end, 0 and 1 included, as in :func:`_divide`."""
     lengths, counts, ratios = _divide(length, largest, ends, growth, minimum)
     steps = np.concatenate([part * ratio ** np.arange(count) / np.sum(ratio ** np.arange(count, dtype=float))
                             for part, count, ratio in zip(lengths, counts, ratios, strict=True)])
@@ -116,8 +117,8 @@ def division(
 
 
 def _graded(length: float, smallest: float, growth: float) -> int:
-    """How many elements, each `growth` times as long as the one before, divide a length so that the first is no longer
-    than `smallest`."""
+    """The number of elements, each `growth` times as long as the one before, that divide a length so that the first is
+    no longer than `smallest`."""
     count, total = 1, 1.0
     while length / total > smallest * (1.0 + 1e-12):
         total += growth**count
@@ -131,12 +132,11 @@ def _ceiling(quotient: float) -> int:
 
 
 def _corners(section: Section, refinement: float) -> tuple[dict[float, float], dict[float, float]]:
-    """Radii and heights that the mesh is graded towards, and the size of the elements there, relative to the others.
+    """Radii and heights that the mesh is graded towards, and the relative size of the elements there.
 
-    Fields are singular in re-entrant corners of the solids, and more so at the ends of electrodes: elements there are
-    smaller by the cube of `refinement`: by itself 0.65 % in Z of a disc were left, by its square 0.08 %. The
-    rim of a couplant, which gives way there, is too thin to have anything of its own across: its radius counts, not
-    its heights.
+    Fields are singular in re-entrant corners of the solids, and more so at the ends of electrodes, where elements are
+    smaller by the cube of `refinement`: with its first power Z of a disc was wrong by 0.65 %, with its square by 0.08
+    %. The compliant rim of a couplant is too thin for a field of its own across: its radius counts, not its heights.
     """
     fluid = [role_of(region) in FLUID_ROLES for region in section.regions]
     cells = section.grid()

@@ -1,7 +1,7 @@
 """The parts a chip is described by: dimensions, layers, electrodes, ports and states. All lengths in metres.
 
-Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one
-axis, and the cavity is a cylindrical hole through one or more neighbouring layers, closed below and above.
+Axisymmetric model of Acevedo-Espinosa et al. (RP-UEIS), Fig. 1: every layer is a disc of its own radius about one axis,
+and the cavity is a cylindrical hole through one or more neighbouring layers, closed below and above.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from workbench.files.errors import InputError
 
 @dataclass(frozen=True)
 class ElectrodeDisc:
-    """An electrode on one face of the transducer: a disc, or a ring when ``inner_radius`` is above zero.
+    """An electrode on one face of the transducer: a disc, or a ring if ``inner_radius`` is above zero.
 
-    ``radius`` is ``None`` when it covers the face to the rim; it then follows the transducer's radius.
+    ``radius`` is ``None`` if it covers the face to the rim; it then follows the transducer's radius.
     """
 
     radius: Dimension | None = None
@@ -39,12 +39,12 @@ class Electrodes:
 
 @dataclass(frozen=True)
 class Layer:
-    """One layer: a disc, or a ring around the cavity when ``cavity_radius`` is given.
+    """One layer: a disc, or a ring around the cavity if ``cavity_radius`` is given.
 
-    ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own when a person weighed the part. ``draft``
-    (rad), ``barrel``, ``bow`` and ``dome`` (m) say how it differs from a disc with plane faces and upright sides, see
-    `geometry.shapes`; ``profile`` that its outline is another altogether, see `geometry.profile`. ``thickness`` is then
-    how far the layer above is from the bottom of this one.
+    ``z_bottom`` in metres; ``density`` in kg/m^3 replaces the material's own if a person weighed the part. ``draft``
+    (rad), ``barrel``, ``bow`` and ``dome`` (m) are its deviations from a disc with plane faces and upright sides, see
+    `geometry.shapes`. ``profile`` is an outline other than a rectangle, see `geometry.profile`; ``thickness`` is then
+    the distance of the layer above from the bottom of this one.
     """
 
     region: str
@@ -78,11 +78,11 @@ class Layer:
 
     @property
     def shapes(self) -> dict[str, Dimension]:
-        """What is stated of its shape, by the names of :data:`SHAPES`."""
+        """Its stated shapes, by the names of :data:`SHAPES`."""
         return {name: size for name in SHAPES if (size := getattr(self, name)) is not None}
 
     def with_shapes(self, sizes: Mapping[str, Dimension | None]) -> Layer:
-        """The same layer with other sizes of shapes, by the names of :data:`SHAPES`."""
+        """A copy with other sizes of shapes, by the names of :data:`SHAPES`."""
         changed: dict[str, Any] = dict(sizes)
         return replace(self, **changed)
 
@@ -103,7 +103,7 @@ class Ports:
 
 @dataclass(frozen=True)
 class ReportedFigures:
-    """Figures of merit somebody reported for a state: f0 in Hz, smallest impedance in ohm, quality factor."""
+    """Figures of merit that somebody reported for a state: f0 in Hz, smallest impedance in ohm, quality factor."""
 
     label: str
     f0: float
@@ -113,11 +113,11 @@ class ReportedFigures:
 
 @dataclass(frozen=True)
 class State:
-    """What a chip holds while it is measured.
+    """Contents of a chip while it is measured.
 
     ``cavity``: material in the cavity, ``"vacuum"`` for nothing, ``None`` for a chip without cavity. ``temperature`` in
-    kelvin. ``materials`` replaces the material of single regions. ``particle`` is a material name,
-    ``particle_radius`` in metres.
+    kelvin. ``materials`` replaces the material of single regions. ``particle`` is a material name, ``particle_radius``
+    in metres.
     """
 
     name: str
@@ -130,7 +130,7 @@ class State:
 
 
 def largest_shape(layer: Layer, name: str) -> float:
-    """What the size of a shape of that name (m or rad) of a layer is less than, to either side."""
+    """Upper limit of the magnitude of a layer's shape of that name (m or rad)."""
     if name == "draft":
         return math.pi / 4.0
     if name == "barrel":
@@ -152,7 +152,7 @@ def discs(electrodes: Electrodes) -> tuple[tuple[str, ElectrodeDisc], tuple[str,
 
 
 def hole_names(layers: Iterable[Layer]) -> dict[str, str]:
-    """Name of the dimension that holds the hole's radius, by region: shared while all holes are equally wide."""
+    """Name of the dimension that holds the hole's radius, by region: one name if all holes are equally wide."""
     holes = {layer.region: layer.inner_radius for layer in layers if layer.cavity_radius is not None}
     if holes and max(holes.values()) - min(holes.values()) < SAME_LENGTH:
         return dict.fromkeys(holes, f"{CAVITY}.radius")
@@ -172,7 +172,7 @@ def named_dimensions(
         if layer.profile is not None:
             for name, size in layer.profile.parameters:
                 yield f"{layer.region}.{name}", size
-    # Reversed, so that the lowest hole speaks for the shared radius.
+    # Reversed, so that the lowest hole gives the shared radius.
     for layer in reversed(layers):
         if layer.cavity_radius is not None:
             yield shared[layer.region], layer.cavity_radius
@@ -190,10 +190,10 @@ def named_dimensions(
 def port_axis(ports: Ports | None, holes: Sequence[Layer], *, file: str) -> tuple[Layer, float]:
     """The layer that ports run through and the height of their axes (metres, in the chip's own z).
 
-    `holes` are the layers with a hole, bottom to top; `file` is the name mistakes are reported under.
+    `holes` are the layers with a hole, bottom to top; `file` is the name that mistakes are reported under.
 
     Raises:
-        InputError: there are no ports, or their height lies beside the cavity.
+        InputError: there are no ports, or their height is outside the cavity.
     """
     if ports is None or not holes:
         raise InputError(file, "cavity.ports", None, "a chip with a cavity and ports")

@@ -1,7 +1,8 @@
-"""Sizes that the parts of a chip have, by role: what lies outside is asked about, being mostly a slip of the unit.
+"""Usual sizes of the parts of a chip, by role. A size outside its range raises an error, since it is mostly a slip of
+the unit.
 
-The ranges are wide: they hold what is built and sold, from thin-film and micromachined parts to ultrasonic baths, and
-leave out what is a thousand times off. Who means it says so: the chip lists the name under ``unusual``.
+The ranges are wide: they hold parts that are built and sold, from thin-film and micromachined ones to ultrasonic baths,
+and exclude sizes that are wrong by a thousand. To keep a size outside, the chip lists its name under ``unusual``.
 """
 
 from __future__ import annotations
@@ -18,18 +19,19 @@ from workbench.files.errors import InputError, choose
 
 @dataclass(frozen=True)
 class Range:
-    """The least and the largest size that something has (SI): ``what`` it is, as messages call it."""
+    """The least and the largest usual size (SI) of a thing; ``what`` is its name in messages."""
 
     low: float
     high: float
     what: str
 
     def __contains__(self, value: object) -> bool:
-        # Ends are written in other units than they are compared in.
+        # The ends are written in other units than those of the comparison.
         return isinstance(value, float | int) and self.low * (1.0 - 1e-9) <= value <= self.high * (1.0 + 1e-9)
 
 
-#: Thicknesses (m) of layers by role. Doubled, a slip by the factor of a unit is still outside, but for the films.
+#: Thicknesses (m) of layers by role. With ranges twice as wide, a slip by the factor of a unit is still outside, except
+#: for films.
 THICKNESSES: Mapping[str, Range] = {
     TRANSDUCER: Range(5e-6, 50e-3, "a piezoelectric disc"),
     "couplant": Range(1e-6, 500e-6, "a film of gel or glue"),
@@ -43,7 +45,7 @@ THICKNESSES: Mapping[str, Range] = {
     "layer": Range(10e-9, 100e-3, "a layer"),
 }
 
-#: Other lengths (m) by what they are called.
+#: Other lengths (m) by name.
 RADIUS = Range(0.1e-3, 200e-3, "the radius of a part")
 CAVITY_RADIUS = Range(20e-6, 150e-3, "the radius of a cavity")
 ELECTRODE_RADIUS = Range(10e-6, 200e-3, "the radius of an electrode")
@@ -55,12 +57,12 @@ TEMPERATURE = Range(253.15, 423.15, "a chip in use")
 FREQUENCY = Range(1e3, 100e6, "a chip driven by a piezoelectric disc")
 DENSITY = Range(50.0, 23e3, "a solid")
 
-#: Largest ratio of the ends of a band, and half wavelengths across the transducer at its top, at 2000 Hz m for one.
-#: Doubled, a lost point in one end of a band of 2 mm discs passes at 10.8 MHz in place of 1.08 MHz as it does now.
+#: Largest ratio of the ends of a band, and largest number of half wavelengths across the transducer at its top, with
+#: 2000 Hz m for one. With twice the numbers, a lost point in one end of a band of 2 mm discs would pass at 10.8 MHz.
 WIDEST, OVERTONES, FREQUENCY_CONSTANT = 60.0, 30.0, 2000.0
 
-#: A length that a search moves by less than this factor may leave its range, and is unusual from then on: a slip of
-#: the unit is more. Doubled, a slip between cm and mm in code passes more often.
+#: Factor below which a search may move a length out of its range, which makes it unusual: a slip of the unit is larger.
+#: Doubled, a slip between cm and mm in code passes more often.
 MOVED = 30.0
 
 #: Factors between units that are mistaken for each other, the likeliest first.
@@ -86,11 +88,11 @@ def check_plausible(
     layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], states: Sequence[State],
     unusual: Sequence[str], file: str,
 ) -> None:
-    """Lengths, band, densities, temperatures and particles are of sizes that such things have, but for those that are
-    listed as `unusual`. `named` are all lengths by name.
+    """Check that lengths, band, densities, temperatures and particles are of usual sizes, except those listed as
+    `unusual`. `named` are all lengths by name.
 
     Raises:
-        InputError: the first that is not, or an unusual name that the chip does not have.
+        InputError: the first unusual size, or an unusual name that the chip does not have.
     """
     stated = list(_stated(layers, named, states))
     for name in unusual:
@@ -103,19 +105,20 @@ def check_plausible(
 
 
 def check_length(name: str, value: float, *, source: str, field: str, unusual: Sequence[str] = ()) -> None:
-    """A length (m) above zero that the dimension of that name is about to have is one that such things have.
+    """Check that a length (m) above zero is a usual one for the dimension of that name.
 
     Raises:
         InputError: it is not, and the name is not `unusual`.
     """
     usual = range_of(name)
-    # What is no length at all is refused elsewhere.
+    # Values that are no lengths at all are refused elsewhere.
     if usual is not None and value > 0.0 and name not in unusual and value not in usual:
         raise implausible(name, value, usual, "length", source, field)
 
 
 def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, field: str = "chip.band") -> None:
-    """The ends of a band (Hz) are frequencies that a chip with these layers is driven at, and not far apart.
+    """Check that the ends of a band (Hz) are frequencies at which a chip with these layers is driven, and not far
+    apart.
 
     Raises:
         InputError: they are not.
@@ -150,7 +153,7 @@ def implausible(name: str, value: float, usual: Range, kind: str, source: str, f
 
 
 def moved_beyond(name: str, old: float, new: float) -> bool:
-    """Whether a move of a length leaves its range by so little that a search may have made it."""
+    """Whether a length moves out of its range by so little that a search may have moved it."""
     usual = range_of(name)
     return usual is not None and new not in usual and old / MOVED < new < MOVED * old
 
@@ -176,8 +179,8 @@ def _stated(
 
 
 def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
-    """The band that is meant where the point of an end was lost, or its unit is another one's: of those that are
-    plausible, the one nearest to the first resonance of a transducer of that thickness (m)."""
+    """The band that was probably meant if the decimal point of an end was lost, or its unit mistaken: of the plausible
+    ones, the one nearest to the first resonance of a transducer of that thickness (m)."""
     low, high = band
     found = [ends for factor in SLIPS for ends in ((low, high * factor), (low * factor, high * factor),
                                                    (low * factor, high))
@@ -190,7 +193,7 @@ def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
 
 
 def as_text(value: float, kind: str, *, as_stated: bool = False) -> str:
-    """A quantity as messages show it."""
+    """A quantity as text for messages."""
     match kind:
         case "length":
             size = abs(value)

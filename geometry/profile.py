@@ -1,9 +1,9 @@
-"""What a chip file says of a layer that is no disc: where its outline in the (r, z) plane comes from.
+"""The profile of a layer that is not a disc: the source of its outline in the (r, z) plane.
 
 Three sources: an outline of points in the file itself, a CadQuery script, a part of a STEP file. Sizes in an outline
 are lengths or names: of the layer's own dimensions (``thickness``, ``radius``, ``cavity_radius``) or of parameters that
-the profile states. A script's function gets those of them that it asks for by name, in millimetres and degrees.
-Heights are measured from the bottom of the layer, in a STEP file from its own origin.
+the profile states. A script's function gets those of them that it asks for by name, in millimetres and degrees. Heights
+are measured from the bottom of the layer, in a STEP file from its own origin.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from workbench.files.tables import FileTable
 #: Dimensions of a layer that its profile can use besides its own parameters.
 OF_LAYER = ("thickness", "radius", "cavity_radius")
 
-#: Names behind that of a layer which are no sizes of a profile.
+#: Reserved names: a parameter of a profile cannot have them.
 TAKEN = ("material", "density", "gauge")
 
 #: A length (m), or the name of one.
 Size = float | str
 
-#: What may be asked of an outline's segment, and of a profile.
+#: Keys of an outline's segment, and of a profile.
 _CORNER_KEYS = ("at", "fillet", "through", "arc")
 _PROFILE_KEYS = ("points", "script", "function", "step", "part", "scale", "parameters", "asymmetry", "axis", "origin",
                  "sector")
 
-#: Axes that have a name.
+#: Directions of the axes that have a name.
 AXES: Mapping[str, tuple[float, float, float]] = {
     "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
     "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0)}
 
-#: Share of its volume that a solid may differ by from what its section encloses when turned about the axis, unless the
-#: file states another: what the kernel's integrals leave.
+#: Largest relative difference between the volume of a solid and that of its section turned about the axis, unless the
+#: file states another: the error of the kernel's integrals.
 ASYMMETRY = 1e-6
 
 
 @dataclass(frozen=True)
 class Corner:
-    """A corner of an outline at ``at`` (r, z), rounded by ``fillet``; the way there from the corner before is a line, a
+    """A corner of an outline at ``at`` (r, z), rounded by ``fillet``. The way to it from the corner before is a line, a
     circular arc through the point ``arc``, or a spline through the points ``through``."""
 
     at: tuple[Size, Size]
@@ -66,7 +66,8 @@ class Outline:
 
 @dataclass(frozen=True)
 class Script:
-    """A function of a Python file that draws the layer with CadQuery; ``content`` tells versions of the file apart."""
+    """A function of a Python file that draws the layer with CadQuery; ``content`` distinguishes versions of the file.
+    """
 
     path: Path
     function: str
@@ -75,7 +76,7 @@ class Script:
 
 @dataclass(frozen=True)
 class StepPart:
-    """A solid of a STEP file, by its name there; ``scale`` (m) is the length of the file's unit as it should be."""
+    """A solid of a STEP file, by its name there; ``scale`` (m) is the length of the file's unit, stated by the user."""
 
     path: Path
     part: str
@@ -85,9 +86,12 @@ class StepPart:
 
 @dataclass(frozen=True)
 class Placement:
-    """The placement of a solid in its file: it turns about ``axis`` (a unit vector, up through the chip) through
-    ``origin`` (m), from which heights are counted; of the whole body it is the part within the angle ``sector`` (rad),
-    as models of one half or quarter are."""
+    """The placement of a solid in its file.
+
+    ``axis`` is the unit vector of its axis, upwards through the chip; the axis goes through ``origin`` (m), from which
+    heights are counted. ``sector`` (rad) is the angle of the whole body that the solid covers, as in models of one half
+    or quarter.
+    """
 
     axis: tuple[float, float, float] = AXES["z"]
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -96,9 +100,12 @@ class Placement:
 
 @dataclass(frozen=True)
 class Profile:
-    """Where the outline of a layer comes from, and the ``parameters`` it brings in (name, size in m or rad), which are
-    dimensions of the chip; ``angles`` names those that are angles. ``asymmetry``: share of the volume of a solid that
-    may differ from what its section encloses when turned about the axis; ``placement``: where that axis is."""
+    """The source of the outline of a layer, and the ``parameters`` it brings in (name, size in m or rad).
+
+    The parameters are dimensions of the chip; ``angles`` names those that are angles. ``asymmetry`` is the largest
+    relative difference between the volume of a solid and that of its section turned about the axis; ``placement``
+    places that axis.
+    """
 
     source: Outline | Script | StepPart
     parameters: tuple[tuple[str, Dimension], ...] = ()
@@ -107,19 +114,19 @@ class Profile:
     placement: Placement = Placement()
 
     def sizes(self, layer: Mapping[str, float]) -> dict[str, float]:
-        """Every size that the profile can use by name (m, rad), those of the `layer` included."""
+        """Every size that the profile can use by name (m, rad), with those of the `layer`."""
         return {**layer, **{name: each.value for name, each in self.parameters}}
 
     def changed(self, change: Callable[[str, Dimension], Dimension]) -> Profile:
-        """The same with other sizes of its parameters."""
+        """A copy with other sizes of its parameters."""
         return replace(self, parameters=tuple((name, change(name, size)) for name, size in self.parameters))
 
 
 def read_profile(table: FileTable) -> Profile:
-    """The profile of a layer, from the table ``profile`` of it.
+    """The profile of a layer, from its table ``profile``.
 
     Raises:
-        InputError: a key, a name or a unit that will not do, a file that does not exist, a script without the function.
+        InputError: an invalid key, name or unit, a file that does not exist, a script without the function.
     """
     table.only(_PROFILE_KEYS)
     sources = [key for key in ("points", "script", "step") if key in table]
@@ -159,7 +166,7 @@ def _placement(table: FileTable) -> Placement:
                 isinstance(each, int | float) and not isinstance(each, bool) for each in given) and (
                     0.0 < math.hypot(*given) < math.inf):
             length = math.hypot(*given)
-            length = 1.0 if abs(length - 1.0) < 1e-12 else length  # read back as it was written
+            length = 1.0 if abs(length - 1.0) < 1e-12 else length  # Read back exactly as it was written.
             axis = given[0] / length, given[1] / length, given[2] / length
         else:
             raise table.error("axis", expected)
@@ -227,7 +234,7 @@ def _outline(table: FileTable, names: set[str]) -> Outline:
 
 
 def _file(table: FileTable, key: str) -> tuple[Path, str]:
-    """A file named by `key`, beside the chip file, and what tells versions of it apart."""
+    """A file named by `key`, beside the chip file, and the digest that distinguishes its versions."""
     name = table.text(key, expected="the name of a file")
     path = Path(table.source).parent / name
     try:
@@ -245,10 +252,10 @@ def _script(table: FileTable) -> Script:
 
 
 def called(script: Script, sizes: Mapping[str, float], angles: frozenset[str]) -> Any:
-    """What the function of a script returns for some sizes (m, rad), given in millimetres and degrees.
+    """The result of a script's function for some sizes (m, rad), which it gets in millimetres and degrees.
 
     Raises:
-        InputError: the script does not run, has no such function, or the function asks for what there is not.
+        InputError: the script does not run, has no such function, or the function asks for an unknown size.
     """
     scope: dict[str, Any] = {"__name__": script.path.stem, "__file__": str(script.path)}
     try:
@@ -282,7 +289,7 @@ def _said(error: Exception) -> str:
 
 
 def _line(error: Exception, path: Path, what: str) -> str:
-    """The line of the script that failed, and what was run: the last one of that file in the traceback."""
+    """The line of the script that failed, with `what` was run: the last line of that file in the traceback."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     if isinstance(error, SyntaxError) and error.filename == str(path):
         lines.append(error.lineno)

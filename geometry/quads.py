@@ -1,10 +1,9 @@
 """Quadrilaterals of any layout: local coordinates that neighbours agree on, and nodes on curved sides.
 
 A mesh of a stack of discs runs along r and along z by itself. Elsewhere the two coordinates of a cell are chosen so
-that cells on both sides of an edge run along it in one direction: the sides opposite to each other run alike, from cell
-to cell on a strip of them, and a strip in the plane has two ends or closes on itself, never turned over (Agelek,
-Anderson, Bangerth and Barth 2017, ACM Trans. Math. Softw. 44, 5: On orienting edges of unstructured two- and
-three-dimensional meshes).
+that the cells on both sides of an edge run along it in one direction. Opposite sides of a cell run alike, from cell to
+cell along a strip; in the plane, a strip has two ends or closes on itself without a twist (Agelek, Anderson, Bangerth
+and Barth 2017, ACM Trans. Math. Softw. 44, 5: On orienting edges of unstructured two- and three-dimensional meshes).
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-#: The sides of a cell: its corners from the lower to the upper end of the coordinate that runs along them, in pairs of
-#: opposite ones.
+#: The sides of a cell as pairs of corners, from the lower to the upper end of the coordinate along them; the first and
+#: third are opposite, and so are the others.
 BOTTOM, RIGHT, TOP, LEFT = (0, 1), (1, 2), (3, 2), (0, 3)
 
 
@@ -32,7 +31,7 @@ def gauss_lobatto(order: int) -> Real:
 
 
 def numbering(order: int) -> list[tuple[int, int]]:
-    """Places along both coordinates of the nodes of a cell: corners, edges bottom, right, top, left, the inside."""
+    """Numbers along both coordinates of the nodes of a cell: corners, edges bottom, right, top, left, the inside."""
     inner = range(1, order)
     return [(0, 0), (order, 0), (order, order), (0, order),
             *((k, 0) for k in inner), *((order, k) for k in inner),
@@ -41,10 +40,11 @@ def numbering(order: int) -> list[tuple[int, int]]:
 
 
 def oriented(cells: Integers) -> Integers:
-    """Anticlockwise cells (4, m) with their corners rolled so that neighbours run along their common side alike.
+    """Anticlockwise cells (4, m) with their corners rolled so that neighbours agree in direction along their common
+    side.
 
     Raises:
-        ValueError: there is no way, as on a strip that is turned over.
+        ValueError: it is not possible, as on a twisted strip.
     """
     count = cells.shape[1]
     ends = np.stack([np.sort(cells[list(side)], axis=0) for side in (BOTTOM, RIGHT, TOP, LEFT)], axis=1)  # (2, 4, m)
@@ -74,13 +74,13 @@ def oriented(cells: Integers) -> Integers:
                     raise ValueError(f"the strip of cells through edge {first} is turned over")
     direction = np.array([runs[k] for k in range(len(runs))])
     along, across = (direction[edge[side]] == forwards[side] for side in (0, 1))
-    # The corner that both coordinates begin at.
+    # The corner at which both coordinates begin.
     begin = np.where(along, np.where(across, 0, 3), np.where(across, 1, 2))
     return np.take_along_axis(cells, (np.arange(4)[:, None] + begin) % 4, axis=0)
 
 
 def rolled(nodes: Real, cells: Integers, other: Integers) -> Real:
-    """The nodes (2, m, k, k) of `cells` (4, m) as those of the same cells whose corners begin elsewhere."""
+    """The nodes (2, m, k, k) of `cells` (4, m) in the order of `other`, equal cells whose corners begin elsewhere."""
     begin = np.argmax(cells == other[0], axis=0)
     result = np.empty_like(nodes)
     for corner, turn in enumerate((lambda x: x, lambda x: x[:, :, ::-1].swapaxes(2, 3), lambda x: x[:, :, ::-1, ::-1],
@@ -91,8 +91,8 @@ def rolled(nodes: Real, cells: Integers, other: Integers) -> Real:
 
 
 def measures(nodes: Real) -> tuple[Real, Real, Real]:
-    """Area (m,) and volume turned about the axis (m,) of cells with nodes (2, m, k, k), and the least of what an area
-    in local coordinates is multiplied by, relative to its mean (m,).
+    """Area (m,), volume turned about the axis (m,), and least Jacobian determinant relative to its mean (m,), of cells
+    with nodes (2, m, k, k).
 
     The integrands are polynomials of degrees below those that the quadrature is exact for.
     """
@@ -110,7 +110,7 @@ def measures(nodes: Real) -> tuple[Real, Real, Real]:
 
 
 def tabulated(order: int, points: Real) -> tuple[Real, Real]:
-    """Values and slopes (n, order + 1) at `points` (n,) of the polynomials that are 1 at one of the nodes each."""
+    """Values and slopes (n, order + 1) at `points` (n,) of the Lagrange polynomials of the Gauss-Lobatto nodes."""
     values, slopes = _coefficients(order)
     legendres = legendre.legvander(2.0 * points - 1.0, order)
     return legendres @ values, legendres[:, :-1] @ slopes
@@ -118,8 +118,8 @@ def tabulated(order: int, points: Real) -> tuple[Real, Real]:
 
 @cache
 def _coefficients(order: int) -> tuple[Real, Real]:
-    """Coefficients of these polynomials and of their slopes in Legendre polynomials: (order + 1, order + 1) and
-    (order, order + 1)."""
+    """Coefficients of these polynomials and of their slopes in Legendre polynomials: (order + 1, order + 1) and (order,
+    order + 1)."""
     values = np.asarray(np.linalg.inv(legendre.legvander(2.0 * gauss_lobatto(order) - 1.0, order)), dtype=float)
     return values, np.asarray(2.0 * legendre.legder(values, axis=0))
 
@@ -132,8 +132,8 @@ def curved(points: Real, cells: Integers, nodes: Real, sides: Mapping[tuple[int,
         nodes: (k,) of [0, 1], ends included, symmetric about the middle.
         sides: (2, k) metres of the nodes of those sides that are curved, by the numbers of their two points.
 
-    What is inside follows from the sides by transfinite interpolation (Gordon and Hall 1973, Int. J. Numer. Methods
-    Eng. 7, 461).
+    Inner nodes follow from the sides by transfinite interpolation (Gordon and Hall 1973, Int. J. Numer. Methods Eng. 7,
+    461).
     """
     corners = points[:, cells]  # (2, 4, m)
     x = nodes

@@ -1,4 +1,4 @@
-"""The section of a solid that turns about an axis, and about which axis a solid turns that does not about the stated.
+"""The section of a solid that turns about an axis; for other solids, the axis about which they do turn.
 
 Lengths in **millimetres**, as in every CAD file.
 """
@@ -21,28 +21,27 @@ from workbench.files.errors import InputError
 if TYPE_CHECKING:
     from cadquery import Face, Solid
 
-#: Solids of less volume (mm^3) are none: far below what anybody means, far above rounding.
+#: Least volume (mm^3) of a solid: far below any intended one, far above rounding.
 SOME = 1e-7
 
 #: Points closer than this (mm) are one point: the same length as `geometry.parts.SAME_LENGTH`.
 CLOSE = 1e-6
 
-#: Azimuths (degrees) at which a solid may be cut; the first one is taken that shows most of what turns about the axis.
+#: Azimuths (degrees) at which a solid may be cut; the best is the cut whose revolution shows most of the solid.
 AZIMUTHS = (0.0, 90.0, 45.0, 30.0, 60.0, 75.0)
 
-#: Share of its volume by which a solid may differ from a body of revolution that it is still named as: one with ports
-#: or a key on its rim. Doubled, a plate with a large round boss is named as round.
+#: Largest relative difference of volume at which an error message still names the axis of a solid: one with ports or a
+#: key on its rim. Doubled, a plate with a large round boss is named as round.
 NAMED_WITHIN = 0.05
 
-#: Shares of its volume (of a solid) up to which it is shown where the solid differs from its section turned about the
-#: axis. Above, it is another body.
+#: Largest relative difference of volume at which a message shows the differing places. Above, it is another body.
 SHOWN_WITHIN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """A solid's section in the half plane y = 0, the ``share`` of the solid's volume that differs from it turned about
-    the axis, and the solids ``differing``."""
+    """A solid's section in the half plane y = 0, the ``share`` of the solid's volume in which it differs from its
+    section turned about the axis, and the solids ``differing``."""
 
     face: Face
     share: float
@@ -50,11 +49,11 @@ class Turned:
 
 
 def cut(solid: Solid, placement: Placement, asymmetry: float, source: str, field: str) -> tuple[Face, str]:
-    """The section of a solid, checked against its volume, and what of the solid it leaves out ("" for nothing).
+    """The section of a solid, checked against its volume, and a note on the parts it leaves out ("" for none).
 
     Raises:
-        InputError: no closed solid, one that is no chip's part in millimetres, or one that does not turn about the
-            stated axis within `asymmetry` of its volume: the message says about which it does.
+        InputError: the solid is not closed, has a size that no part of a chip has in millimetres, or does not turn
+            about the stated axis within `asymmetry` of its volume; the message then names the axis about which it does.
     """
     box = solid.BoundingBox()
     width = max(box.xmax - box.xmin, box.ymax - box.ymin, box.zmax - box.zmin)
@@ -93,7 +92,7 @@ def _said(found: Turned) -> str:
 
 
 def _above(share: float) -> str:
-    """A share in per cent of one digit more than enough."""
+    """A share in per cent, rounded up to one digit with a margin."""
     percent = 110.0 * share
     digit = 10.0 ** math.floor(math.log10(percent))
     return f"{math.ceil(percent / digit) * digit:.6g}"
@@ -116,8 +115,8 @@ def upright(solid: Solid, placement: Placement) -> Solid:
 
 
 def turned_about(solid: Solid, placement: Placement, enough: float, most: float) -> Turned | None:
-    """The section where it shows most of the solid, or None where no cut is in one piece or all leave out more than
-    `most` (share of the volume) by volume alone; no better one than `enough` is looked for."""
+    """The section that shows most of the solid, or None if no cut is in one piece or all leave out more than `most`
+    (share of the volume) by volume alone. The search ends at a share of `enough`."""
     solid = upright(solid, placement)
     whole = placement.sector == 2.0 * math.pi
     best: Turned | None = None
@@ -130,7 +129,7 @@ def turned_about(solid: Solid, placement: Placement, enough: float, most: float)
         if not whole:
             degrees = math.degrees(placement.sector)
             body = _rotated(revolved(faces[0], degrees), -0.5 * degrees)
-        # The bodies differ by so much at least, and what they differ by takes long to find where they do.
+        # The difference of volumes is a lower limit; the exact difference of the bodies takes long to find.
         if abs(body.Volume() - solid.Volume()) > most * solid.Volume():
             continue
         differing = (*turned.cut(body).Solids(), *body.cut(turned).Solids())
@@ -191,9 +190,10 @@ def turning(solid: Solid, asymmetry: float) -> tuple[Placement, Turned] | None:
 
 
 def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tuple[float, float, float]]]:
-    """Axes (direction, point in m) that the solid may turn about: of its round faces, the largest first.
+    """Axes (direction, point in m) that the solid may turn about: those of its round faces, the largest first.
 
-    Of one without such faces (some programs write splines for all) the middle lines of its bounding box along x, y, z.
+    A solid without such faces (some programs write splines for all) gives the middle lines of its bounding box along x,
+    y, z.
     """
     found: list[tuple[float, Any, Any]] = []
     for face in solid.Faces():
@@ -211,11 +211,11 @@ def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tupl
     found.sort(key=lambda each: -each[0])
     lines = [(point, direction) for _, point, direction in found[:4]]
     if not lines:
-        # Of the box, which is exact to some 1e-7 mm where integrals over splines are not.
+        # The bounding box is exact to some 1e-7 mm; integrals over splines are not.
         middle = _round(np.array(solid.BoundingBox().center.toTuple()), 10.0 * CLOSE)
         lines = [(middle, np.array(AXES[name])) for name in ("z", "y", "x")]
     for point, direction in lines:
-        # Up is where its largest component is positive; the point of the axis nearest to the file's origin.
+        # The largest component is positive upwards; the point is the point of the axis nearest to the file's origin.
         direction = _round(direction * math.copysign(1.0, direction[np.argmax(np.abs(direction))]), 1e-9)
         direction = direction / np.linalg.norm(direction)
         nearest = _round(point - (point @ direction) * direction, CLOSE) / MILLIMETRES
@@ -223,7 +223,7 @@ def _candidates(solid: Solid) -> Iterator[tuple[tuple[float, float, float], tupl
 
 
 def _round(values: Any, step: float) -> Any:
-    """Components that are whole numbers, or thousandths of one, but for rounding."""
+    """Components rounded to thousandths if they differ from these by rounding only."""
     near = np.round(values, 3) + 0.0
     return np.where(np.abs(values - near) < step, near, values)
 
@@ -250,7 +250,7 @@ def _axis_of(face: Any) -> tuple[Any, Any] | None:
 
 
 def _sector(solid: Solid, whole: Placement) -> Placement | None:
-    """The sector that the solid is of a body about an axis, by volume, if it is one."""
+    """The sector of a body about an axis that the solid fills, by volume, or None."""
     standing = upright(solid, whole)
     centre = standing.Center()
     if math.hypot(centre.x, centre.y) < CLOSE:
@@ -284,7 +284,7 @@ def words(placement: Placement) -> str:
 
 
 def revolution_keys(placement: Placement) -> str:
-    """The keys of a profile that say so."""
+    """The keys of a profile that state a placement."""
     named = next((name for name, axis in AXES.items() if axis == placement.axis), "")
     found = []
     if placement.axis != AXES["z"]:

@@ -19,7 +19,7 @@ from geometry.names import AXIS, CAVITY, ELECTRODE_GROUND, ELECTRODE_LIVE, TRANS
 from geometry.parts import ElectrodeDisc, Electrodes, Layer
 from workbench.files.errors import choose
 
-#: Marks a cell of :meth:`Section.grid` where there is nothing.
+#: Marks an empty cell of :meth:`Section.grid`.
 VOID = -1
 
 
@@ -48,7 +48,7 @@ class Electrode:
 class Section:
     """The half section: rectangles that do not overlap, and electrodes on them.
 
-    Coordinates that mean the same line are the same float (:func:`cut_section` sees to it), so they compare exactly.
+    Coordinates of one line are the same float (:func:`cut_section` sees to it), so they compare exactly.
     """
 
     rectangles: tuple[Rectangle, ...]
@@ -61,21 +61,21 @@ class Section:
 
     @cached_property
     def r_breaks(self) -> tuple[float, ...]:
-        """Every radius at which something begins or ends, increasing (metres)."""
+        """Every radius at which a rectangle or electrode begins or ends, increasing (metres)."""
         pieces: tuple[Rectangle | Electrode, ...] = (*self.rectangles, *self.electrodes)
         return tuple(sorted({r for piece in pieces for r in (piece.r_inner, piece.r_outer)}))
 
     @cached_property
     def z_breaks(self) -> tuple[float, ...]:
-        """Every height at which something begins or ends, increasing (metres)."""
+        """Every height at which a rectangle or electrode begins or ends, increasing (metres)."""
         lines = {z for rectangle in self.rectangles for z in (rectangle.z_bottom, rectangle.z_top)}
         return tuple(sorted(lines | {electrode.z for electrode in self.electrodes}))
 
     def grid(self) -> NDArray[np.int64]:
-        """Which region fills each cell between the breaks.
+        """The region that fills each cell between the breaks.
 
         Returns:
-            (len(z_breaks) - 1, len(r_breaks) - 1) indices into ``regions``, :data:`VOID` where there is nothing.
+            (len(z_breaks) - 1, len(r_breaks) - 1) indices into ``regions``, :data:`VOID` for an empty cell.
         """
         cells = np.full((len(self.z_breaks) - 1, len(self.r_breaks) - 1), VOID, dtype=np.int64)
         for rectangle in self.rectangles:
@@ -135,7 +135,7 @@ def boundary_name(regions: tuple[str, ...], a: int, b: int) -> str:
 
 
 def cut_section(chip: Chip) -> Section:
-    """The half section of `chip`, the cavity included whatever fills it, its ports left out.
+    """The half section of `chip` with its cavity, filled or not, and without its ports.
 
     Breaks that differ by less than 1 nm, the rounding of sums of thicknesses included, become one.
     """
@@ -143,7 +143,7 @@ def cut_section(chip: Chip) -> Section:
 
 
 def section_of_layers(layers: Sequence[Layer], electrodes: Electrodes) -> Section:
-    """As :func:`cut_section`, of layers as discs and rings whatever their profile."""
+    """The half section as in :func:`cut_section`, of layers as discs and rings whatever their profile."""
     rectangles = [
         Rectangle(layer.region, layer.inner_radius, layer.outer_radius, layer.z_bottom, layer.z_top)
         for layer in layers
@@ -175,7 +175,7 @@ def section_of_layers(layers: Sequence[Layer], electrodes: Electrodes) -> Sectio
 
 
 def _merged(values: Iterable[float]) -> dict[float, float]:
-    """Every value, mapped to the first of the run of values it cannot be told apart from."""
+    """Every value, mapped to the first of the run of values that equal it within rounding."""
     merged: dict[float, float] = {}
     first = -math.inf
     for value in sorted(set(values)):

@@ -1,17 +1,17 @@
-"""Layers that are no discs with plane faces and upright sides: how much each line of the section is moved.
+"""Layers that are not discs with plane faces and upright sides: displacements of the lines of the section.
 
-The section of a chip is cut by its breaks into rectangles. A shape moves points of some of their sides, along r those
-of an upright side and along z those of a level one, and what is inside follows: between its two upright sides a point
-moves along r as they do at its height, in linear interpolation, and likewise along z. Neighbouring rectangles share a
-side, so nothing tears, and where nothing is moved all stays exactly as it is.
+The section of a chip is cut by its breaks into rectangles. A shape moves points of some of their sides: points of an
+upright side along r, points of a level side along z. Points inside follow: a point between two upright sides moves
+along r by linear interpolation of their displacements at its height, and likewise along z between two level sides.
+Neighbouring rectangles share a side, so nothing tears, and rectangles without moved sides stay exactly as they are.
 
-- ``draft`` of a layer around the cavity: the angle by which its hole grows wider upwards; what continues the hole above
-  moves along.
-- ``barrel`` of a layer: how far its outer side bulges at mid-height, in a parabola; lines within the layer that others
+- ``draft`` of a layer around the cavity: the angle by which its hole grows wider upwards; continuations of the hole
+  above move along.
+- ``barrel`` of a layer: the bulge of its outer side at mid-height, in a parabola; lines within the layer that others
   end at move along, in proportion to their distance from its hole or axis.
-- ``bow`` of a layer: how much higher its axis is than its rim, in a parabola; both its faces.
-- ``dome`` of a layer: how much thicker it is on its axis than at its rim, in a parabola of its upper face; what lies on
-  it, a gel above all, fills what is between.
+- ``bow`` of a layer: the height of its axis above its rim, in a parabola; both its faces.
+- ``dome`` of a layer: its excess thickness on the axis over the rim, in a parabola of its upper face; the layer above,
+  usually a gel, fills the space between.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ Moved = Callable[[Real], Real]
 
 @dataclass(frozen=True)
 class Side:
-    """How far (m) the points of a line of the section are moved across it, from `begin` to `end` (m) along it.
+    """Displacements (m) of the points of a line of the section across it, from `begin` to `end` (m) along it.
 
-    An upright line at the radius ``at`` along r as a function of z, a level one at the height ``at`` along z as a
+    An upright line at the radius ``at`` moves along r as a function of z, a level one at the height ``at`` along z as a
     function of r.
     """
 
@@ -50,8 +50,8 @@ class Side:
     moved: Moved
 
     def across(self, along: Real) -> Real:
-        """By how much points of cells (nodes, cells) are moved at some places along the line (m), nothing where a cell
-        lies beyond its ends."""
+        """Displacements of points of cells (nodes, cells) at places along the line (m); zero for cells outside its
+        ends."""
         middle = along.mean(axis=0)
         inside = (middle > self.begin) & (middle < self.end)
         return np.where(inside, self.moved(along), 0.0)
@@ -59,11 +59,11 @@ class Side:
 
 @dataclass(frozen=True)
 class ShapeReach:
-    """How the points that a shape moves follow its size and the lengths of the chip.
+    """The dependence of the points that a shape moves on its size and on the lengths of the chip.
 
-    They are moved along r where it is ``upright``, else along z, in proportion to its size in metres; of an ``angle``,
-    to its tangent and to the thickness of the layer that has it. ``within`` (m) is the radius up to which the size is
-    spread over the section, and changes with what lies there: 0 where it is the same at all radii.
+    They move along r if it is ``upright``, else along z, in proportion to its size in metres; for an ``angle``, to its
+    tangent and to the thickness of the layer that has it. ``within`` (m) is the radius over which the size is spread,
+    if the displacement varies over the section; 0 if it is equal at all radii.
     """
 
     upright: bool
@@ -72,7 +72,7 @@ class ShapeReach:
 
 
 def reach(layer: Layer, shape: str) -> ShapeReach:
-    """How the points that a shape of a layer moves follow it."""
+    """The :class:`ShapeReach` of a shape of a layer."""
     match shape:
         case "draft":
             return ShapeReach(True, True, 0.0)
@@ -87,7 +87,7 @@ def reach(layer: Layer, shape: str) -> ShapeReach:
 def possible(chip: Chip) -> dict[str, tuple[str, str]]:
     """Layer and shape of every shape that a chip's layers could have, by its name among the chip's dimensions.
 
-    None of a chip with profiles, which say all of its shape.
+    A chip with profiles has none, since they state all of its shape.
     """
     layers = () if chip.is_profiled else chip.layers
     return {f"{layer.region}.{shape}": (layer.region, shape) for layer in layers for shape in SHAPES
@@ -95,7 +95,7 @@ def possible(chip: Chip) -> dict[str, tuple[str, str]]:
 
 
 def with_shapes(chip: Chip, names: Sequence[str]) -> Chip:
-    """The chip with shapes of these names among its dimensions: of size 0 where it states none.
+    """A copy with shapes of these names among its dimensions: of size 0 if the chip states none.
 
     Raises:
         InputError: no layer can have such a shape.
@@ -123,7 +123,7 @@ def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
                 goes_on = above.cavity_radius is not None and (
                     abs(above.inner_radius - layer.inner_radius) < SAME_LENGTH)
                 bottom, top = above.z_bottom, above.z_top
-                # Where the hole ends the line is led back within what is above, of which it bounds nothing.
+                # At the end of the hole the line returns within the layer above, of which it bounds nothing.
                 yield Side(True, layer.inner_radius, bottom, top,
                            _sloping(0.0, bottom, shift) if goes_on else _sloping(shift / (bottom - top), top))
                 if not goes_on:
@@ -144,18 +144,18 @@ def sides(chip: Chip, radii: Sequence[float]) -> Iterator[Side]:
 
 
 def _sloping(slope: float, begin: float, size: float = 0.0) -> Moved:
-    """A straight line through that size at the beginning."""
+    """A straight line with the value `size` at `begin`."""
     return lambda along: size + slope * (along - begin)
 
 
 def _bulging(size: float, begin: float, end: float) -> Moved:
-    """A parabola of that size in the middle, and nothing at both ends."""
+    """A parabola with the value `size` in the middle and zero at both ends."""
     return lambda along: 4.0 * size * (along - begin) * (end - along) / (end - begin) ** 2
 
 
 def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
-    """Coordinates (2, nodes, cells) in metres of the nodes of a mesh of a chip's straight section as its layers are
-    shaped; None where none of them is.
+    """Coordinates (2, nodes, cells) in metres of the nodes of a mesh of a chip's straight section, moved by the shapes
+    of its layers; None if no layer has a shape.
 
     Args:
         local: (2, nodes) coordinates of the nodes within a cell, 0 to 1 along r and along z.
@@ -171,7 +171,7 @@ def moved(mesh: SectionMesh, chip: Chip, local: Real) -> Real | None:
 
 
 def _moved(found: Sequence[Side], section: Section, r: Real, z: Real) -> Real:
-    """Where points (nodes, cells) of cells of a section get to: (2, nodes, cells)."""
+    """New coordinates (2, nodes, cells) of points (nodes, cells) of cells of a section."""
     return np.stack([_along(own, across, along, breaks) for own, across, along, breaks in (
         ([side for side in found if side.upright], r, z, section.r_breaks),
         ([side for side in found if not side.upright], z, r, section.z_breaks))])
@@ -194,7 +194,7 @@ def outlines(chip: Chip) -> list[tuple[str, list[Arc]]]:
 
 
 def _cell(found: Sequence[Side], section: Section, column: int, row: int) -> Real:
-    """Corners, middles of the sides and middle of a cell between the breaks, as they are moved: (2, 3, 3)."""
+    """Corners, middles of the sides and middle of a cell between the breaks, after the move: (2, 3, 3)."""
     ends = (section.r_breaks[column:column + 2], section.z_breaks[row:row + 2])
     r, z = np.meshgrid(*([low, 0.5 * (low + high), high] for low, high in ends), indexing="ij")
     return _moved(found, section, r.reshape(9, 1), z.reshape(9, 1)).reshape(2, 3, 3)
@@ -208,7 +208,7 @@ def _through(points: Real) -> Arc:
 
 
 def _along(found: Sequence[Side], across: Real, along: Real, breaks: Sequence[float]) -> Real:
-    """Where points (nodes, cells) at places `across` some lines and `along` them get to across the lines."""
+    """New coordinates across the lines of points (nodes, cells) at places `across` and `along` them."""
     lines = np.array(breaks)
     before = np.clip(np.searchsorted(lines, across.mean(axis=0)) - 1, 0, lines.size - 2)
     share = (across - lines[before]) / (lines[before + 1] - lines[before])

@@ -21,20 +21,20 @@ from geometry.shapes import outlines
 if TYPE_CHECKING:
     from cadquery import Shape, Solid
 
-#: Relative agreement demanded between the volume of a solid and the chip's arithmetic. The kernel integrates plain
-#: cylinders to rounding; where a channel leaves through a round wall it describes the edge by a spline, which costs
-#: some 1e-8 of the channel, 1e-11 of the part.
+#: Largest relative difference between the volume of a solid and the chip's arithmetic. The kernel integrates plain
+#: cylinders to rounding. It describes the edge of a channel in a round wall by a spline, which costs some 1e-8 of the
+#: channel, 1e-11 of the part.
 VOLUME_TOLERANCE = 1e-9
 
 
-#: The same where layers are shaped: the kernel integrates such surfaces numerically, to 1e-9 in what was tried.
+#: Largest relative difference for shaped layers: the kernel integrates such surfaces numerically, to 1e-9 in trials.
 SHAPED_TOLERANCE = 1e-7
 
 
 def parts(chip: Chip) -> dict[str, tuple[Layer, ...]]:
     """The layers of each part that is made in one piece, by the region of its lowest layer.
 
-    A substrate and the sidewall on it are one piece when they are of one material: the printed part of Fig. 3 of
+    A substrate and the sidewall on it are one piece if they are of one material: the printed part of Fig. 3 of
     Acevedo-Espinosa et al. (RP-UEIS). Every other layer is a part by itself.
     """
     printed = ("substrate", "sidewall")
@@ -63,9 +63,9 @@ def part_volumes(chip: Chip) -> dict[str, float]:
 def ports_volume(chip: Chip) -> float:
     """Volume of wall that the ports of `chip` remove, cubic metres.
 
-    A channel of radius a along x between the cylinders r = b and r = c holds
-    ``2 int_{-a}^{a} sqrt(a^2 - y^2) (sqrt(c^2 - y^2) - sqrt(b^2 - y^2)) dy``. With y = a sin(t) the integrand is smooth
-    and periodic, so the midpoint rule converges to rounding.
+    A channel of radius a along x between the cylinders r = b and r = c holds ``2 int_{-a}^{a} sqrt(a^2 - y^2) (sqrt(c^2
+    - y^2) - sqrt(b^2 - y^2)) dy``. With y = a sin(t) the integrand is smooth and periodic, so the midpoint rule
+    converges to rounding.
 
     Raises:
         InputError: the chip has no ports.
@@ -92,7 +92,7 @@ def chip_solids(chip: Chip) -> dict[str, Solid]:
     in them is not part of the solid ``cavity``.
 
     Raises:
-        SolidError: CadQuery is not installed, or a solid is not valid or has not the volume of the chip's arithmetic.
+        SolidError: CadQuery is not installed, or a solid is invalid or differs in volume from the chip's arithmetic.
     """
     expected = part_volumes(chip)
     cadquery = cadquery_module()
@@ -105,7 +105,7 @@ def chip_solids(chip: Chip) -> dict[str, Solid]:
         volume_of_ports = 0.0
         if drilled in {layer.region for layer in layers}:
             shape = shape.cut(*channels)
-            # Through walls that are not round cylinders the arithmetic of channels is not that of the chip.
+            # In walls that are not round cylinders, the formula for the volume of channels does not hold.
             volume_of_ports = ports_volume(chip) if chip.is_shaped else 0.0
         made[name] = _checked(name, shape, expected[name], VOLUME_TOLERANCE if not chip.is_shaped else (
             SHAPED_TOLERANCE + volume_of_ports / expected[name]))
@@ -176,8 +176,8 @@ def _channels(cadquery: ModuleType, chip: Chip) -> list[Shape]:
 def volume(shape: Shape) -> float:
     """Volume of a solid of :func:`chip_solids` in cubic metres.
 
-    By adaptive integration: CadQuery's default takes a fixed number of points and is up to 1 % off in a channel that
-    ends in round walls.
+    The integration is adaptive: CadQuery's default takes a fixed number of points and is up to 1 % off in a channel
+    that ends in round walls.
     """
     return float(shape.Volume(tol=0.1 * VOLUME_TOLERANCE)) / MILLIMETRES**3
 

@@ -1,8 +1,8 @@
-"""The solids of a STEP file and their names, all of them, however the file nests and names them.
+"""All solids of a STEP file and their names, however the file nests and names them.
 
-A solid is called what its instance in the assembly is called, else what its product is called, else ``part 1``, ``part
-2``, ... by its place among all solids of the file. Names that writers make up (numbers, ``NAUO3``, ``Open CASCADE STEP
-translator``) are none. Where several solids have one name they are numbered: ``disc (1)``, ``disc (2)``.
+A solid has the name of its instance in the assembly, else that of its product, else ``part 1``, ``part 2``, ... by its
+place among all solids of the file. Names that writers make up (numbers, ``NAUO3``, ``Open CASCADE STEP translator``) do
+not count. Several solids of one name are numbered: ``disc (1)``, ``disc (2)``.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from workbench.files.errors import InputError, nearest_names
 if TYPE_CHECKING:
     from cadquery import Solid
 
-#: Names that no person gave: entity counters, instance numbers, and what translators write in place of a name.
+#: Names that no person gave: entity counters, instance numbers, and fillers of translators.
 _MADE_UP = re.compile(r"\s*|\d+|NAUO\d+|=>\[[\d:]*\]|Open CASCADE .*|(COMP)?SOLID|COMPOUND|SHELL|NONE|UNNAMED\d*|"
                       r"ASSEMBLY", re.IGNORECASE)
 
-#: A chip is neither smaller nor larger than this across (mm).
+#: Smallest and largest width (mm) of a chip.
 SMALLEST, LARGEST = 0.5, 1000.0
 
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A solid (mm), what it is called, and what else it may be called by where that is clear."""
+    """A solid (mm), its name, and unambiguous other names."""
 
     name: str
     others: tuple[str, ...]
@@ -41,9 +41,9 @@ class Named:
 
 
 def step_parts(path: Path, scale: float, content: str) -> dict[str, Solid]:
-    """The solids of a STEP file by name, in millimetres if the unit of the file should be `scale` metres.
+    """The solids of a STEP file by name, in millimetres if the unit of the file is `scale` metres.
 
-    `content` tells versions of the file apart.
+    `content` distinguishes versions of the file.
 
     Raises:
         InputError: no STEP file, no solids, or a size that no chip has.
@@ -55,7 +55,7 @@ def step_part(path: Path, scale: float, content: str, part: str) -> Solid:
     """The solid of that name, or of another name that only it has.
 
     Raises:
-        InputError: as of :func:`step_parts`, or there is none of that name, or several.
+        InputError: as in :func:`step_parts`, or there is none of that name, or several.
     """
     listed = _scaled(path, scale, content)
     wanted = _composed(part)
@@ -93,7 +93,7 @@ def _scaled(path: Path, scale: float, content: str) -> tuple[Named, ...]:
 
 
 def _read(path: Path, content: str) -> tuple[Named, ...]:
-    """The solids as the file has them, named."""
+    """The solids in the file's own unit, with names."""
     del content
     try:
         found = list(_solids(path))
@@ -119,8 +119,8 @@ def _read(path: Path, content: str) -> tuple[Named, ...]:
 
 
 def _solids(path: Path) -> Iterator[tuple[list[str], list[str], Solid]]:
-    """Every solid where it stands in the assembly, the names it has (of the instance, the product, the solid), and what
-    else it may be called."""
+    """Every solid at its place in the assembly, its names (of the instance, the product, the solid), and other names.
+    """
     from OCP.IFSelect import IFSelect_RetDone
     from OCP.Interface import Interface_Static
     from OCP.STEPCAFControl import STEPCAFControl_Reader
@@ -146,9 +146,9 @@ def _solids(path: Path) -> Iterator[tuple[list[str], list[str], Solid]]:
 
 
 def _as_utf_8(path: Path, folder: Path) -> Path:
-    """The file itself, or a copy in UTF-8 of one in another encoding, which the kernel would lose letters of.
+    """The file itself if it is UTF-8, else a copy in UTF-8: the kernel would lose letters of other encodings.
 
-    Windows-1252 is Latin-1 with some characters more; of any other the letters are others, and none is lost.
+    Windows-1252 is read as Latin-1, which it extends; other encodings give wrong letters, but none is lost.
     """
     data = path.read_bytes()
     try:
@@ -165,7 +165,7 @@ def _below(
 ) -> Iterator[tuple[list[str], list[str], Solid]]:
     """The solids of a label of the document: of an assembly, an instance, or a part.
 
-    `names` are those of the instance, `within` what the assembly around it is called.
+    `names` are those of the instance, `within` is the name of the assembly around it.
     """
     from OCP.TDF import TDF_Label, TDF_LabelSequence
 
@@ -192,16 +192,16 @@ def _below(
     called_so = [*names, *own]
     for solid in solids:
         of_solid = [name for shape, found in labelled if shape.isSame(solid) for name in found]
-        # Of several in one part, each by its own name first.
+        # Several solids in one part take their own names first.
         both = [*of_solid, *called_so] if len(solids) > 1 else [*called_so, *of_solid]
         paths = [f"{within}/{name}" for name in both] if within else []
-        # CadQuery calls the object of an assembly X that holds others X_part.
+        # CadQuery names the object of an assembly X that holds others X_part.
         paths += [within] if f"{within}_part" in both else []
         yield both, paths, solid.moved(place)
 
 
 def _name(label: Any) -> list[str]:
-    """The name of a label, mended where it was encoded twice, and as it is written."""
+    """The name of a label, repaired if it was encoded twice, and as it is written."""
     from OCP.TDataStd import TDataStd_Name
 
     attribute = TDataStd_Name()
@@ -217,7 +217,7 @@ def _composed(name: str) -> str:
 
 
 def _mended(name: str) -> str:
-    """A name whose UTF-8 was taken for Latin-1 or Windows-1252 and encoded again, put right."""
+    """Repair a name whose UTF-8 was taken for Latin-1 or Windows-1252 and encoded again."""
     for _ in range(2):
         for encoding in ("latin-1", "cp1252"):
             try:

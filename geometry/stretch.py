@@ -1,4 +1,4 @@
-"""Lengths of a chip that move: how far, which together, and which parts of a mesh follow each of them.
+"""Lengths of a chip as parameters: their ranges, shared radii, and the parts of a mesh that follow each of them.
 
 Between two breaks of the section the map from old to new coordinates is linear, in r and in z apart, so a quadrilateral
 with straight sides stays one, and a dimension of the chip becomes a parameter like a modulus: no remeshing.
@@ -19,15 +19,15 @@ from geometry.names import COLUMN, LEVEL, part_name
 from geometry.parts import largest_shape
 from geometry.section import cut_section
 
-#: A length that moves keeps this share of the way to where it would vanish, or meet another.
+#: Share of the distance to zero, or to the next break, that a moved length keeps. Doubled, ranges are shorter.
 KEPT = 0.1
 
 
 def between(chip: Chip, name: str) -> tuple[float, float]:
-    """The lengths (m) on both sides of a dimension of `chip` that it cannot be moved past without other cells.
+    """Limits (m or rad) of a dimension of `chip` that the cells of one mesh allow.
 
-    For a radius those of the next breaks of the section; for a shape (m or rad) what no layer can have; else, and where
-    there is none, zero and infinity. All radii of the same length are taken to change together.
+    For a radius they are the next breaks of the section; for a shape the limits of its layer; else, and if there is no
+    break, zero and infinity. All radii of the same length change together.
 
     Raises:
         KeyError: the chip has no dimension of that name.
@@ -43,8 +43,8 @@ def between(chip: Chip, name: str) -> tuple[float, float]:
 
 
 def movable(chip: Chip, name: str, low: float = -math.inf, high: float = math.inf) -> tuple[float, float]:
-    """How far (m or rad) a dimension of `chip` can be moved: within the bounds given, nine tenths of the way to the
-    next.
+    """Admissible range (m or rad) of a dimension of `chip`: within the given bounds and nine tenths of the way to the
+    next break.
 
     Raises:
         KeyError: the chip has no dimension of that name.
@@ -55,9 +55,12 @@ def movable(chip: Chip, name: str, low: float = -math.inf, high: float = math.in
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a region or boundary: its ``name`` on the mesh, the ``layer`` of the stack whose thickness it follows
-    ("" for what lies level), and the two radii (m) of the ``column`` it lies in (None for one that never moves; twice
-    the same for facets along z)."""
+    """A part of a region or boundary.
+
+    ``name`` is its name on the mesh; ``layer`` the layer of the stack whose thickness it follows ("" for a level part);
+    ``column`` the two radii (m) of the column it lies in (None for a column that never moves; one radius twice for
+    facets along z).
+    """
 
     name: str
     layer: str
@@ -65,7 +68,8 @@ class Piece:
 
 
 def tied(*chips: Chip) -> dict[str, str]:
-    """Every radius of some chips by name, with the first name among those of one length in any, which move together."""
+    """Canonical name of every radius of some chips: the first among the names of radii of one length in any chip, which
+    move together."""
     first: dict[str, str] = {}
     for chip in chips:
         known = {name: each.value for name, each in chip.dimensions().items() if name.endswith("radius")}
@@ -73,23 +77,23 @@ def tied(*chips: Chip) -> dict[str, str]:
             alike = [other for other, length in known.items() if abs(length - value) < SAME_LENGTH]
             names = [first[other] for other in alike if other in first] or [name]
             for other, chosen in [*first.items(), *((other, names[0]) for other in alike)]:
-                # What was apart and coincides here is one from now on.
+                # Radii that were apart and coincide here share one name from now on.
                 first[other] = names[0] if chosen in names else chosen
     return first
 
 
 def moving_together(chip: Chip, name: str) -> tuple[str, ...]:
-    """The lengths of `chip` that change with the one called `name`: of a radius all that coincide with it."""
+    """The lengths of `chip` that change with the one called `name`: for a radius, all that coincide with it."""
     first = tied(chip)
     return tuple(other for other in first if first[other] == first[name]) if name in first else (name,)
 
 
 def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[SectionMesh, dict[str, list[Piece]]]:
-    """The same mesh that also names the parts of every region and boundary that follow a length of the chip.
+    """A copy of the mesh that also names the parts of every region and boundary that follow a length of the chip.
 
-    A region that spans several layers (a cavity through two) has a part for each; of a boundary, the facets along z
-    belong to the layer they stand in and all others to :data:`geometry.names.LEVEL`. Of these each column of the
-    section that one of the radii `moving` (m) bounds is a part again; so are facets along z at such a radius.
+    A region that spans several layers (a cavity through two) has a part for each. The facets of a boundary along z
+    belong to the layer they stand in, and all others to :data:`geometry.names.LEVEL`. Each column of the section that
+    one of the radii `moving` (m) bounds is a further part, and so are facets along z at such a radius.
 
     Returns:
         the mesh, and the pieces of every place: of regions, boundaries and their parts by layers.
@@ -111,7 +115,7 @@ def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[
     of_cell = np.searchsorted(levels, z[mesh.mesh.t].mean(axis=0))
     ends, radii = z[mesh.mesh.facets], r[mesh.mesh.facets]
     of_facet = np.where(ends[0] == ends[1], -1, np.searchsorted(levels, ends.mean(axis=0)))
-    # Numbers of columns; behind the last one, of radii; -1 for what never moves.
+    # Numbers of columns; after the last one, of radii; -1 for columns that never move.
     last = breaks.size - 1
     inside = np.array([*(k if follows[k] or follows[k + 1] else -1 for k in range(last)),
                        *(last + k if follows[k] else -1 for k in range(breaks.size))])
@@ -143,6 +147,6 @@ def split(mesh: SectionMesh, chip: Chip, moving: Sequence[float] = ()) -> tuple[
                     own.append(piece)
                 pieces[name] = own
                 found += own
-            # What is in one part only is that part.
+            # A place with a single part is that part.
             pieces[place] = [replace(found[0], name=place)] if len(found) == 1 else found
     return replace(mesh, mesh=mesh.mesh.with_subdomains(regions).with_boundaries(boundaries)), pieces

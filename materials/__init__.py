@@ -4,10 +4,10 @@
 >>> water = Registry().load("water", temperature=298.15)
 >>> pla = Registry().load("pla")
 
-A :class:`Registry` lists what there is (``names()``) and loads one material by name (``load``). What it loads is a
-frozen :class:`Piezoelectric`, :class:`IsotropicSolid` or :class:`Fluid`; a changed one is made by
-``dataclasses.replace(material, density=7500.0)``. Units are SI; losses follow the time factor e^{-i w t}: a *negative*
-imaginary stiffness or modulus and a *positive* imaginary permittivity.
+A :class:`Registry` lists its materials (``names()``) and loads one by name (``load``): a frozen :class:`Piezoelectric`,
+:class:`IsotropicSolid` or :class:`Fluid`. ``dataclasses.replace(material, density=7500.0)`` makes a changed one. Units
+are SI; losses follow the time factor e^{-i w t}: a *negative* imaginary stiffness or modulus and a *positive* imaginary
+permittivity.
 
 How to add a material
 ---------------------
@@ -34,18 +34,18 @@ How to add a material
 4. Load it once. A wrong sign or a material that creates energy is refused; one that does so only within its declared
    rounding loads with a :class:`PassivityWarning`. The tests pick up every file by themselves.
 
-What a fit found
-----------------
-A fit is saved by the program: ``fitted`` joins its numbers to the material that it set out from, and ``save`` writes
-them as the next version of an entry in a folder of the user's (``user_folder()``)::
+Saved fits
+----------
+The program saves a fit: ``fitted`` joins its numbers to the material that it started from, and ``save`` writes them as
+the next version of an entry in a folder of the user's (``user_folder()``)::
 
     found = fitted(start, {"c33": Value(121.7e9 - 0.3e9j, "Pa", "", uncertainty=2e8, low=..., high=...)}, fit=Fit(...))
     save(found, "pzt4/disc_7", folder=user_folder())        # "pzt4/disc_7@1", next time "pzt4/disc_7@2"
 
 The file has the same form as every other. Its ``source`` is ``"recording"``, the one key that is not in
-``references.bib``: the ``[fit]`` table says which recording, with which chip, band, algorithm and software (see
+``references.bib``: the ``[fit]`` table names the recording, with chip, band, algorithm and software (see
 :mod:`materials.fit`), and ``material.fit`` holds it. A version is never changed; ``withdraw`` takes it back without
-removing it. ``check_use`` warns where a fitted material is used outside its band or with another density.
+removing it. ``check_use`` warns if a fitted material is used outside its band or with another density.
 """
 
 from materials.assumed import ASSUMED, with_assumed_loss

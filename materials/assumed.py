@@ -1,16 +1,16 @@
-"""The loss that a lossless ceramic is assumed to have where it is simulated.
+"""The loss that a lossless ceramic is assumed to have in a simulation.
 
 Many sources print no loss, and a resonance without any has no height: the impedance at it is arbitrary, and the solve
-there singular. What is assumed are the round values that makers print for the two classes of lead zirconate titanate
-(types I to VI of MIL-STD-1376B): mechanical quality factor Q_m of the radial mode of a disc and dielectric loss
-tan delta at 1 kHz, both at small signals,
+there singular. The assumed values are the round ones that makers print for the two classes of lead zirconate titanate
+(types I to VI of MIL-STD-1376B): mechanical quality factor Q_m of the radial mode of a disc and dielectric loss tan
+delta at 1 kHz, both at small signals,
 
 - hard (type I, PZT-4): Q_m 500, tan delta 0.004 (makers: 400 to 800 and 0.003 to 0.005),
 - soft (type II, PZT-5A; type VI, PZT-5H): Q_m 75, tan delta 0.02 (makers: 60 to 80 and 0.015 to 0.025),
 
 as in the data sheets of SP-4 and SP-5A (Sparkler Ceramics) and of PIC255 (PI Ceramic: 80 and 0.020). They are applied
-to every stiffness at constant field, c (1 - i / Q_m), and to the permittivities at constant strain,
-eps (1 + i tan delta), e^{-i w t}; the piezoelectric constants e stay real.
+to every stiffness at constant field, c (1 - i / Q_m), and to the permittivities at constant strain, eps (1 + i tan
+delta), e^{-i w t}; the piezoelectric constants e stay real.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from materials.kinds import Material, Piezoelectric
 
 @dataclass(frozen=True)
 class AssumedLoss:
-    """A mechanical quality factor and a dielectric loss tangent. Twice the first, peaks are twice as high."""
+    """A mechanical quality factor and a dielectric loss tangent. With twice the quality factor, peaks are twice as
+    high."""
 
     mechanical_q: float
     dielectric_loss_tangent: float
 
 
-#: By class of ceramic (`materials.kinds.CERAMICS`).
+#: Assumed losses by class of ceramic (`materials.kinds.CERAMICS`).
 ASSUMED = {"hard": AssumedLoss(500.0, 0.004), "soft": AssumedLoss(75.0, 0.02)}
 
 #: The class of a ceramic whose source does not state it.
@@ -42,7 +43,8 @@ def is_lossless(material: Material) -> bool:
 
 
 def with_assumed_loss(material: Material) -> tuple[Material, str]:
-    """`material` with the assumed loss if it is a piezoelectric one without any, and that in words; or as it is."""
+    """The material with the assumed loss, and a note on it, if it is a lossless piezoelectric; otherwise as it is, and
+    ""."""
     if not isinstance(material, Piezoelectric) or not is_lossless(material):
         return material, ""
     loss = ASSUMED[material.ceramic or UNSTATED]

@@ -1,7 +1,7 @@
-"""Constants of a material from one set to another. SI throughout, time factor e^{-i w t}.
+"""Conversions of a material's constants from one set to another. SI throughout, time factor e^{-i w t}.
 
-A modulus M = M' + i M'' of a passive solid has M'' <= 0. The loss tangents here are positive for a passive solid,
--M'' / M', as Table 4 of Acevedo-Espinosa et al. (RP-UEIS) prints them (its text below eq. 18 leaves the sign out).
+A modulus M = M' + i M'' of a passive solid has M'' <= 0. The loss tangents here are positive for a passive solid, -M''
+/ M', as Table 4 of Acevedo-Espinosa et al. (RP-UEIS) prints them (its text below eq. 18 leaves the sign out).
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ def shear_from_longitudinal(longitudinal_modulus: complex, poisson_ratio: comple
 
 
 def wave_modulus(speed: complex, *, density: float) -> complex:
-    """The modulus (Pa) of a wave whose real part of `speed` (m/s) is the phase speed w / Re k, and whose loss is the
-    imaginary part: rho (w / k)^2 with w / k = v^2 / conj(speed) for the phase speed v (see :mod:`materials.loss`)."""
+    """The modulus (Pa) of a wave, from a complex `speed` whose real part is the phase speed w / Re k (m/s).
+
+    The imaginary part of `speed` is the loss: the modulus is rho (w / k)^2 with w / k = v^2 / conj(speed) for the phase
+    speed v (see :mod:`materials.loss`).
+    """
     phase = complex(speed).real
     return density * (phase**2 / complex(speed).conjugate()) ** 2 if complex(speed).imag else density * speed**2
 
@@ -62,12 +65,12 @@ def attenuations(
 
 
 def decibels_per_metre(nepers_per_metre: float) -> float:
-    """An absorption in dB/m from the same in Np/m."""
+    """An absorption in dB/m from one in Np/m."""
     return nepers_per_metre / NEPERS_PER_DECIBEL
 
 
 def nepers_per_metre(decibels_per_metre: float) -> float:
-    """An absorption in Np/m from the same in dB/m."""
+    """An absorption in Np/m from one in dB/m."""
     return decibels_per_metre * NEPERS_PER_DECIBEL
 
 

@@ -8,9 +8,9 @@ from materials.value import Value
 
 
 def describe(material: Material) -> str:
-    """Several lines: name, kind, source, then one line for each number in SI units and what is known about it.
+    """Several lines: name, kind, source, then one line for each number in SI units with its uncertainty and remarks.
 
-    A fitted material ends in what is known of its fit.
+    The lines of a fitted material end with its fit.
     """
     lines = [f"{material.name}: {type(material).__name__}, source {material.source}"]
     thermal = {} if isinstance(material, Fluid) else material.thermal()
@@ -64,7 +64,7 @@ def _interval(label: str, low: float | None, high: float | None) -> str:
 
 
 def _fit_lines(fit: Fit) -> list[str]:
-    """What the fit rests on, and how good it is."""
+    """Lines on the recordings, method and quality of a fit."""
     rows = [("fitted on", f"{fit.date}{', NOT ACCEPTED, saved by force' if fit.forced else ''}")]
     for recording in fit.recordings:
         rows += [("recording", f"{recording.path}, SHA-256 {recording.sha256}"),
@@ -86,7 +86,7 @@ def _fit_lines(fit: Fit) -> list[str]:
 
 
 def _strongest(correlation: Correlation) -> str:
-    """The pairs that the data tell apart worst; the entry has the whole matrix."""
+    """The pairs that the data separate worst; the entry has the whole matrix."""
     names, rows = correlation.names, correlation.rows
     pairs = [(rows[i][j], names[i], names[j]) for i in range(len(names)) for j in range(i)]
     worst = sorted(pairs, key=lambda pair: -abs(pair[0]))[:3]

@@ -1,4 +1,4 @@
-"""Two materials beside each other."""
+"""Differences of two materials, number by number."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from workbench.files.errors import InputError
 class Difference:
     """One number of two materials, SI.
 
-    ``percent`` is the second against the first, None where the first is zero; ``deviations`` the difference in units of
-    the combined standard uncertainty, None where either uncertainty is unknown or both are zero.
+    ``percent`` is the second relative to the first, None if the first is zero; ``deviations`` the difference in units
+    of the combined standard uncertainty, None if either uncertainty is unknown or both are zero.
     """
 
     parameter: str
@@ -27,7 +27,7 @@ class Difference:
 def differences(first: Material, second: Material) -> tuple[Difference, ...]:
     """Every number that either material has, real parts and losses (`"c33"`, `"c33 loss"`) apart.
 
-    A loss is left out where both are zero; so is a number that only one of two fluids has.
+    A loss is left out if both are zero; so is a number that only one of two fluids has.
 
     Raises:
         InputError: materials of different kinds.

@@ -1,7 +1,7 @@
-"""One data file to one material.
+"""Reads one data file into one material.
 
-A file states its ``kind`` and the numbers of one *form* of it: the same solid may be printed as bulk and shear modulus,
-as Young's modulus and Poisson's ratio, or as wave speeds. The numbers are kept as printed, in ``values``; the form's
+A file states its ``kind`` and the numbers of one *form* of it: one solid may be printed as bulk and shear modulus, as
+Young's modulus and Poisson's ratio, or as wave speeds. The numbers are kept as printed, in ``values``; the form's
 conversion gives the fields of the kind. A loss may be printed as the imaginary part, loss tangent, quality factor or
 attenuation of a number (:mod:`materials.loss`), or once for all constants of a ceramic.
 """
@@ -31,7 +31,7 @@ _Numbers = Mapping[str, complex]
 
 @dataclass(frozen=True)
 class Form:
-    """One way a source may print a solid: the dimension of each number, and the fields they give."""
+    """One way a source may print a solid: the dimension of each number, and the conversion to fields."""
 
     dimensions: Mapping[str, str]
     convert: Callable[[_Numbers], dict[str, complex]]
@@ -41,8 +41,8 @@ class Form:
 class EntryKind:
     """The statements a file of one kind may make. ``forms`` are alternatives, of which exactly one must be complete.
 
-    ``words`` are texts from closed lists. What a form gives may be complex where it is ``lossy``. ``once`` are losses
-    that stand for all constants: by their key the word they stand for and the dimensions of the numbers that lose so.
+    ``words`` are texts from closed lists. ``lossy`` allows complex results of a form. ``once`` are losses that stand
+    for all constants: for each key, the word it stands for and the dimensions of the numbers that it applies to.
     """
 
     build: Callable[..., Material]
@@ -159,27 +159,28 @@ KINDS: Mapping[str, EntryKind] = {
     ),
 }
 
-#: How numbers of a form may lose, by their dimension.
+#: Sign of the loss of a form's numbers, by their dimension.
 _LOSES = {
     "pressure": Loses.STIFFLY, "compliance": Loses.SOFTLY, "permittivity": Loses.SOFTLY,
     "piezoelectric charge": Loses.SOFTLY, "speed": Loses.AS_WAVE,
 }
 _HEAD = ("kind", "title", "source", "conditions", "note", "default", "temperature", "fit")
 
-#: The form of two wave speeds, of which each states its loss.
+#: The form of two wave speeds, each with its own loss.
 _FOR_SHEAR = ("longitudinal_speed", "shear_speed")
 
-#: A loss below this share of a number as large as :data:`PLAIN` (in its printed unit) is asked about: a quality factor
-#: of ten thousand, ten times that of the hardest ceramics and of polymers a hundred times. Twice as large, one of 5000.
+#: Share of a number as large as :data:`PLAIN` (in its printed unit) below which its loss raises a warning: a quality
+#: factor of ten thousand, ten times that of the hardest ceramics and a hundred times that of polymers. Twice as large,
+#: one of 5000.
 QUESTIONABLE, PLAIN = 1e-4, 1e2
 
 
 class LossWarning(UserWarning):
-    """A loss is so small beside its number that it was probably meant as a share of it."""
+    """A loss so small beside its number that it was probably meant as a share of it."""
 
 
 def _choose_form(kind_name: str, kind: EntryKind, given: Collection[str], *, source: str) -> Form | None:
-    """The form whose numbers are exactly those `given`; an :class:`InputError` that names what is missing otherwise."""
+    """The form with exactly the numbers `given`; otherwise an :class:`InputError` that names the missing ones."""
     if not kind.forms:
         return None
     for form in kind.forms:
@@ -197,7 +198,7 @@ def _choose_form(kind_name: str, kind: EntryKind, given: Collection[str], *, sou
 
 @dataclass(frozen=True)
 class _Reader:
-    """What the reading of one file has in common: its name for messages, its head, the keys it may cite."""
+    """Shared state of the reading of one file: its name for messages, its head, the keys it may cite."""
 
     file: str
     conditions: str
@@ -206,7 +207,7 @@ class _Reader:
     temperature: float | None
 
     def value(self, entry: object, dimension: str, *, field: str, loses: Loses) -> Value:
-        """The value of one entry: fixed, or at the temperature asked for if the file gives laws."""
+        """The value of one entry: fixed, or at the requested temperature if the file gives laws."""
         if self.temperature is None:
             return self._fixed(entry, dimension, field=field, loses=loses)
         if not isinstance(entry, Mapping) or "law" not in entry or "value" in entry:
@@ -227,7 +228,7 @@ class _Reader:
 
 
 def _temperature(table: FileTable, entries: Mapping[str, object], asked: float | None) -> float | None:
-    """The temperature (K) of a file with laws: the one asked for, or else the reference temperature it states."""
+    """The temperature (K) of a file with laws: the requested one, or else the reference temperature it states."""
     if not any(isinstance(entry, Mapping) and "law" in entry for entry in entries.values()):
         if "temperature" in table:
             raise table.error("temperature",
@@ -243,17 +244,18 @@ def _temperature(table: FileTable, entries: Mapping[str, object], asked: float |
 def read_entry(
     path: Path, name: str, *, references: Collection[str], temperature: float | None, notes: list[str] | None = None
 ) -> Material:
-    """The material in the file at `path`, checked, under the name `name`.
+    """Read and check the material in the file at `path`; its name will be `name`.
 
     Args:
         path: a TOML file; see the package's page for its layout.
         name: ``material/source`` as the registry knows it.
         references: keys of the bibliography that the file may cite.
         temperature: in K, for a file whose numbers depend on it; None for its own reference temperature.
-        notes: takes up, if given, that the material is active by no more than its own rounding; else that is warned of.
+        notes: a list that collects the note of a material active by no more than its own rounding; without it that is
+            a warning.
 
     Raises:
-        InputError: anything the file states wrongly, with the line; or a temperature it cannot serve.
+        InputError: any wrong statement of the file, with the line; or a temperature without a law for it.
 
     Warns:
         passivity.PassivityWarning: active by no more than its own rounding.
@@ -333,7 +335,7 @@ def parse_entry(
 def _with_losses_once(
     table: FileTable, kind: EntryKind, entries: Mapping[str, object], dimensions: Mapping[str, str]
 ) -> dict[str, object]:
-    """`entries` with the losses that the file states once for all constants.
+    """The `entries` with the losses that the file states once for all constants.
 
     Raises:
         InputError: a number of those has a loss of its own as well.
@@ -369,7 +371,7 @@ class _Absorption:
 
     @classmethod
     def taken(cls, table: FileTable, entries: Mapping[str, object]) -> _Absorption | None:
-        """The absorption that the entry of the sound speed states, if it does."""
+        """The absorption in the entry of the sound speed, or None."""
         entry = entries.get("sound_speed")
         if not isinstance(entry, Mapping) or "value" not in entry or not any(word in entry for word in WORDS):
             return None
@@ -390,7 +392,7 @@ class _Absorption:
         return cls(alpha * per_alpha, None if uncertainty is None else uncertainty * per_alpha, stated, speed)
 
     def bulk_viscosity(self, values: Mapping[str, Value], file: str) -> Value:
-        """The bulk viscosity (Pa s) that leaves this absorption, given the other numbers of the fluid.
+        """The bulk viscosity (Pa s) that makes up this absorption together with the other numbers of the fluid.
 
         Raises:
             InputError: the other numbers absorb more than this already.
@@ -414,7 +416,7 @@ class _Absorption:
 def _check_longitudinal_loss(
     moduli: Mapping[str, complex], numbers: _Numbers, tolerances: Mapping[str, float], file: str
 ) -> None:
-    """Refuse a longitudinal wave that loses less than its share of shear makes it lose."""
+    """Raise if a longitudinal wave has a smaller loss than its share of shear implies."""
     bulk, shear = complex(moduli["bulk_modulus"]), complex(moduli["shear_modulus"])
     if bulk.imag <= tolerances["bulk_modulus"]:
         return

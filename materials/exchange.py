@@ -1,7 +1,7 @@
-"""Entries of a user's folder in one file, to keep or to give to somebody else.
+"""Export of a user's entries to one file, and import from it.
 
-The file is JSON: every entry with its name, its text to the letter, the SHA-256 of that text, and its withdrawal if it
-has one. What is imported is the very file that was exported, provenance included.
+The file is JSON: every entry with its name, its exact text, the SHA-256 of that text, and its withdrawal if it has one.
+An imported file is identical to the exported one, provenance included.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,16 +27,16 @@ from materials.versions import (
     withdrawal_text,
 )
 from workbench.files.errors import InputError
-from workbench.files.tables import FileTable
+from workbench.files.tables import FileTable, parse_toml
 from workbench.files.writing import write_atomic
 
-#: First in the file, so that it is known for what it is.
+#: First line of the file, which identifies its format.
 FORMAT = "acoustofluidic-chip-workbench materials 1"
 
 
 @dataclass(frozen=True)
 class Imported:
-    """The name of an imported entry, and whether it is ``new`` or was there already, the same to the letter."""
+    """The name of an imported entry, and whether it is ``new`` or existed already with an identical text."""
 
     name: str
     new: bool
@@ -51,7 +50,7 @@ class _Entry:
 
 
 def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> tuple[str, ...]:
-    """Write the entries that `names` mean to the file `path`; their full names.
+    """Write the entries that `names` mean to the file `path`, and return their full names.
 
     Raises:
         InputError: an unknown name, an entry of the package, or a spoiled one.
@@ -63,8 +62,8 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
             raise InputError("materials", "name", name, "an entry of one's own: this one is in the package everywhere")
         split = split_version(name)
         check_name(name if split is None else split[0])
-        load_quietly(registry, name)  # what cannot be read is not handed on
-        # As bytes, or line ends would be changed on the way.
+        load_quietly(registry, name)  # An unreadable entry is not handed on.
+        # Written as bytes: text mode would change line ends.
         content, withdrawal = file.read_bytes().decode("utf-8"), read_withdrawal(file)
         entry: dict[str, object] = {"name": name, "sha256": _digest(content), "content": content}
         if withdrawal is not None:
@@ -77,8 +76,8 @@ def export_entries(registry: Registry, names: Iterable[str], *, path: Path) -> t
 def import_entries(path: Path, *, folder: Path) -> tuple[Imported, ...]:
     """Put the entries of an exported file into a folder of materials, made if need be.
 
-    All are checked before the first is put in place, and each is put in place whole. What is there already is left;
-    a withdrawal is taken over.
+    All are checked before the first is put in place, and each is put in place whole. Existing entries are left; a
+    withdrawal is taken over.
 
     Raises:
         InputError: not an exported file or a damaged one; an entry that cannot be read, or that cites a source unknown
@@ -87,20 +86,17 @@ def import_entries(path: Path, *, folder: Path) -> tuple[Imported, ...]:
     entries = _read(path)
     references = bibliography_keys(PACKAGE_DATA / "references.bib") | bibliography_keys(folder / "references.bib")
     for entry in entries:
-        # With the package's own names nothing could be read any more.
+        # With one of the package's own names, no entry could be read any more.
         if entry_file(PACKAGE_DATA, entry.name).exists():
             raise InputError(str(path), entry.name, entry.name, "a name that the package does not have")
         _refuse_other(path, entry, folder)
-        try:
-            table = tomllib.loads(entry.content)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(str(path), entry.name, str(error), "valid TOML") from None
+        table = parse_toml(entry.content, source=str(path), field=entry.name)
         parse_entry(table, entry.name, file=f"{path}, {entry.name}", references=references)
     return tuple(Imported(entry.name, _place(path, entry, folder)) for entry in entries)
 
 
 def _place(path: Path, entry: _Entry, folder: Path) -> bool:
-    """Whether the entry is new. Another run may have put it there since it was looked for."""
+    """Put an entry in place; whether it is new. Another run may have put it there since the check."""
     target, new = entry_file(folder, entry.name), True
     try:
         put(entry.content.encode("utf-8"), [target])
@@ -108,7 +104,7 @@ def _place(path: Path, entry: _Entry, folder: Path) -> bool:
         new = False
         _refuse_other(path, entry, folder)
     if entry.withdrawal is not None and not withdrawal_file(target).exists():
-        # Unless another run has withdrawn it meanwhile.
+        # Another run may have withdrawn it meanwhile.
         with contextlib.suppress(FileExistsError):
             put(withdrawal_text(entry.withdrawal).encode("utf-8"), [withdrawal_file(target)])
     return new

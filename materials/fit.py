@@ -1,4 +1,4 @@
-"""How the numbers of an entry were fitted: the ``[fit]`` table of its file.
+"""The ``[fit]`` table of an entry: the recordings and the method that its numbers were fitted with.
 
     [fit.sample]                                # whatever is known of it, as text
     thickness = "2.02 mm"
@@ -23,8 +23,8 @@
     forced = false                              # optional: stored although the fit was not accepted
     date = "2026-11-21T14:40:00+00:00"
 
-In a saved file ``[fit]`` comes last and ``date``, which must be there, is its last line: so no file that lost its end
-reads as a whole one.
+In a saved file ``[fit]`` comes last and ``date``, which is required, is its last line. So a file that lost its end is
+never read as a whole one.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _KEYS = ("recordings", "algorithm", "software", "start", "band", "temperature", 
 class RecordingSource:
     """A recorded spectrum and the chip file it was fitted with: their names, and the SHA-256 of their contents.
 
-    ``chip_sha256`` is empty where the chip is no file.
+    ``chip_sha256`` is empty if the chip is no file.
     """
 
     path: str
@@ -66,7 +66,7 @@ class Correlation:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """How the numbers of a material were fitted.
+    """The fit that gave the numbers of a material.
 
     ``band`` in Hz, ``temperature`` in K, ``density`` (kg/m^3) that of the entry itself, ``confidence`` between 0 and 1,
     ``date`` in ISO 8601. ``mape_percent`` is the mean error of |Z|, ``rms_log_residual`` the root mean square of
@@ -96,12 +96,12 @@ def parse_fit(table: object, *, density: float, source: str) -> Fit:
     """The :class:`Fit` stated by the ``[fit]`` table of a file.
 
     Args:
-        table: what the file has under ``fit``.
+        table: content of the file under ``fit``.
         density: of the entry (kg/m^3).
         source: the file, for messages.
 
     Raises:
-        InputError: an unknown key, something missing, or of the wrong kind.
+        InputError: a key that is unknown, missing, or of the wrong kind.
     """
     entry = FileTable.of(table, source=source, field="fit", expected="a table [fit]").only(_KEYS)
     confidence = _figure(entry, "confidence")
@@ -176,7 +176,7 @@ def _correlation(entry: FileTable) -> Correlation:
             raise InputError(table.source, field, number, "finite numbers")
     for i, row in enumerate(rows):
         for j, number in enumerate(row):
-            # 1e-6: what the rounding of a badly scaled covariance leaves, far below what anybody reads from it.
+            # 1e-6 is the rounding of a badly scaled covariance, far below what anybody reads from it.
             if abs(number - rows[j][i]) > 1e-6 or abs(number) > 1.0 + 1e-6 or (i == j and abs(number - 1.0) > 1e-6):
                 raise InputError(table.source, field, f"{number!r} for {names[i]}, {names[j]}",
                                  "a symmetric matrix with 1 on its diagonal and nothing larger beside it")

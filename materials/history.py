@@ -1,4 +1,4 @@
-"""What became of a saved fit: its versions, and taking one back. Nothing is ever changed or removed."""
+"""The versions of a saved fit, and their withdrawal. Nothing is ever changed or removed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from workbench.files.tables import FileTable
 
 @dataclass(frozen=True)
 class Version:
-    """One version of a saved fit. ``material`` is None where the file is spoiled: ``fault`` says where."""
+    """One version of a saved fit. If its file is spoiled, ``material`` is None and ``fault`` names the place."""
 
     name: str
     material: Material | None
@@ -41,7 +41,7 @@ def history(registry: Registry, name: str) -> tuple[Version, ...]:
     """
     versions = versions_of(name, registry.names())
     if not versions:
-        registry.find(name)  # says what there is, if there is nothing of that name
+        registry.find(name)  # It names the known entries if there is nothing of that name.
         raise InputError("materials", "name", name, "a saved fit; this entry has no versions")
     return tuple(_version(registry, version) for version in versions)
 
@@ -56,7 +56,7 @@ def _version(registry: Registry, name: str) -> Version:
 
 
 def load_quietly(registry: Registry, name: str) -> Material:
-    """The material without a warning, for those who look at it and do not compute with it."""
+    """Load a material without warnings, to look at it and not to compute with it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PassivityWarning)
         warnings.simplefilter("ignore", WithdrawnWarning)
@@ -64,7 +64,7 @@ def load_quietly(registry: Registry, name: str) -> Material:
 
 
 def withdraw(registry: Registry, name: str, *, reason: str, date: str) -> None:
-    """Withdraw one version: its short name no longer means it; by its full name it is still read, with a warning.
+    """Withdraw one version: its short name no longer means it; its full name still reads it, with a warning.
 
     Args:
         registry: that finds it.

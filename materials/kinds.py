@@ -1,9 +1,9 @@
 """The kinds of material: one frozen dataclass for each physics, with only the numbers that physics has.
 
 Numbers are SI; losses follow the time factor e^{-i w t}: negative imaginary stiffness, positive imaginary permittivity.
-``parameters()`` gives a solver what it needs by field name; ``values`` keeps every number as its source states it.
-``temperature`` (K) is set where the numbers were asked for at a temperature, None where the source gives no law for it.
-``fit`` says how the numbers were fitted, None where they come from the literature.
+``parameters()`` gives a solver its numbers by field name; ``values`` keeps every number as its source states it.
+``temperature`` (K) is set if the numbers were requested at a temperature, None if the source gives no law for it.
+``fit`` describes the fit of the numbers, None for numbers from the literature.
 
 A caller changes a number with :func:`dataclasses.replace`. The changed field then has no entry in ``values`` any more:
 it is the caller's number, and no source may be quoted for it.
@@ -25,7 +25,7 @@ CERAMICS = ("hard", "soft")
 
 
 def _still_true(values: Mapping[str, Value], fields: Mapping[str, complex]) -> dict[str, Value]:
-    """`values` without those that say something else than the field of their name."""
+    """The `values` that still agree with the field of their name."""
     return {name: value for name, value in values.items() if name not in fields or value.value == fields[name]}
 
 
@@ -49,7 +49,7 @@ class Heat:
         return {name: complex(number) for name, number in found.items() if number is not None}
 
     def values_that_hold(self, parameters: Mapping[str, complex], values: Mapping[str, Value]) -> dict[str, Value]:
-        """`values` without those of a number that has been changed, or set to None, since it was read."""
+        """The `values` of numbers that have not been changed, or set to None, since they were read."""
         known = {**parameters, **self.thermal()}
         stated = {name: value for name, value in values.items() if name in known or name not in self.THERMAL}
         return _still_true(stated, known)
@@ -61,7 +61,7 @@ class Piezoelectric(Heat):
 
     Density in kg/m^3, stiffness at constant electric field in Pa, piezoelectric constants in C/m^2, permittivity at
     constant strain relative to that of free space. Acevedo-Espinosa et al. (RP-UEIS), eqs. 6 to 12. ``ceramic`` is one
-    of :data:`CERAMICS`, or empty where the source does not say.
+    of :data:`CERAMICS`, or empty if the source does not state it.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = (
@@ -93,11 +93,6 @@ class Piezoelectric(Heat):
     def c66(self) -> complex:
         """Stiffness (Pa) for shear in the plane across the poling: (c11 - c12) / 2."""
         return (self.c11 - self.c12) / 2
-
-    @property
-    def absolute_eps11(self) -> complex:
-        """Permittivity (F/m) at constant strain across the poling."""
-        return self.eps11 * VACUUM_PERMITTIVITY
 
     @property
     def absolute_eps33(self) -> complex:
@@ -137,7 +132,7 @@ class IsotropicSolid(Heat):
 
     @property
     def compressibility(self) -> float:
-        """Compressibility (1/Pa) under pressure: 1 / K, which is what a sound wave in a fluid around a bead meets."""
+        """Compressibility (1/Pa) under pressure: 1 / K, as it acts on a sound wave in a fluid around a bead."""
         return 1.0 / complex(self.bulk_modulus).real
 
     def parameters(self) -> dict[str, complex]:
@@ -154,7 +149,7 @@ class Fluid:
     """A compressible fluid at one temperature.
 
     Density in kg/m^3, sound speed in m/s, viscosities in Pa s, thermal conductivity in W/(m K), heat capacity at
-    constant pressure in J/(kg K). What a source does not give is None.
+    constant pressure in J/(kg K). A number that a source does not give is None.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = (
@@ -187,19 +182,13 @@ class Fluid:
         return 1.0 / (self.density * self.sound_speed**2)
 
     @property
-    def thermal_diffusivity(self) -> float | None:
-        """Thermal conductivity / (density heat capacity) in m^2/s, or None where either is unknown."""
-        if self.thermal_conductivity is None or self.heat_capacity is None:
-            return None
-        return self.thermal_conductivity / (self.density * self.heat_capacity)
-
-    @property
     def diffusivity_of_sound(self) -> float | None:
-        """[4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None where the bulk viscosity is unknown.
+        """Diffusivity [4/3 eta + eta_b + (gamma - 1) lambda / c_p] / rho in m^2/s, or None if the bulk viscosity is
+        unknown.
 
-        The classical absorption of sound is omega^2 / (2 c^3) times this (Pierce, Acoustics, 1989, section 10-2).
-        Heat conduction counts where its three numbers are known; in water it is a thousandth of the whole. Where only
-        the absorption is known, the bulk viscosity stands for all of it and there is no shear viscosity.
+        The classical absorption of sound is omega^2 / (2 c^3) times this (Pierce, Acoustics, 1989, section 10-2). Heat
+        conduction counts if its three numbers are known; in water it is a thousandth of the whole. If only the
+        absorption is known, the bulk viscosity stands for all of it and there is no shear viscosity.
         """
         if self.bulk_viscosity is None or (self.shear_viscosity is None and self.bulk_viscosity == 0.0):
             return None

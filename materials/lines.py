@@ -1,4 +1,4 @@
-"""The line of a file that a complaint is about."""
+"""The line of a file that an error is about."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _KEY = re.compile(r"""^\s*([\w."'-]+)\s*=""")
 
 @contextmanager
 def with_line_number(path: Path) -> Iterator[None]:
-    """Adds to a complaint about the file at `path` the line that it is about, as far as there is one.
+    """Add to an error about the file at `path` the line that it is about, if there is one.
 
-    What is missing has none: there the complaint says where the file ends, which shows a truncated one.
+    A missing statement has no line; the error then gives the last line of the file, which reveals a truncated one.
 
     Raises:
         InputError: the one raised inside, with the line in its ``source``.
@@ -42,7 +42,7 @@ def _place(text: str, error: InputError) -> str:
 def line_of(text: str, field: str, *, whole: bool = False) -> int | None:
     """The line (from 1) of a TOML text that states `field`, such as ``fit.band``, or the innermost table around it.
 
-    None if there is neither; with `whole`, nothing but the field itself counts.
+    None if there is neither; with `whole`, only the field itself counts.
     """
     best, best_length, table, inside_text = None, 0, "", False
     for number, line in enumerate(text.splitlines(), start=1):

@@ -1,4 +1,4 @@
-"""Losses as sources print them, made the imaginary part of a number for the time factor e^{-i w t}.
+"""Losses as sources print them, converted to the imaginary part of a number for the time factor e^{-i w t}.
 
 A number states its loss in one of four words:
 
@@ -9,10 +9,10 @@ A number states its loss in one of four words:
 - ``attenuation``: of a wave, whose speed the number is, in dB or Np per length at a ``frequency``
   (``attenuation = "3 dB/cm", frequency = "1 MHz"``) or per length and frequency (``"3 dB/(cm MHz)"``).
 
-``loss_uncertainty`` is stated as the loss is. With v the printed phase speed and alpha the attenuation, the wave number
-is k = w / v + i alpha, and its modulus rho (w / k)^2 has the loss tangent tan delta for tan(delta / 2) = alpha v / w:
-exact, and a loss tangent that is constant over the band (alpha proportional to the frequency). The imaginary part of a
-speed is -v tan(delta / 2), which makes the complex speed w / k = v^2 / conj(v + i v'').
+``loss_uncertainty`` is stated in the same form. With v the printed phase speed and alpha the attenuation, the wave
+number is k = w / v + i alpha, and its modulus rho (w / k)^2 has the loss tangent tan delta with tan(delta / 2) = alpha
+v / w. This is exact for a loss tangent that is constant over the band (alpha proportional to the frequency). The
+imaginary part of a speed is -v tan(delta / 2), which makes the complex speed w / k = v^2 / conj(v + i v'').
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS, parse_quantity
 from workbench.files.tables import FileTable
 
-#: The words for a loss, of which a number takes one.
+#: The words for a loss; a number takes one of them.
 WORDS = ("loss", "loss_tangent", "q", "attenuation")
 
-#: Nepers in a decibel: a field's ratio of 10^(1/20).
+#: Nepers per decibel: a ratio of amplitudes of 10^(1/20).
 NEPERS_PER_DECIBEL = math.log(10.0) / 20.0
 
 #: Relative step of the differences that carry an uncertainty. Doubled, the error of a derivative is 4e-12 of it.
@@ -38,7 +38,7 @@ _STEP = 1e-6
 
 
 class Loses(Enum):
-    """The way in which a number may lose, which fixes the sign of its imaginary part and the words for it."""
+    """The kind of loss of a number, which fixes the sign of its imaginary part and the words for it."""
 
     NOT = "not at all"
     STIFFLY = "as a modulus"
@@ -61,7 +61,7 @@ class Loses(Enum):
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """All keys of an entry that have to do with its loss, also those that are then refused by name."""
+        """All keys of an entry that concern its loss, with those that are then refused by name."""
         if not self.words:
             return ()
         return (*WORDS, "loss_uncertainty", *(("frequency",) if self is Loses.AS_WAVE else ()))
@@ -71,8 +71,8 @@ class Loses(Enum):
 class Loss:
     """The ``imaginary`` part of a number and its ``uncertainty`` (standard; None: not stated), both SI.
 
-    ``tolerance`` bounds what the rounding and the uncertainty of the printed numbers leave in the imaginary part;
-    ``stated`` is the loss in the words of the file, empty where it is the imaginary part itself.
+    ``tolerance`` bounds the error of the imaginary part due to the rounding and the uncertainty of the printed numbers;
+    ``stated`` is the loss in the words of the file, empty if it is the imaginary part itself.
     """
 
     imaginary: float = 0.0
@@ -82,7 +82,7 @@ class Loss:
 
 
 def read_loss(table: FileTable, loses: Loses, real: float, *, factor: float, rounding: float) -> Loss:
-    """The loss of the number `real` (in the unit of its entry, whose `factor` to SI this is) that `table` states.
+    """The loss of the number `real` (in the unit of its entry, whose `factor` to SI is given) that `table` states.
 
     `rounding` (SI) is half a unit of the last printed digit of the number.
 
@@ -116,13 +116,13 @@ def read_loss(table: FileTable, loses: Loses, real: float, *, factor: float, rou
 
 
 def attenuation_of_sound(table: FileTable, speed: float) -> tuple[float, float | None, float, str] | None:
-    """The attenuation (Np/m) of sound of a `speed` (m/s) in a fluid, its uncertainty, the frequency (Hz) it is of, and
-    the words it is stated in; None where `table` states none.
+    """Attenuation (Np/m) of sound of a `speed` (m/s) in a fluid, its uncertainty, its frequency (Hz), and its words in
+    the file; None if `table` states none.
 
-    A fluid's classical attenuation grows with the square of the frequency, so every word needs one.
+    A fluid's classical attenuation grows with the square of the frequency, so every word needs a frequency.
 
     Raises:
-        InputError: as :func:`read_loss`; a loss that is stated as an imaginary part, or without its frequency.
+        InputError: as in :func:`read_loss`; a loss that is stated as an imaginary part, or without its frequency.
     """
     word = _word(table, Loses.AS_WAVE)
     if word is None:
@@ -145,7 +145,7 @@ def attenuation_of_sound(table: FileTable, speed: float) -> tuple[float, float |
 
 
 def _word(table: FileTable, loses: Loses) -> str | None:
-    """The word that the loss is stated in, if any."""
+    """The word in which the loss is stated, if any."""
     given = [word for word in WORDS if word in table]
     for word in given:
         if word not in loses.words:
@@ -157,12 +157,12 @@ def _word(table: FileTable, loses: Loses) -> str | None:
     return given[0] if given else None
 
 
-#: The imaginary part (SI) of a value (SI) whose loss in the word of the file is the second number.
+#: The imaginary part (SI) from a value (SI) and its loss in the word of the file.
 _Imaginary = Callable[[float, float], float]
 
 
 def _stated(table: FileTable, word: str, loses: Loses) -> tuple[float, float | None, _Imaginary]:
-    """The number of a `word`, its uncertainty if stated, and what makes it an imaginary part."""
+    """The number of a `word`, its uncertainty if stated, and the function that gives the imaginary part."""
     sign = 1.0 if loses is Loses.SOFTLY else -1.0
     wave = loses is Loses.AS_WAVE
 
@@ -185,7 +185,7 @@ def _stated(table: FileTable, word: str, loses: Loses) -> tuple[float, float | N
 
 
 def loss_number(table: FileTable, key: str, word: str, *, uncertainty: bool = False) -> float:
-    """The number under `key` that a loss in a `word` is, or the `uncertainty` of such a loss; not of an attenuation.
+    """The number under `key` of a loss in a `word`, or the `uncertainty` of such a loss; not for an attenuation.
 
     Raises:
         InputError: another form than that of the word, or a number that no loss has.
@@ -214,7 +214,7 @@ _PART = re.compile(r"([A-Za-zµμ]+)(?:\^(\d))?$")
 
 
 def _attenuation(table: FileTable, *, law: int) -> tuple[float, float | None, float]:
-    """The attenuation (Np/m), its uncertainty, and the frequency (Hz) it is of.
+    """The attenuation (Np/m), its uncertainty, and its frequency (Hz).
 
     It grows with the frequency to the power `law`: an attenuation per frequency to just that power needs none.
     """
@@ -247,7 +247,7 @@ def _attenuation(table: FileTable, *, law: int) -> tuple[float, float | None, fl
 
 
 def _amount(table: FileTable, key: str, text: str, expected: str) -> tuple[float, float, int]:
-    """Np/m at the frequency (Hz) that comes next, and the power of the frequency that it grows with by its unit."""
+    """The attenuation (Np/m) at a unit frequency (Hz), and the power of the frequency in its unit."""
     whole = _AMOUNT.match(text)
     value, unit = (float(whole[1]), whole[2]) if whole else (math.nan, text)
     found = _UNIT.match(re.sub(r"\s*/\s*", "/", unit.replace("²", "^2")))
@@ -267,7 +267,7 @@ def _amount(table: FileTable, key: str, text: str, expected: str) -> tuple[float
 
 
 def _frequency(table: FileTable, word: str) -> float:
-    """The frequency (Hz) that a loss in a `word` is of."""
+    """The frequency (Hz) of a loss in a `word`."""
     if "frequency" not in table:
         raise InputError(table.source, table.at(word), table.content[word],
                          'its frequency beside it, such as frequency = "1 MHz"')
@@ -278,6 +278,6 @@ def _frequency(table: FileTable, word: str) -> float:
 
 
 def _words(table: FileTable, word: str) -> str:
-    """The loss as the file states it."""
+    """The loss in the words of the file."""
     at = f" at {table.content['frequency']}" if "frequency" in table else ""
     return f"{word.replace('_', ' ')} {table.content[word]}{at}"

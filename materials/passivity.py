@@ -1,4 +1,4 @@
-"""A material may store energy and lose it, but never make it.
+"""Checks of passivity: a material may store energy and lose it, but never create it.
 
 The power lost per volume is (w/2) x^dagger Im(K) x for every strain and field x, with the 9 x 9 matrix
 
@@ -10,8 +10,8 @@ stiffness must be positive definite and the permittivities positive.
 
 Printed constants are rounded, and a fit that ends on the boundary of passivity may be pushed over it by the last
 printed digit. By Weyl's inequality an eigenvalue moves by no more than the norm of the change, and no change within the
-rounding has a larger norm than the matrix of the roundings themselves: that norm is the tolerance, so it follows from
-what the data file declares and from nothing else.
+rounding has a larger norm than the matrix of the roundings themselves. That norm is the tolerance: it follows from the
+declarations of the data file alone.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class PassivityWarning(UserWarning):
 
 
 def stored_energy_matrix(material: Piezoelectric) -> NDArray[np.complex128]:
-    """K = [[-C, e^T], [e, eps]], 9 x 9, in Pa.
+    """Matrix K = [[-C, e^T], [e, eps]], 9 x 9, in Pa.
 
     Rows are the strains 11 22 33 23 13 12 (Voigt, engineering shear) and the fields 1 2 3. The fields are measured in
     units of sqrt(c33' / eps33'), which brings every entry to Pa without changing the sign of any eigenvalue.
@@ -48,7 +48,7 @@ def stored_energy_matrix(material: Piezoelectric) -> NDArray[np.complex128]:
 
 
 def _in_pascal(material: Piezoelectric, entries: Mapping[str, complex]) -> dict[str, complex]:
-    """`entries` (in the units of the parameters) with the electric ones scaled to Pa."""
+    """The `entries` (in the units of the parameters) with the electric ones scaled to Pa."""
     field_unit = math.sqrt(complex(material.c33).real / complex(material.absolute_eps33).real)
     scales = dict.fromkeys(("e31", "e33", "e15"), field_unit)
     scales |= dict.fromkeys(("eps11", "eps33"), VACUUM_PERMITTIVITY * field_unit**2)
@@ -75,7 +75,7 @@ def _assemble(entries: Mapping[str, complex], c66: complex) -> NDArray[np.comple
 
 
 def dissipation_matrix(material: Piezoelectric | IsotropicSolid) -> NDArray[np.float64]:
-    """Im K in Pa: 9 x 9 for a piezoelectric solid; for an isotropic one diag(-K'', -G'').
+    """Matrix Im K in Pa: 9 x 9 for a piezoelectric solid; for an isotropic one diag(-K'', -G'').
 
     The isotropic solid needs no more: compression loses through K'' alone and every shear through G'' alone.
     """
@@ -94,7 +94,7 @@ def smallest_dissipation(material: Piezoelectric | IsotropicSolid) -> float:
 
 
 def rounding_tolerance(material: Piezoelectric | IsotropicSolid, loss_tolerances: Mapping[str, float]) -> float:
-    """How far below zero (Pa) the rounding of the losses can push the smallest dissipation.
+    """Largest amount (Pa) by which the rounding of the losses can push the smallest dissipation below zero.
 
     `loss_tolerances` bounds the error of the imaginary part of each parameter, by name and in its SI unit (a missing
     name: exact).
@@ -111,13 +111,13 @@ def rounding_tolerance(material: Piezoelectric | IsotropicSolid, loss_tolerances
 def check_passive(
     material: Material, *, loss_tolerances: Mapping[str, float], source: str, notes: list[str] | None = None
 ) -> None:
-    """Refuse a material that no passive, stable matter can be.
+    """Raise if the material cannot be passive, stable matter.
 
     Args:
         material: any kind; a fluid is checked for positive numbers only.
         loss_tolerances: as in :func:`rounding_tolerance`.
-        source: where the material comes from, for messages.
-        notes: takes up what would be a warning, if given.
+        source: the origin of the material, for messages.
+        notes: a list that collects the warning instead, if given.
 
     Raises:
         InputError: a number that must be positive is not; a loss has the wrong sign; the stiffness is not positive
@@ -168,7 +168,7 @@ def _check_positive(material: Material, source: str) -> None:
     for name, number in (material.parameters() | thermal).items():
         if not (math.isfinite(number.real) and math.isfinite(number.imag)):
             raise InputError(source, name, number, "a finite number")
-        # A particle that is given by its compressibility alone has no shear modulus.
+        # A particle given by its compressibility alone has no shear modulus.
         if name == "shear_modulus" and number == 0:
             continue
         if name in _POSITIVE and number.real <= 0:
@@ -178,7 +178,7 @@ def _check_positive(material: Material, source: str) -> None:
 def _check_signs(
     material: Piezoelectric | IsotropicSolid, loss_tolerances: Mapping[str, float], source: str
 ) -> None:
-    """The diagonal of Im K: a wrong sign there is a wrong convention, which deserves its own words."""
+    """Check the diagonal of Im K: a wrong sign there is a wrong convention, which deserves its own message."""
     for name, number in material.parameters().items():
         if name in ("c11", "c33", "c44", "bulk_modulus", "shear_modulus"):
             gained, sign = number.imag, "<= 0"

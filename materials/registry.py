@@ -4,11 +4,11 @@
     data/references.bib                  ->   the sources that entries may cite
 
 The package's own folder always comes first; a user's folders have the same layout and may add materials, entries and a
-``references.bib``. An entry is read when it is asked for.
+``references.bib``. An entry is read on request.
 
 A saved fit is an entry with versions, ``pzt4/disc_7@1``, ``pzt4/disc_7@2``: ``pzt4/disc_7`` means the newest one that
-is not withdrawn. A material's name alone never means a saved fit while there is anything else that it may mean: saving
-one does not change what an existing chip file says.
+is not withdrawn. A material's name alone never means a saved fit if it can mean any other entry: saving a fit does not
+change the meaning of an existing chip file.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def bibliography_keys(path: Path) -> frozenset[str]:
     """The keys of the entries of a BibTeX file; none if there is no such file.
 
     Raises:
-        InputError: the same key twice.
+        InputError: a key that occurs twice.
     """
     if not path.is_file():
         return frozenset()
@@ -75,18 +75,18 @@ class Registry:
         object.__setattr__(self, "folders", tuple(map(Path, given)))
 
     def names(self) -> tuple[str, ...]:
-        """Every ``material/source`` name, sorted; of a saved fit every version, the withdrawn ones too."""
+        """Every ``material/source`` name, sorted; of a saved fit every version, withdrawn ones included."""
         return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
 
     def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
-        """The material called `name`, read and checked.
+        """Read and check the material called `name`.
 
         Args:
-            name: ``material/source``, or ``material`` alone if it has one entry or one that is declared the default; of
-                a saved fit, ``material/name`` or ``material/name@version``.
+            name: ``material/source``, or ``material`` alone if it has one entry or one that is declared the default;
+                for a saved fit, ``material/name`` or ``material/name@version``.
             temperature: in K, for a material whose numbers depend on it. None: the reference temperature its entry
                 states, which the result carries in its ``temperature``.
-            notes: takes up, if given, what is a :class:`materials.PassivityWarning` otherwise.
+            notes: a list that collects a :class:`materials.PassivityWarning` as text, if given.
 
         Raises:
             InputError: no such name (the nearest ones are named), a material with several entries and no default, a
@@ -105,10 +105,10 @@ class Registry:
         return read_entry(path, chosen, references=references, temperature=temperature, notes=notes)
 
     def find(self, name: str) -> tuple[str, Path]:
-        """The full name and the file of what `name` means; see :meth:`load`.
+        """The full name and the file that `name` means; see :meth:`load`.
 
         Raises:
-            InputError: no such name, or one that may mean several entries or none that is not withdrawn.
+            InputError: no such name, or one that may mean several entries or only withdrawn ones.
         """
         files = self._files()
         chosen = name if "/" in name else self._default(name, files)
@@ -141,7 +141,7 @@ class Registry:
         if versions:
             raise InputError("materials", "name", name, f"a version by its full name, such as {versions[-1]}: all "
                              f"{len(versions)} are withdrawn", (versions[-1],))
-        # Versions by one name: there may be hundreds.
+        # One name stands for all versions: there may be hundreds.
         label = name.split("@")[0]
         known = versions_of(label, files) or sorted(set(_unversioned(files)))
         siblings = [other for other in known if other.split("/")[0] == name.split("/")[0]]
@@ -150,7 +150,7 @@ class Registry:
                          near or nearest_names(name, known))
 
     def _default(self, material: str, files: Mapping[str, Path]) -> str:
-        """The full name meant by a material's name alone."""
+        """The full name that a material's name alone means."""
         entries = [name for name in files if name.split("/")[0] == material and split_version(name) is None]
         entries = entries or sorted(set(_unversioned(name for name in files if name.split("/")[0] == material)))
         if not entries:
@@ -176,5 +176,5 @@ def user_registry(further: Iterable[Path | str] = ()) -> Registry:
 
 
 def _unversioned(names: Iterable[str]) -> list[str]:
-    """`names` with those of saved fits without their versions."""
+    """The `names`, without versions for those of saved fits."""
     return [name if (split := split_version(name)) is None else split[0] for name in names]

@@ -1,15 +1,13 @@
-"""A fit becomes an entry: a new version in a folder of the user's, in the same form as every other entry."""
+"""Saving of a fit as an entry: a new version in a folder of the user's, in the form of every other entry."""
 
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from materials import toml
 from materials.entry import KINDS, EntryKind, parse_entry
 from materials.fit import Fit
 from materials.kinds import Fluid, Material
@@ -17,19 +15,21 @@ from materials.registry import PACKAGE_DATA, bibliography_keys
 from materials.value import RECORDING, UNITS, Value
 from materials.versions import check_name, entry_file, entry_name, put, split_version, versions_of
 from workbench.files.errors import InputError
+from workbench.files.tables import parse_toml
+from workbench.files.toml import TomlEntry, toml_lines, toml_table
 
 
 def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Material:
-    """`start` with the numbers that a fit has found, ready to be saved.
+    """The material `start` with the numbers that a fit has found, ready to be saved.
 
     Args:
-        start: the material that the fit set out from, with the density it was fitted with.
-        estimates: by field name; of each :class:`Value` the number, the uncertainties, the ends of the intervals, the
-            status and the note are used (SI). What is not in it was held fixed and keeps its source.
-        fit: how they were found; its ``density`` is filled in here.
+        start: the material that the fit started from, with the density it was fitted with.
+        estimates: by field name; each :class:`Value` gives the number, the uncertainties, the ends of the intervals,
+            the status and the note (SI). A number without an estimate was held fixed and keeps its source.
+        fit: the description of the fit; its ``density`` is filled in here.
 
     Raises:
-        KeyError: an estimate of something that the material has not.
+        KeyError: an estimate of a number that the material does not have.
     """
     numbers = start.parameters()
     unknown = sorted(set(estimates) - set(numbers))
@@ -66,11 +66,10 @@ def fitted(start: Material, estimates: Mapping[str, Value], *, fit: Fit) -> Mate
 
 
 def save_fit(material: Material, name: str, *, folder: Path) -> str:
-    """Save a fitted material as the next version of `name`; the name of that version, such as ``pzt4/disc_7@2``.
+    """Save a fitted material as the next version of `name`, and return its full name, such as ``pzt4/disc_7@2``.
 
-    Nothing that is there is changed. Any number of runs may save at once, and one that is killed leaves no part of an
-    entry (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in
-    place.
+    No existing file is changed. Any number of runs may save at once, and one that is killed leaves no part of an entry
+    (see :mod:`materials.versions`). The entry is read back, with all the checks of a reader, before it is put in place.
 
     Args:
         material: as :func:`fitted` makes it.
@@ -95,7 +94,7 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
     label = f"{name} (not saved)"
     try:
         encoded = content.encode("utf-8")
-        read = parse_entry(tomllib.loads(content), material.name, file=label, references=references)
+        read = parse_entry(parse_toml(content, source=label), material.name, file=label, references=references)
     except UnicodeEncodeError as error:
         raise InputError(label, "text", error.object[error.start:error.end], "text that can be encoded") from None
     for field in fields(material):
@@ -109,7 +108,7 @@ def save_fit(material: Material, name: str, *, folder: Path) -> str:
 
 
 def entry_text(material: Material) -> str:
-    """The entry file of a fitted material: SI units, every number to the last bit.
+    """The entry file of a fitted material as text: SI units, every number exact to the last bit.
 
     Raises:
         ValueError: the material has no fit, or a number without a :class:`Value`.
@@ -126,9 +125,8 @@ def entry_text(material: Material) -> str:
         "conditions": _conditions(fit),
         **{key: text for key in kind.words if (text := getattr(material, key))},
     }
-    lines = [f"{key} = {toml.quoted(text)}" for key, text in head.items()]
-    lines += ["", *(f"{name} = {_value_text(material.values[name], head)}" for name in stated), ""]
-    return "\n".join([*lines, *_fit_lines(fit)]) + "\n"
+    numbers = {name: _value_table(material.values[name], head) for name in stated}
+    return "\n".join([*toml_lines(head), "", *toml_lines(numbers), "", *_fit_tables(fit)])
 
 
 def _conditions(fit: Fit) -> str:
@@ -156,49 +154,42 @@ def _loss_is_stated(value: Value) -> bool:
     return complex(value.value).imag != 0.0 or value.loss_tolerance != 0.0 or any(end is not None for end in known)
 
 
-def _value_text(value: Value, head: Mapping[str, str]) -> str:
+def _value_table(value: Value, head: Mapping[str, str]) -> dict[str, TomlEntry]:
     number = complex(value.value)
-    pairs = {"value": toml.toml_number(number.real)}
+    found: dict[str, TomlEntry] = {"value": number.real}
     if _loss_is_stated(value):
-        pairs["loss"] = toml.toml_number(number.imag)
-    pairs["unit"] = toml.quoted(value.unit)
+        found["loss"] = number.imag
+    found["unit"] = value.unit
     for key in ("uncertainty", "low", "high", "loss_uncertainty", "loss_low", "loss_high"):
         known = getattr(value, key)
         if known is not None:
-            pairs[key] = toml.toml_number(known)
+            found[key] = float(known)
     if value.rounding:
-        pairs["rounding"] = toml.toml_number(value.rounding)
+        found["rounding"] = float(value.rounding)
     for key in ("status", "loss_status", "source", "conditions", "note"):
         text = getattr(value, key)
         if text and text != head.get(key):
-            pairs[key] = toml.quoted(text)
-    return toml.inline(pairs)
+            found[key] = text
+    return found
 
 
-def _fit_lines(fit: Fit) -> list[str]:
-    """``[fit]`` with its tables before it and ``date`` last, so that a file that lost its end is missed."""
-    lines: list[str] = []
+def _fit_tables(fit: Fit) -> list[str]:
+    """``[fit]`` with its tables before it and ``date`` last, so that a file that lost its end is noticed."""
+    tables = []
     if fit.sample:
-        sample = [f"{toml.quoted(key)} = {toml.quoted(text)}" for key, text in fit.sample.items()]
-        lines += ["[fit.sample]", *sample, ""]
+        tables.append(toml_table("[fit.sample]", fit.sample))
     if fit.correlation is not None:
-        rows = [toml.array([toml.toml_number(entry) for entry in row]) for row in fit.correlation.rows]
-        lines += ["[fit.correlation]", f"names = {_texts(fit.correlation.names)}", f"rows = {toml.array(rows)}", ""]
-    recordings = toml.array([
-        toml.inline({field.name: toml.quoted(getattr(recording, field.name)) for field in fields(recording)})
-        for recording in fit.recordings])
-    lines += ["[fit]", f"recordings = {recordings}", f"algorithm = {toml.quoted(fit.algorithm)}",
-              f"software = {toml.quoted(fit.software)}"]
+        rows = [list(map(float, row)) for row in fit.correlation.rows]
+        tables.append(toml_table("[fit.correlation]", {"names": fit.correlation.names, "rows": rows}))
+    found: dict[str, TomlEntry] = {
+        "recordings": [{field.name: getattr(recording, field.name) for field in fields(recording)}
+                       for recording in fit.recordings],
+        "algorithm": fit.algorithm, "software": fit.software}
     if fit.start:
-        lines.append(f"start = {toml.quoted(fit.start)}")
-    lines.append(f"band = {_texts(tuple(f'{end!r} Hz' for end in map(float, fit.band)))}")
+        found["start"] = fit.start
+    found["band"] = [f"{float(end)!r} Hz" for end in fit.band]
     if fit.temperature is not None:
-        lines.append(f"temperature = {toml.quoted(f'{float(fit.temperature)!r} K')}")
-    lines += [f"{key} = {toml.toml_number(getattr(fit, key))}" for key in ("mape_percent", "rms_log_residual",
-                                                                           "confidence")]
-    lines += [f"{key} = {_texts(getattr(fit, key))}" for key in ("free", "fixed", "notes")]
-    return [*lines, f"forced = {'true' if fit.forced else 'false'}", f"date = {toml.quoted(fit.date)}"]
-
-
-def _texts(texts: tuple[str, ...]) -> str:
-    return toml.array([toml.quoted(text) for text in texts])
+        found["temperature"] = f"{float(fit.temperature)!r} K"
+    found |= {key: float(getattr(fit, key)) for key in ("mape_percent", "rms_log_residual", "confidence")}
+    found |= {key: getattr(fit, key) for key in ("free", "fixed", "notes")}
+    return [*tables, toml_table("[fit]", {**found, "forced": fit.forced, "date": fit.date})]

@@ -1,4 +1,4 @@
-"""How a number depends on temperature, as written in a data file.
+"""Laws of temperature, as written in a data file.
 
 One form covers the correlations in use (polynomials, ratios of polynomials, sums of powers, Sutherland's formula)::
 
@@ -11,7 +11,7 @@ One form covers the correlations in use (polynomials, ratios of polynomials, sum
     denominator_powers = [0, 1]
     range = ["0 degC", "100 degC"]
 
-A number that does not change is ``coefficients = [1.4]``, ``powers = [0]`` with the range over which that holds.
+A constant number is ``coefficients = [1.4]``, ``powers = [0]``, with the range over which it is constant.
 """
 
 from __future__ import annotations

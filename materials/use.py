@@ -1,4 +1,4 @@
-"""Whether a fitted material is used within what it was fitted on."""
+"""Check that a fitted material is used within the conditions of its fit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Iterable
 
 from materials.kinds import Material
 
-#: Relative. A density written in a chip file is a decimal number, and so is the entry's: they agree or they do not.
+#: Largest relative difference of equal densities and bands: both are decimal numbers of files, so they agree to
+#: rounding or not at all.
 _SAME = 1e-6
 
 
@@ -16,10 +17,10 @@ class UseWarning(UserWarning):
 
 
 def check_use(materials: Iterable[Material], *, band: tuple[float, float]) -> None:
-    """Warn, once for each, of fitted materials used outside what they were fitted on.
+    """Warn, once for each, of fitted materials used outside the conditions of their fit.
 
     The ten constants of a free disc are known per density only (all of them may be scaled with it), and losses change
-    with frequency: a fit says nothing outside its band.
+    with frequency: a fit is not valid outside its band.
 
     Args:
         materials: as they are used, that is with the density they are used with.

@@ -5,10 +5,10 @@ In a file a number is a table on one line::
     c33 = { value = 121.67, loss = -0.30, unit = "GPa", rounding = 0.005, source = "acevedo_2026", note = "Table 3" }
 
 ``loss`` is the imaginary part for the time factor e^{-i w t}: negative for a stiffness or a modulus, positive for a
-permittivity; ``loss_tangent``, ``q`` or ``attenuation`` stand in its place where a source prints those (see
-:mod:`materials.loss`). ``uncertainty`` (of the value) and ``loss_uncertainty`` (stated as the loss is) are standard
+permittivity. ``loss_tangent``, ``q`` or ``attenuation`` replace it if a source prints those (see
+:mod:`materials.loss`). ``uncertainty`` (of the value) and ``loss_uncertainty`` (in the form of the loss) are standard
 uncertainties; ``rounding`` is half a unit of the last digit printed in the source. A fit adds the ends of its
-intervals, ``low`` ``high`` ``loss_low`` ``loss_high`` (an end left out: the data do not bound it), and what became of
+intervals, ``low`` ``high`` ``loss_low`` ``loss_high`` (an end left out: the data do not bound it), and the results for
 the two parts, ``status`` and ``loss_status``. All numbers are in the unit of the entry and are SI once read.
 """
 
@@ -23,13 +23,13 @@ from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
 
-#: The source of a number that was fitted: its entry says in [fit] to which recording.
+#: The source of a fitted number: the [fit] table of its entry names the recording.
 RECORDING = "recording"
 
-#: What a fit may say of a number or of its loss.
+#: Possible results of a fit for a number or for its loss.
 STATUSES = ("fitted", "fixed", "at bound", "not determined")
 
-#: Uncertainties and ends of intervals, not below zero and of either sign.
+#: Uncertainties, which are not negative, and ends of intervals, of either sign.
 _SPREADS = ("uncertainty", "rounding")
 _ENDS = ("low", "high", "loss_low", "loss_high")
 _KEYS = ("value", "unit", *_SPREADS, *_ENDS, "status", "loss_status", "source", "conditions", "note")
@@ -40,11 +40,11 @@ class Value:
     """One number with all that is known about it; every number is SI.
 
     ``unit`` is the text of the file. ``rounding`` is half a unit of the last printed digit (0: not declared).
-    ``loss_tolerance`` bounds the error that rounding and the stated uncertainty leave in the imaginary part; it is 0
-    where the source states no loss, because the imaginary part is then an assumption and not a rounded figure.
-    ``low`` to ``high`` and ``loss_low`` to ``loss_high`` are the intervals of a fit, at its level of confidence (None:
-    no bound on that side); ``status`` and ``loss_status`` are of :data:`STATUSES`, or empty where nothing was fitted.
-    ``loss_stated`` is the loss in the words of the file where that does not print the imaginary part itself.
+    ``loss_tolerance`` bounds the error of the imaginary part due to rounding and the stated uncertainty; it is 0 if the
+    source states no loss, because the imaginary part is then an assumption and not a rounded figure. ``low`` to
+    ``high`` and ``loss_low`` to ``loss_high`` are the intervals of a fit, at its level of confidence (None: no bound on
+    that side); ``status`` and ``loss_status`` are of :data:`STATUSES`, or empty without a fit. ``loss_stated`` is the
+    loss in the words of the file if that does not print the imaginary part itself.
     """
 
     value: complex
@@ -120,14 +120,14 @@ def parse_value(
     """The :class:`Value` stated by a table of a data file.
 
     Args:
-        entry: what the file has under `field`.
+        entry: content of the file under `field`.
         dimension: a key of :data:`UNITS`.
         source: the file, for messages.
         field: the place in the file, for messages.
         references: keys of the bibliography.
-        default_source: the file's own ``source``, used where the entry names none.
-        default_conditions: the same for ``conditions``.
-        loses: how this number may have an imaginary part.
+        default_source: the file's own ``source``, used if the entry names none.
+        default_conditions: the file's own ``conditions``, likewise.
+        loses: the kind of loss this number may have.
 
     Raises:
         InputError: not a table, an unknown key, a number missing or not finite, a wrong unit, an unknown source or

@@ -1,11 +1,11 @@
 """Versions of a saved fit: their names, their files, and their withdrawal.
 
     pzt4/disc_7@1.toml          ->   "pzt4/disc_7@1", never changed once it is there
-    pzt4/disc_7@1.withdrawn     ->   when and why that version was withdrawn
+    pzt4/disc_7@1.withdrawn     ->   date and reason of the withdrawal of that version
 
-A file is put in place whole, by a hard link to a temporary file that was written before: the system makes a link at
-once or not at all, and refuses a name that exists. So no reader ever sees a part of a file, a version is never
-overwritten, of two runs that want the same number one gets it and the other takes the next, and a run killed at any
+A file is put in place whole, by a hard link to a temporary file that was written before: the system makes a link
+completely or not at all, and refuses a name that exists. So no reader ever sees a part of a file, and a version is
+never overwritten. Of two runs that want one number, one gets it and the other takes the next. A run killed at any
 moment leaves at most a temporary file that nobody reads. A lock would add nothing, and could be left behind.
 """
 
@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from materials.lines import with_line_number
-from materials.toml import quoted
 from materials.value import date_text
 from workbench.files.errors import InputError
 from workbench.files.tables import FileTable
+from workbench.files.toml import toml_lines
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*/[A-Za-z0-9][A-Za-z0-9_-]*")
 _VERSION = re.compile(rf"({_NAME.pattern})@([1-9][0-9]*)")
@@ -34,14 +34,14 @@ class WithdrawnWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Withdrawal:
-    """When (ISO 8601) and why a version was withdrawn."""
+    """Date (ISO 8601) and reason of the withdrawal of a version."""
 
     date: str
     reason: str
 
 
 def split_version(name: str) -> tuple[str, int] | None:
-    """``("pzt4/disc_7", 2)`` for ``"pzt4/disc_7@2"``; None for the name of no version."""
+    """Split ``"pzt4/disc_7@2"`` into ``("pzt4/disc_7", 2)``; None for a name without version."""
     match = _VERSION.fullmatch(name)
     return None if match is None else (match.group(1), int(match.group(2)))
 
@@ -53,7 +53,7 @@ def versions_of(name: str, names: Iterable[str]) -> list[str]:
 
 
 def check_name(name: str, *, source: str = "materials") -> str:
-    """`name` if a fit can be saved under it; `source` is where it was written, for messages.
+    """The `name` itself if a fit can be saved under it; `source` is the place it was written, for messages.
 
     Raises:
         InputError: anything but ``material/name`` in letters, digits, ``_`` and ``-``.
@@ -76,17 +76,17 @@ def entry_name(path: Path) -> str:
 
 
 def withdrawal_file(entry: Path) -> Path:
-    """The file beside an entry that says that it is withdrawn."""
+    """The file beside an entry that marks it as withdrawn."""
     return entry.with_suffix(".withdrawn")
 
 
 def withdrawal_text(withdrawal: Withdrawal) -> str:
-    """The content of that file."""
-    return f"date = {quoted(withdrawal.date)}\nreason = {quoted(withdrawal.reason)}\n"
+    """The content of the file of a withdrawal."""
+    return "\n".join([*toml_lines({"date": withdrawal.date, "reason": withdrawal.reason}), ""])
 
 
 def read_withdrawal(entry: Path) -> Withdrawal | None:
-    """When and why the entry in the file `entry` was withdrawn; None if it was not.
+    """The withdrawal of the entry in the file `entry`, or None.
 
     Raises:
         InputError: somebody has spoiled the record.
@@ -100,7 +100,7 @@ def read_withdrawal(entry: Path) -> Withdrawal | None:
 
 
 def put(content: bytes, paths: Iterable[Path]) -> Path:
-    """Put `content` at the first of `paths` that does not exist yet, all in one folder; the path it has got.
+    """Put `content` at the first of `paths` that does not exist yet, all in one folder, and return that path.
 
     The folder is made if need be.
 
@@ -111,13 +111,13 @@ def put(content: bytes, paths: Iterable[Path]) -> Path:
     paths = iter(paths)
     path = next(paths)
     path.parent.mkdir(parents=True, exist_ok=True)
-    # The suffix is of no entry: what a killed run leaves behind is read by nobody.
+    # No entry has this suffix: nobody reads the file that a killed run leaves behind.
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".part")
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
             stream.flush()
-            # Or a power cut might leave the name without the content.
+            # Otherwise a power cut might leave the name without the content.
             os.fsync(stream.fileno())
         os.chmod(temporary, 0o644)
         while True:

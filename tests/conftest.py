@@ -14,6 +14,7 @@ import pytest
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from rich.console import RenderableType
     from scipy.sparse import csc_matrix
 
     from geometry.chip import Chip
@@ -53,20 +54,20 @@ def shared() -> Path:
 @pytest.fixture
 def tables_fit(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The titles of the tables printed, each of which is checked to fit 80 columns without the loss of a word."""
-    from support import check_table
+    from support import check_table, table_lines
 
     from workbench.commands import terminal
     from workbench.report.page import TextTable
 
     found: list[str] = []
-    drawn = terminal.table_lines
+    drawn = terminal.table_parts
 
-    def checked(title: str, table: TextTable, *, width: int) -> list[str]:
-        check_table(drawn(title, table, width=80), title, table.columns, table.rows)
+    def checked(title: str, table: TextTable, *, width: int) -> list[RenderableType]:
+        check_table(table_lines(title, table), title, table.columns, table.rows)
         found.append(title)
         return drawn(title, table, width=width)
 
-    monkeypatch.setattr(terminal, "table_lines", checked)
+    monkeypatch.setattr(terminal, "table_parts", checked)
     return found
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from rich.console import Console
 
 from geometry.chip import Chip
 from geometry.dimension import Dimension
@@ -19,11 +21,15 @@ from geometry.mesh import SectionMesh
 from geometry.profile import Corner, Outline, Profile
 from geometry.section import cut_section
 from materials.kinds import IsotropicSolid, Piezoelectric
+from workbench.commands.terminal import table_parts
+from workbench.design.uncertainty import Uncertainty
 from workbench.fem.operators import FullOperators
-from workbench.fem.solve import System
+from workbench.fem.solve import Solution, System
 from workbench.fitting.parameter import Parameter
 from workbench.model.discretisation import Discretisation
+from workbench.model.numbers import Number
 from workbench.physics.term import Condition, Term
+from workbench.report.page import TextTable
 
 #: A transducer the size of a pea, as a chip file.
 DISC = """
@@ -176,6 +182,25 @@ class Wire:
 
 #: What tables are drawn with.
 _DRAWN = re.compile("[┏┳┓┡╇┩└┴┘━─┃│]")
+
+
+def impedance_gradient(solution: Solution) -> NDArray[np.complex128]:
+    """Derivatives dZ/dg_q (n, integrals) by every complex coefficient g_q, e^{-i w t}."""
+    # Z = i / (w Q), dQ = -x^T A_q x dg.
+    return np.asarray((1j / (solution.omega * solution.charge**2))[:, None] * solution.forms)
+
+
+def independent(inputs: Sequence[Number]) -> Uncertainty:
+    """Uncertain numbers that have nothing to do with each other."""
+    return Uncertainty(tuple(inputs), np.eye(len(inputs)))
+
+
+def table_lines(title: str, table: TextTable, *, width: int = 80) -> list[str]:
+    """The lines of a table as it is printed on a terminal of that width."""
+    console = Console(width=width, file=io.StringIO(), color_system=None)
+    with console.capture() as shown:
+        console.print(*table_parts(title, table, width=width), sep="\n")
+    return shown.get().rstrip("\n").split("\n")
 
 
 def check_table(lines: list[str], title: str, columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:

@@ -378,7 +378,7 @@ SPOILED = {
     "band": ('"910000.0 Hz"', '"910000.0"', "band ="),
     "digest": ("0" * 64, "0" * 63, "recordings ="),
     "matrix": ("rows = [[1.0", "rows = [[1.5", "rows ="),
-    "sample": ('"2.02 mm"', "2.02", '"thickness" ='),
+    "sample": ('"2.02 mm"', "2.02", "thickness ="),
     "sign": ("loss = -", "loss = ", "c11 ="),
     "kind": ('kind = "piezoelectric"', 'kind = "piezo"', "kind ="),
     "source": ('source = "recording"', 'source = "record"', "source ="),

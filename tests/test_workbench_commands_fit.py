@@ -18,6 +18,7 @@ from workbench.fitting.joint import FitResult
 from workbench.model.problem import build, fill
 from workbench.readers import read_recording
 from workbench.reduced.reduction import reduce
+from workbench.report.fit import shown_estimate
 from workbench.results.spectrum import Spectrum, write_csv
 
 pytestmark = pytest.mark.usefixtures("tables_fit")
@@ -259,4 +260,4 @@ def test_the_ranking_stands_beside_the_published_one(
 def test_an_estimate_is_shown_with_the_digits_its_interval_asks_for(
     estimate: tuple[float, float, float], unit: str, said: tuple[str, str]
 ) -> None:
-    assert fit_job.shown_estimate(*estimate, unit) == said
+    assert shown_estimate(*estimate, unit) == said

@@ -20,12 +20,12 @@ from fake_models import CHIP, FormulaModel, FormulaModels
 from support import check_report, standard_json
 
 from workbench.cli import main
-from workbench.commands.study import draw
 from workbench.design.parts import parts_of
 from workbench.design.plan import Study, read_study
 from workbench.design.study import study
 from workbench.design.study_result import StudyResult
 from workbench.files.errors import InputError
+from workbench.report.study import draw_study
 
 pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")
 
@@ -340,7 +340,7 @@ def test_pictures_of_every_state(tmp_path: Path) -> None:
     plan = read(tmp_path, SOBOL.replace('["f0", "z_min", "mean_e_ac"]', '["f0", "z_min"]').replace(
         '"superstrate.material"', '"couplant.thickness" = { values = ["10 um", "20 um"] }\n"superstrate.material"'))
     found = run(plan, tmp_path / "out", models=FormulaModels(without=0.5e-3))
-    pictures = draw(found, tmp_path / "out")
+    pictures = draw_study(found, tmp_path / "out")
     # The second figure is missing everywhere: nothing is drawn of it.
     assert {each.path.name for each in pictures} == {
         f"{kind}_{state}{figure}.png" for state in plan.states

@@ -18,10 +18,10 @@ from workbench.design.evaluation import Evaluation
 from workbench.design.model import full_evaluation
 from workbench.design.stated import numbers_of
 from workbench.design.tolerance import Tolerance, tolerance
-from workbench.design.tolerance_report import tightening_table, unclear_tightenings
 from workbench.design.yields import Tightening
 from workbench.files.errors import InputError
 from workbench.model.problem import fill
+from workbench.report.tolerance import tightening_table, unclear_tightenings
 
 PZT = "pzt4/acevedo_2026_initial"
 #: A coarse mesh, the same on both sides of every comparison.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import kstest, truncnorm, uniform
-from support import CAVITY_LAYERS, DISC
+from support import CAVITY_LAYERS, DISC, independent
 
 from geometry.chip import Chip, parse_chip
 from materials.fit import Correlation
@@ -61,8 +61,7 @@ def test_a_tolerance_is_a_limit_unless_it_is_said_otherwise() -> None:
 
 
 def test_samples_follow_their_laws() -> None:
-    known = Uncertainty.independent([flat_thickness(1.0, 0.1),
-                                     normal("b.c33", 5.0, 0.2)])
+    known = independent([flat_thickness(1.0, 0.1), normal("b.c33", 5.0, 0.2)])
     drawn = known.draw(SAMPLES, seed=3)
     assert drawn.points.shape == (SAMPLES, 2)
     assert kstest(drawn.points[:, 0], uniform(0.9, 0.2).cdf).pvalue > LEVEL
@@ -73,7 +72,7 @@ def test_samples_follow_their_laws() -> None:
 
 
 def test_the_same_seed_draws_the_same_and_another_does_not() -> None:
-    known = Uncertainty.independent([normal("b.c33", 5.0, 0.2)])
+    known = independent([normal("b.c33", 5.0, 0.2)])
     assert np.array_equal(known.draw(50, seed=1).points, known.draw(50, seed=1).points)
     assert not np.array_equal(known.draw(50, seed=1).points, known.draw(50, seed=2).points)
 
@@ -136,7 +135,7 @@ def test_no_sample_makes_a_material_more_active_than_it_is() -> None:
 def test_what_hardly_any_draw_can_be_is_refused() -> None:
     narrow = replace(normal("b.c33", 5.0, 1.0), low=5.0 - 1e-3, high=5.0 + 1e-3)
     with pytest.raises(InputError, match="draws are admissible"):
-        Uncertainty.independent([narrow]).draw(200)
+        independent([narrow]).draw(200)
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
+from support import independent
 
 from workbench.design.drives import DrivenFigure, driven_figures, label_of
 from workbench.design.evaluation import Evaluation
@@ -67,7 +68,7 @@ def flat(name: str, half_width: float = 1.0) -> Number:
     return known_as(Number(name, 0.0), Stated(half_width, "uniform", "test"))
 
 
-TWO = Uncertainty.independent([normal("a.thickness"), normal("b.c33")])
+TWO = independent([normal("a.thickness"), normal("b.c33")])
 TIED = Uncertainty((normal("a.thickness"), normal("b.c33")), np.array([[1.0, 0.7], [0.7, 1.0]]))
 
 
@@ -128,7 +129,7 @@ def test_requirements_together_are_what_the_multivariate_normal_law_says() -> No
 
 
 def test_a_uniform_law_is_no_normal_one() -> None:
-    found = found_yields(linear(q=(1.0, 0.0)), Uncertainty.independent([flat("a.thickness"), flat("b.c33")]),
+    found = found_yields(linear(q=(1.0, 0.0)), independent([flat("a.thickness"), flat("b.c33")]),
                          {"q": "q <= 0.8"})
     assert found.together.linear == pytest.approx(0.9, abs=LINEAR_ALLOWED)
     assert found.together.sampled.value == pytest.approx(0.9, abs=ALLOWED)
@@ -185,7 +186,7 @@ def test_half_a_normal_uncertainty_buys_what_the_closed_form_says() -> None:
 
 
 def test_half_a_limit_buys_what_the_closed_form_says() -> None:
-    known = Uncertainty.independent([flat("a.thickness"), flat("b.c33", 0.01)])
+    known = independent([flat("a.thickness"), flat("b.c33", 0.01)])
     first, second = found_yields(linear(q=(1.0, 1.0)), known, {"q": "q within 0.5"}).tightenings
     assert first.name == "a.thickness"
     # Half of the samples pass, and with half the limits all of them but for what the second number adds at the edges.
@@ -214,7 +215,7 @@ def test_measuring_a_correlated_number_narrows_the_other() -> None:
 
 
 def test_sensitivities_are_changes_by_one_standard_uncertainty() -> None:
-    known = Uncertainty.independent([normal("a.thickness", 2.0, 0.1)])
+    known = independent([normal("a.thickness", 2.0, 0.1)])
     found = sensitivities(linear(q=(3.0, -40.0))({"a.thickness": 2.0, "b.c33": 5.0}, gradient=True), known)
     # Nobody states how uncertain the second is: one per cent of it.
     assert found.steps == pytest.approx([0.1, SHARE * 5.0])
@@ -237,11 +238,11 @@ def test_sensitivities_need_gradients() -> None:
 def test_every_number_is_asked_for_where_none_is_uncertain() -> None:
     assert names_to_ask(TWO, ["a.thickness", "c.c11"], every=False) == ("a.thickness", "b.c33")
     assert names_to_ask(TWO, ["a.thickness", "c.c11"], every=True) == ("a.thickness", "b.c33", "c.c11")
-    assert names_to_ask(Uncertainty.independent([]), ["c.c11"], every=False) == ("c.c11",)
+    assert names_to_ask(independent([]), ["c.c11"], every=False) == ("c.c11",)
 
 
 def test_sobol_indices_of_a_linear_figure_are_shares_of_its_variance() -> None:
-    known = Uncertainty.independent([flat("a.thickness"), flat("b.c33")])
+    known = independent([flat("a.thickness"), flat("b.c33")])
     found = sobol(linear(q=(3.0, 1.0), z_min=(0.0, 1.0)), known, 512, seed=1)
     # Variances of 9 to 1. Points of Sobol's sequence: below 1 % at 512 of them (observed 0.3 %).
     assert found.first == pytest.approx(np.array([[0.9, 0.1], [0.0, 1.0]]), abs=0.01)
@@ -257,7 +258,7 @@ def test_sobol_indices_tell_interaction_from_what_numbers_do_alone() -> None:
             x, y = (values[name] for name in self.names)
             return Evaluation(dict(values), {"q": x * y}, {}, 1e6, 0.0)
 
-    known = Uncertainty.independent([flat("a.thickness"), normal("b.c33")])
+    known = independent([flat("a.thickness"), normal("b.c33")])
     found = sobol(Product(terms={"q": (0.0, np.zeros(2), np.zeros(2))}), known, 512, seed=1)
     # x y of zero means: nothing alone, everything together.
     assert found.first == pytest.approx(np.zeros((1, 2)), abs=0.05)
@@ -272,7 +273,7 @@ def test_a_figure_that_is_missing_somewhere_has_no_indices() -> None:
 @pytest.mark.parametrize(("known", "count", "words"), [
     (TIED, 64, "independent numbers: .* correlates a.thickness, b.c33"),
     (TWO, 100, "a power of two.*'64' or '128'"), (TWO, 1, "a power of two"), (TWO, -4, "a power of two"),
-    (Uncertainty.independent([]), 64, "numbers that are uncertain; none is"),
+    (independent([]), 64, "numbers that are uncertain; none is"),
 ])
 def test_sobol_indices_are_refused_where_they_are_not_defined(known: Uncertainty, count: int, words: str) -> None:
     with pytest.raises(InputError, match=words):

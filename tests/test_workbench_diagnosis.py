@@ -17,7 +17,7 @@ import pytest
 from workbench.cli import main
 from workbench.diagnosis.campaign import read_campaign
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.record import UNNEEDED
+from workbench.diagnosis.known_physics import UNNEEDED
 
 TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
 

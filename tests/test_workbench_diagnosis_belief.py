@@ -10,6 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from workbench.diagnosis.belief import CURVED, Belief, multimodal
+from workbench.search.constrained import Minimum
+from workbench.search.continuation import ContinuationStage
 
 Real = NDArray[np.float64]
 
@@ -39,11 +41,11 @@ class Linear:
     def search(self, _hypothesis: object) -> None:
         return None
 
-    def tempered(self, _search: None, _x: Real, _level: float, **_options: object) -> Any:
+    def solve(self, _search: None, _stage: ContinuationStage, _x: Real) -> Any:
         precision = np.diag(1.0 / PRIOR**2)
         own = TANGENTS[:, :3]
         move = np.linalg.solve(own.T @ own + precision, -own.T @ SEEN)
-        return SimpleNamespace(x=START + np.append(move, 0.0), cost=1.0)
+        return Minimum[Any](START + np.append(move, 0.0), None, 1.0, True, 1, "", ())
 
     def objective(self, x: Real, **_options: object) -> Any:
         off = x - START

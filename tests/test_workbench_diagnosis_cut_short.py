@@ -21,7 +21,7 @@ from workbench.diagnosis.conclusion import not_finished as cut_short
 from workbench.diagnosis.decision import MISSING
 from workbench.diagnosis.descent import Candidate
 from workbench.diagnosis.evidence import WrongEvidence
-from workbench.diagnosis.findings import Begun, Found, NotTried, Settled
+from workbench.diagnosis.findings import Found, InitialOptimum, NotTried, Settled
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.inference import DiagnosisSearch
@@ -77,9 +77,9 @@ class Made(DiagnosisSearch):
         self.done.append(name)
         return super().attempted(name, given)
 
-    def begun(self) -> tuple[list[Begun], Candidate]:
+    def begun(self) -> tuple[list[InitialOptimum], Candidate]:
         self.work([("a start", "a_start", ())] * 2, must=1)
-        return [Begun(PLACE, 1.0)], candidate()
+        return [InitialOptimum(PLACE, 1.0, PLACE)], candidate()
 
     def a_start(self) -> None:
         self._end("a_start", "nothing")
@@ -94,7 +94,7 @@ class Made(DiagnosisSearch):
         self.work([("large of any size", "swept", ("large",))])
         return self.tried(plain, PLACE, [(LARGE, [PLACE])])
 
-    def swept(self, name: str) -> list[Begun]:
+    def swept(self, name: str) -> list[InitialOptimum]:
         return []
 
     def explain(self, name: str, at: Any, starts: Sequence[Any]) -> Candidate:
@@ -250,6 +250,6 @@ def test_the_status_says_that_it_is_no_verdict(
 ) -> None:
     found = SimpleNamespace(provisional=object(), interrupted=interrupted)
     monkeypatch.setattr(command, "diagnose", lambda *_given, **_named: found)
-    for name in ("record", "contributions", "write_diagnosis_report", "print_diagnosis"):
+    for name in ("diagnosis_record", "contributions", "write_diagnosis_report", "print_diagnosis"):
         monkeypatch.setattr(command, name, lambda *_given: {})
     assert main(["diagnose", str(SMALL_CAMPAIGN), "-o", str(tmp_path / "out")]) == status

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workbench.commands import diagnosis_report
+from workbench.commands.diagnose import print_diagnosis
 from workbench.diagnosis.appraisal import established, suspect_places
 from workbench.diagnosis.conclusion import Conclusion, explained_share
 from workbench.diagnosis.decision import VERDICTS, Decision, Evidence
@@ -22,11 +22,11 @@ from workbench.diagnosis.inaccuracy import Patterns
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Scales
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis, Established, FoundNumber, Left, SuspectPlace
-from workbench.diagnosis.record import record
 from workbench.diagnosis.state import state_fit
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import Number, Stated
 from workbench.physics.term import Admissible
+from workbench.report.diagnosis import diagnosis_record, established_table, write_diagnosis_report
 from workbench.results.spectrum import Spectrum
 
 FREQUENCY = np.linspace(0.9e6, 1.1e6, 201)
@@ -158,16 +158,16 @@ def test_nothing_is_said_of_a_mismatch_by_a_search_that_was_cut_short(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its first sentence is what was not looked at; what it found so far is provisional, and no picture shows it."""
-    monkeypatch.setattr(diagnosis_report, "_pictures", lambda *_of: [])
-    monkeypatch.setattr(diagnosis_report, "origin_table", lambda _origin: "")
+    monkeypatch.setattr("workbench.report.diagnosis._pictures", lambda *_of: [])
+    monkeypatch.setattr("workbench.report.diagnosis.origin_table", lambda _origin: "")
     undone = ("leads of any size", *[f"thickness {k}" for k in range(7)], "thickness 0")
     so_far = diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",)), undone=undone)
     found = diagnosis("not_finished", undone=undone, provisional=so_far)
     assert found.headline == ("Not finished: still to be looked at: leads of any size, thickness 0 (2 times), "
                               "thickness 1, thickness 2, thickness 3, thickness 4 and 2 more.")
-    page = diagnosis_report.write_diagnosis_report(found, [], tmp_path).read_text()
-    said = record(found)
-    diagnosis_report.print_diagnosis(found)
+    page = write_diagnosis_report(found, [], tmp_path).read_text()
+    said = diagnosis_record(found)
+    print_diagnosis(found)
     printed = " ".join(capsys.readouterr().out.split())
     assert said["effects"] == []
     assert said["provisional"]["effects"][0]["name"] == "leads"
@@ -214,7 +214,7 @@ def test_two_losses_of_one_material_have_one_share() -> None:
                               "loss of pla: bulk modulus loss -0.06 GPa (stated: -0.03); this explains 99.7 % of the "
                               "mismatch.")
     assert not [text for text in found.findings if "take" in text]
-    rows = diagnosis_report.established_table(found).rows
+    rows = established_table(found).rows
     assert [row[:2] for row in rows] == [("shear modulus loss of pla", "99.7 %, together"),
                                          ("bulk modulus loss of pla", "")]
     # An effect on another thing has a share of its own.
@@ -267,7 +267,7 @@ def test_regions_that_the_search_settled_come_first() -> None:
 
 def test_the_record_keeps_its_keys_and_is_json() -> None:
     glass = Evidence("shear modulus of glass", 8.0, (GLASS.name,))
-    found = record(diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,)))
+    found = diagnosis_record(diagnosis("ambiguous", Evidence("leads", 9.0, ("leads",)), (glass,)))
     assert set(found) >= {
         "campaign", "verdict", "effects", "moved_parameters", "rivals", "location", "before", "known_parameters_only",
         "after", "held_out", "next_measurement", "detection_limits", "scores", "refits", "findings", "seconds",
@@ -298,7 +298,7 @@ def test_a_diagnosis_is_read_at_80_columns(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     found = diagnosis("missing_physics" if chosen.effects else "parameters_explain", chosen)
-    diagnosis_report.print_diagnosis(found)
+    print_diagnosis(found)
     said = capsys.readouterr().out
     assert max(map(len, said.splitlines())) <= 80
     assert " ".join(said.split()).startswith(found.headline)
@@ -306,10 +306,10 @@ def test_a_diagnosis_is_read_at_80_columns(
 
 
 def test_the_report_begins_with_the_headline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(diagnosis_report, "_pictures", lambda *_of: [])
-    monkeypatch.setattr(diagnosis_report, "origin_table", lambda _origin: "")
+    monkeypatch.setattr("workbench.report.diagnosis._pictures", lambda *_of: [])
+    monkeypatch.setattr("workbench.report.diagnosis.origin_table", lambda _origin: "")
     found = diagnosis("missing_physics", Evidence("leads", 9.0, ("leads",)))
-    page = diagnosis_report.write_diagnosis_report(found, [], tmp_path).read_text()
+    page = write_diagnosis_report(found, [], tmp_path).read_text()
     assert page.index(found.headline) < page.index("<table>")
     # The odds of every hypothesis, from their logarithm, and what was taken as known.
     assert f"<td>{math.exp(6.0):.3g}</td>" in page

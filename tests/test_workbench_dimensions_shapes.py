@@ -21,7 +21,7 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
 from workbench.model.dimensions import flexible
-from workbench.model.moved_parts import Interpolation
+from workbench.model.moved_mesh import Interpolation
 from workbench.model.problem import Problem, build, fill
 from workbench.model.shaped_mesh import shaped
 from workbench.physics.boundary_layer import ViscousBoundaryLayer

@@ -14,10 +14,10 @@ from materials import passivity
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.fitting.admissible import POISSON_RATIO, inequalities
-from workbench.fitting.constrained import Inequality
 from workbench.fitting.parameter import Parameter, material_parameter
 from workbench.model.numbers import Stated
 from workbench.model.problem import Problem
+from workbench.search.constrained import Inequality
 
 Real = NDArray[np.float64]
 

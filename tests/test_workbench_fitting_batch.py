@@ -29,6 +29,7 @@ from workbench.fitting.batch import (
     run_commands,
     summarise,
 )
+from workbench.report.fit_batch import summary_record
 
 GOOD = """
 [batch]
@@ -236,7 +237,7 @@ def test_a_summary_sets_the_same_parameter_side_by_side() -> None:
     assert found["c33"].outliers == ("disc 3",)
     assert found["c33"].low.tolist() == [99.0, 101.0, 100.0, 119.0]
     assert found["measured f0"].values[0] == 1e6 + 100.0
-    told = batch.summary_record("discs", tuple(found.values()), records, {"disc 9": "why"})
+    told = summary_record("discs", tuple(found.values()), records, {"disc 9": "why"})
     assert json.loads(json.dumps(told))["failed"] == {"disc 9": "why"}
 
 

@@ -15,18 +15,18 @@ from geometry.chip import Chip
 from materials.kinds import Material, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.fitting import multistart
-from workbench.fitting.constrained import minimise
 from workbench.fitting.joint import FINE, FitError, FitResult, fit_parameters
 from workbench.fitting.multistart import prior_samples
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter, bench_parameter, parameters
-from workbench.fitting.search import SEARCHED_POINTS, FitSearch
+from workbench.fitting.search import SCHEDULE, SEARCHED_POINTS, FitSearch
 from workbench.fitting.seen import through_bench
 from workbench.model.dimensions import flexible
 from workbench.model.problem import Problem
 from workbench.reduced.predictor import Predictor
 from workbench.reduced.reduction import NotEnriched
 from workbench.results.spectrum import Spectrum
+from workbench.search.constrained import minimise
 
 Real = NDArray[np.float64]
 
@@ -326,9 +326,9 @@ def test_samples_of_the_prior_are_only_tried_where_needed(
 def test_samples_are_distributed_as_the_prior(disc: Problem, chip: Chip) -> None:
     free = parameters(disc, None, PZT, ["c11", "e33", "c33.loss"])
     search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
-    samples = np.array([x for _, x in prior_samples(search, 2000, 0)])
-    assert (samples[:3] == [x for _, x in prior_samples(search, 3, 0)]).all()
-    assert (samples[:3] != [x for _, x in prior_samples(search, 3, 1)]).all()
+    samples = np.array([each.x for each in prior_samples(search, 2000, 0)])
+    assert (samples[:3] == [each.x for each in prior_samples(search, 3, 0)]).all()
+    assert (samples[:3] != [each.x for each in prior_samples(search, 3, 1)]).all()
     for column, parameter in enumerate(free[:2]):
         assert parameter.prior is not None
         off = (samples[:, column] - parameter.start) / parameter.prior
@@ -437,12 +437,13 @@ def test_long_recordings_are_searched_on_a_part_of_their_points(
     assert thin.frequency.size < 1.5 * SEARCHED_POINTS
 
 
-def test_the_widths_are_those_the_points_can_show(disc: Problem, chip: Chip, begun: tuple[Parameter, ...]) -> None:
+def test_the_stages_are_those_the_points_can_show(disc: Problem, chip: Chip, begun: tuple[Parameter, ...]) -> None:
     # 61 points over 400 kHz: 6.7 kHz apart, 500 kHz in the middle.
     search = FitSearch(Objective([recorded(disc, chip, {})], begun, tolerance=1e-2))
-    assert search.widths() == pytest.approx([15e3, 0.0])
+    assert [each.smoothing for each in search.schedule.stages] == [0.03, 0.0]
     fine = recorded(disc, chip, {}, frequency=np.linspace(300e3, 700e3, 401))
-    assert FitSearch(Objective([fine], begun, tolerance=1e-2)).widths() == pytest.approx([15e3, 5e3, 1.5e3, 0.0])
+    assert FitSearch(Objective([fine], begun, tolerance=1e-2)).schedule == SCHEDULE
+    assert [each.smoothing for each in SCHEDULE.stages] == [0.03, 0.01, 0.003, 0.0]
 
 
 def test_parameters_held_fixed_stay_where_they_are(disc: Problem, chip: Chip) -> None:
@@ -497,10 +498,10 @@ def test_a_way_down_is_not_followed_once_it_is_worse(disc: Problem, chip: Chip) 
     free = parameters(disc, None, PZT, ["c11", "c33"])
     search = FitSearch(Objective([recorded(disc, chip, {})], free, tolerance=1e-2))
     start = np.array([p.start for p in free])
-    best = search.descend(start, lambda: None)
-    assert len(best.costs) == len(search.widths()) == 2
+    best = search.descend(start)
+    assert len(best.costs) == len(search.schedule.stages) == 2
     # The truth costs nothing but rounding and its prior; nothing else keeps up with that.
-    slow = search.descend(start * 1.2, lambda: None, rival=replace(best, costs={0: 1e-9, 1: 1e-9}))
+    slow = search.descend(start * 1.2, rival=replace(best, costs={0: 1e-9, 1: 1e-9}))
     assert (len(slow.costs), slow.ended) == (1, False)
-    alone = search.descend(start * 1.2, lambda: None)
+    alone = search.descend(start * 1.2)
     assert (len(alone.costs), alone.ended) == (2, True)

@@ -21,9 +21,10 @@ from workbench.fitting.joint import FitResult, fit_parameters
 from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import POLYMER_FOUR, TRANSDUCER_TEN
 from workbench.fitting.prepare import Prepared, check_device, in_band, material_starts, prepare, prepare_together
-from workbench.fitting.record import Source, fit_record, paper_result, refusals, registry_entry, source
+from workbench.fitting.record import Source, paper_result, refusals, registry_entry, source
 from workbench.model.problem import build, fill
 from workbench.reduced.reduction import reduce
+from workbench.report.fit import fit_record
 from workbench.reproduction.fits import PaperFit
 from workbench.results.merit import figures
 from workbench.results.spectrum import Origin, Spectrum, write_csv

@@ -25,7 +25,7 @@ from workbench.model.problem import Problem, problem
 from workbench.physics.absorption import BulkAbsorption
 from workbench.physics.boundary_layer import ViscousBoundaryLayer
 from workbench.physics.couplant_shear import ADMISSIBLE, CouplantShear
-from workbench.physics.loss_laws import KelvinVoigt
+from workbench.physics.loss_laws import FractionalLoss
 from workbench.physics.term import Dispersion, Integral, ModelError
 from workbench.reduced.reduction import reduce
 
@@ -332,8 +332,11 @@ def resolved(
         materials: Mapping[str, Material] = {"transducer": pzt, "couplant": gel, "substrate": pla}
         bulk = 1020.0 * 1500.0**2
         thick = IsotropicSolid(name="gel", density=1020.0, bulk_modulus=bulk, shear_modulus=modulus)
+        # With an exponent of one the loss is a dashpot's.
+        dashpot = {"gel.shear_fractional_loss": viscosity * 2.0 * np.pi * 1e6, "gel.bulk_fractional_loss": 0.0,
+                   "gel.loss_exponent": 1.0, "gel.loss_frequency": 1e6}
         solid = problem(mesh, {**materials, "couplant": thick}, chip.band).with_terms(
-            (KelvinVoigt("couplant", "gel"),), {"gel.shear_kelvin_voigt": viscosity, "gel.bulk_kelvin_voigt": 0.0})
+            (FractionalLoss("couplant", "gel"),), dashpot)
         return problem(mesh, materials, chip.band), solid
 
     return make

@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from workbench.render.canvas import Picture
+from workbench.report.comparison import comparison_record
 from workbench.report.definitions import DEFINITIONS, definition
 from workbench.report.figures import (
     FIGURE_COLUMNS,
     MODEL_COLUMNS,
     figures_record,
     figures_row,
-    measured_figures,
     resonance_fits,
     resonance_record,
 )
@@ -27,16 +28,14 @@ from workbench.report.page import (
     Answer,
     Block,
     Note,
-    Picture,
     TextTable,
     Verbatim,
     number_text,
     write_json,
     write_report,
 )
-from workbench.report.simulations import comparison_record
 from workbench.results.comparison import compare
-from workbench.results.merit import figures, fit_resonance
+from workbench.results.merit import figures, fit_resonance, measured_figures
 from workbench.results.spectrum import Spectrum
 
 #: A Butterworth-Van Dyke resonator: series resonance at 1 MHz, 10 ohm, Q = 100, beside 1 nF.

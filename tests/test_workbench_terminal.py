@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support import check_table
+from support import check_table, table_lines
 
-from workbench.commands.fit import _columns_table, _devices_table
-from workbench.commands.terminal import print_table, table_lines
+from workbench.commands.terminal import print_table
 from workbench.fitting.batch import BatchColumn
 from workbench.report.figures import FIGURE_COLUMNS
+from workbench.report.fit_batch import batch_columns_table, devices_table
 from workbench.report.page import TextTable
 
 STATES = ("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "MAPE (%)", "rms (%)", "chi-square")
@@ -26,12 +26,12 @@ TABLES: dict[str, tuple[str, TextTable, str]] = {
         ("transducer.thickness (disc_1, disc_2)", "2.02", "2.02131", "2.01988 to 2.02274", "mm", "+0.06",
          "held by passivity; not determined; by profile"),
         ("eps33.loss", "0.02", "0.0213145", "0.0201 to 0.0222", "1", "+6.57", "not determined"))), "one"),
-    "batch": ("discs", _devices_table({
+    "batch": ("discs", devices_table({
         "disc_of_the_first_delivery": {"mape_percent": 1.02, "rms_log_residual": 0.019, "accepted": True,
                                        "saved_as": "pzt_mine/disc_of_the_first_delivery@1", "wall_seconds": 123.4},
         "disc_2": {"mape_percent": 55.02, "rms_log_residual": 0.519, "accepted": False, "saved_as": None,
                    "wall_seconds": 23.4}}), "folded"),
-    "what devices have in common": ("what they have in common", _columns_table(tuple(
+    "what devices have in common": ("what they have in common", batch_columns_table(tuple(
         BatchColumn(name, unit, ("a", "b"), DEVIATION, DEVIATION, DEVIATION, 1.5, 0.7071, 66.7, ("disc_7", "disc_12"))
         for name, unit in (("transducer.thickness", "m"), ("bench.series_resistance", "ohm"), ("c33.loss", "1")))),
         "one"),
@@ -75,7 +75,7 @@ def test_a_table_that_fits_is_not_wrapped() -> None:
         "│                      │ 1.5        │",
         "└──────────────────────┴────────────┘"]
     # One character less: the heading is wrapped between words, the name is whole.
-    assert "┃ name                 ┃ value     ┃" in table_lines("", table, width=36)
+    assert "┃ name                 ┃ (mm)      ┃" in table_lines("", table, width=36)
     # Names break behind their dots, numbers do not.
     narrow = table_lines("", table, width=24)
     assert [line[:15] for line in narrow if line.startswith(("│ tr", "│ th"))] == ["│ transducer. │", "│ thickness   │"]

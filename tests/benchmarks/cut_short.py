@@ -40,16 +40,16 @@ from workbench.diagnosis.appraisal import appraised, as_stated  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
 from workbench.diagnosis.descent import Candidate  # noqa: E402
 from workbench.diagnosis.device import Model, device_model  # noqa: E402
-from workbench.diagnosis.findings import Begun  # noqa: E402
+from workbench.diagnosis.findings import InitialOptimum  # noqa: E402
 from workbench.diagnosis.inference import DiagnosisSearch  # noqa: E402
 from workbench.diagnosis.neighbourhoods import Neighbourhoods  # noqa: E402
-from workbench.diagnosis.record import record  # noqa: E402
 from workbench.diagnosis.state import StateFit  # noqa: E402
 from workbench.fem.operators import assemble  # noqa: E402
 from workbench.fem.solve import one_thread  # noqa: E402
 from workbench.model.problem import build, fill, with_boundary_layers  # noqa: E402
 from workbench.readers import read_recording  # noqa: E402
 from workbench.reduced.reduction import reduce  # noqa: E402
+from workbench.report.diagnosis import diagnosis_record  # noqa: E402
 from workbench.results.spectrum import Spectrum, write_csv  # noqa: E402
 
 EXAMPLE = ROOT / "examples" / "small_campaign"
@@ -136,7 +136,7 @@ def named(value: Any) -> Any:
             return [named(each) for each in value]
         case Candidate():
             return [value.hypothesis.name, *(each.x.tobytes() for each in value.ends)]
-        case Begun():
+        case InitialOptimum():
             return value.x.tobytes()
         case _:
             return repr(value)
@@ -163,7 +163,8 @@ class Replay:
             self._models.places = ()
             self._stated = self._stated or as_stated(search)
             found = appraised(self._model, search.run(), self._stated, started=started)
-        return {**record(found), "wall_seconds": search.clock, "status": 0 if found.provisional is None else 3}
+        return {**diagnosis_record(found), "wall_seconds": search.clock,
+                "status": 0 if found.provisional is None else 3}
 
 
 def run(

@@ -21,10 +21,10 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 from measurements import Measurements, measurements, with_json  # noqa: E402
 
-from workbench.design.design_report import figure_in_unit  # noqa: E402
 from workbench.design.executors import processes  # noqa: E402
 from workbench.design.goal import read_goal  # noqa: E402
 from workbench.design.optimisation import Design, optimise  # noqa: E402
+from workbench.report.design import figure_in_unit  # noqa: E402
 
 GOALS = ROOT / "examples" / "design"
 TASKS = ("half_wave_chip", "stock_glass", "beads_at_one_watt")

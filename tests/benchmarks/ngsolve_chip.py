@@ -51,6 +51,7 @@ from geometry.section import Section  # noqa: E402
 from geometry.shapes import Side, sides  # noqa: E402
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric  # noqa: E402
 from materials.registry import Registry  # noqa: E402
+from workbench.files.quantities import VACUUM_PERMITTIVITY  # noqa: E402
 from workbench.model.discretisation import ACCURACY  # noqa: E402
 from workbench.model.problem import fill  # noqa: E402
 from workbench.results.spectrum import Spectrum  # noqa: E402
@@ -325,8 +326,8 @@ def matrices(
             case Piezoelectric():
                 c11, c12, c13, c33, c44 = (complex(getattr(material, name)) for name in
                                            ("c11", "c12", "c13", "c33", "c44"))
-                e31, e33, e15, eps11, eps33 = (complex(getattr(material, name)) for name in
-                                               ("e31", "e33", "e15", "absolute_eps11", "absolute_eps33"))
+                e31, e33, e15 = (complex(getattr(material, name)) for name in ("e31", "e33", "e15"))
+                eps11, eps33 = (complex(eps) * VACUUM_PERMITTIVITY for eps in (material.eps11, material.eps33))
                 slope, slope_v = ngsolve.grad(phi), ngsolve.grad(psi)
                 forms[0] += weight * (
                     e31 * ((rr + tt) * slope_v[1] + (rr_v + tt_v) * slope[1])

@@ -43,8 +43,8 @@ from concealed.trial import make_trial  # noqa: E402
 
 from workbench.diagnosis.appraisal import diagnose  # noqa: E402
 from workbench.diagnosis.campaign import read_campaign  # noqa: E402
-from workbench.diagnosis.record import record  # noqa: E402
 from workbench.files.writing import write_atomic  # noqa: E402
+from workbench.report.diagnosis import diagnosis_record  # noqa: E402
 
 #: In one round every mechanism of the catalogue is hidden once, and so many times nothing, something outside the
 #: catalogue, and two effects at once: of 300 trials at least 40 with nothing and 30 with two effects.
@@ -127,7 +127,7 @@ def diagnose_one(trial: Path, result: Path) -> None:
     """Diagnose a trial here, into a file."""
     with threadpool_limits(limits=1):
         found = diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES)
-    write_atomic(result, json.dumps(record(found), indent=1) + "\n")
+    write_atomic(result, json.dumps(diagnosis_record(found), indent=1) + "\n")
 
 
 def _diagnosing(trial: Path, result: Path) -> Sequence[str]:

@@ -1,1 +1,1 @@
-"""Fields of a solution, and what they do to particles."""
+"""Fields of a solution, and their effect on particles."""

@@ -1,4 +1,4 @@
-"""Local minima of a potential on a raster, how high their basins reach, and the passes out of them."""
+"""Local minima of a potential on a raster, the heights of their basins, and the passes out of them."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ _NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0
 
 
 def _around(values: NDArray[Any], outside: Any) -> NDArray[Any]:
-    """The eight neighbours (8, n, m) of every point of a raster (n, m), those beyond its edge `outside`."""
+    """The eight neighbours (8, n, m) of every point of a raster (n, m); points outside it have the value `outside`."""
     rows, columns = values.shape
     padded = np.pad(values, 1, constant_values=outside)
     return np.stack([padded[1 + i:1 + i + rows, 1 + j:1 + j + columns] for i, j in _NEIGHBOURS])
 
 
 def find_walls(inside: NDArray[np.bool_], *, on_axis: bool) -> NDArray[np.bool_]:
-    """Which points (n, m) of a region on a raster have no neighbour on some side; the field goes on behind the axis."""
+    """Mask (n, m) of the points of a region on a raster that lack a neighbour; behind the axis the field is continued.
+    """
     if on_axis:
         return find_walls(np.concatenate([inside[1::-1], inside[1:]]), on_axis=False)[1:]
     return inside & ~_around(inside, outside=False).all(axis=0)
 
 
 def find_basins(values: FloatArray) -> list[tuple[tuple[int, int], float]]:
-    """Every local minimum of a raster (n, m), NaN outside the region, and how high its basin reaches (J).
+    """Every local minimum of a raster (n, m), NaN outside the region, and the upper level (J) of its basin.
 
-    Every point belongs to the minimum to which the steepest way down leads. From the lowest up, the passes between
-    basins join them: at a pass the shallower one ends (the persistence of topological data analysis). The deepest never
-    ends; it reaches up to the highest potential.
+    Every point belongs to the minimum at the end of its steepest descent. From the lowest up, the passes between basins
+    join them: at a pass the shallower one ends (the persistence of topological data analysis). The deepest never ends;
+    its upper level is the highest potential.
     """
     flat = values.ravel()
     tree = _merged(values, _drained(values))
@@ -61,7 +62,7 @@ def label_basins(values: FloatArray, *, least: float) -> IntArray:
 def lowest_pass(values: FloatArray, start: tuple[int, int], exits: NDArray[np.bool_]) -> float | None:
     """The lowest level (J) to which the raster (n, m) must be flooded for the water at `start` to reach one of `exits`.
 
-    None where no level does: there is no exit in the region.
+    None if the region holds no exit.
     """
     from scipy.ndimage import label
 
@@ -84,7 +85,8 @@ def lowest_pass(values: FloatArray, start: tuple[int, int], exits: NDArray[np.bo
 def outward(inside: NDArray[np.bool_], *, on_axis: bool) -> FloatArray:
     """Unit vectors (n, m, 2) along the two directions of a raster that point out of the region, zero far from a wall.
 
-    They are those of the mask averaged over 5 points each way, so that a slanted wall of steps has its own direction.
+    They are those of the mask averaged over 5 points each way, so that a slanted wall, a staircase on the raster, has
+    its own direction.
     """
     if on_axis:
         return outward(np.concatenate([inside[:0:-1], inside]), on_axis=False)[len(inside) - 1:]
@@ -97,14 +99,14 @@ def outward(inside: NDArray[np.bool_], *, on_axis: bool) -> FloatArray:
 
 
 def _drained(values: FloatArray) -> IntArray:
-    """The local minimum (flat index) that the steepest way down from each point (n, m) leads to."""
+    """The local minimum (flat index) at the end of the steepest descent from each point (n, m)."""
     height = np.where(np.isfinite(values), values, np.inf)
     number = np.arange(height.size).reshape(height.shape)
     beside, numbers = _around(height, np.inf), _around(number, -1)
     steepest = beside.argmin(axis=0)[None]
     lower = np.take_along_axis(beside, steepest, axis=0)[0]
     goal = np.take_along_axis(numbers, steepest, axis=0)[0]
-    # Of equal points the one with the smaller number is the lower.
+    # Of equal points the one with the smaller number counts as lower.
     down = (lower < height) | ((lower == height) & (goal < number))
     basin = np.where(down & np.isfinite(height), goal, number).ravel()
     while True:
@@ -116,8 +118,10 @@ def _drained(values: FloatArray) -> IntArray:
 
 
 def _merged(values: FloatArray, label: IntArray) -> dict[int, tuple[int, float] | None]:
-    """Every local minimum, and the deeper one that its basin joins with the height (J) of the pass; None for the
-    deepest, and for one without a pass."""
+    """Every local minimum, with the deeper minimum whose basin it joins and the height (J) of the pass.
+
+    None for the deepest minimum, and for one without a pass.
+    """
     height = np.where(np.isfinite(values), values, np.inf)
     basin, numbers = label.ravel(), _around(np.arange(height.size).reshape(height.shape), -1)
     passes: dict[tuple[int, int], float] = {}

@@ -1,7 +1,7 @@
-"""Cells of any shape and layout: where a point lies in them, the slopes of values on them, their neighbours.
+"""Cells of any shape and layout: the cell and local coordinates of a point, slopes of values, and neighbours.
 
-Cells are nodes ``points[cells]``, ``points`` (N, 2) r, z in metres and ``cells`` (M, p + 1, p + 1) node numbers by both
-local coordinates, which run from 0 to 1 and alike in neighbours along their common side.
+Cells are nodes ``points[cells]``, with ``points`` (N, 2) r, z in metres and ``cells`` (M, p + 1, p + 1) node numbers by
+both local coordinates. These run from 0 to 1, and alike in neighbours along their common side.
 """
 
 from __future__ import annotations
@@ -20,23 +20,25 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 NodalArray = NDArray[Any]
 
-#: Newton's steps to the local coordinates of a point; from the middle of a cell it takes four or five.
+#: Limit of Newton's steps to the local coordinates of a point; from the middle of a cell it takes four or five.
 MOST_STEPS = 20
-#: A point that was as close as this share of the size of its cell before the last step is found to rounding.
+#: Largest step, as a share of the size of the cell, after which one more step finds a point to rounding.
 CLOSE = 1e-7
-#: A point is in a cell up to this share of its size.
+#: Distance outside a cell, as a share of its size, at which a point still counts as inside.
 INSIDE = 1e-8
-#: Local coordinates so far outside a cell are given up.
+#: Distance outside a cell, in local coordinates, at which the search for a point in it ends.
 FAR = 0.5
-#: Share of its size by which a cell's curved sides reach beyond its nodes at most.
+#: Largest distance, as a share of the size of a cell, by which its curved sides extend past its nodes.
 BEYOND_NODES = 0.05
-#: Sides whose middles are closer than this share of the whole mesh are one.
+#: Largest distance between the middles of two sides that are one, as a share of the whole mesh.
 SAME_SIDE = 1e-9
 
 
 def cells_at(points: FloatArray, cells: IntArray, places: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Number (K,) of the cell that holds each of `places` (K, 2), the lowest of several, -1 where none, and local
-    coordinates (K, 2)."""
+    """Number (K,) of the cell that holds each of `places` (K, 2), and local coordinates (K, 2).
+
+    The lowest number if several cells hold it, -1 if none does.
+    """
     found, local = np.full(len(places), -1), np.full((len(places), 2), np.nan)
     if not len(cells):
         return found, local
@@ -59,11 +61,11 @@ def cells_at(points: FloatArray, cells: IntArray, places: FloatArray) -> tuple[I
 
 
 def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
-    """Local coordinates (K, 2) of `places` (K, 2) in the cell of `nodes` (p + 1, p + 1, 2), by Newton's method; NaN
-    where there are none near the cell."""
+    """Local coordinates (K, 2) of `places` (K, 2) in the cell of `nodes` (p + 1, p + 1, 2), by Newton's method; NaN for
+    places far from the cell."""
     order = nodes.shape[0] - 1
     size = np.ptp(nodes, axis=(0, 1)).max()
-    # Most cells are parallelograms, and others are like these.
+    # Most cells are parallelograms, and the others are close to one.
     ends = nodes[[0, 0, -1, -1], [0, -1, 0, -1]]
     edges = 0.5 * np.stack([ends[2] + ends[3] - ends[0] - ends[1], ends[1] + ends[3] - ends[0] - ends[2]])
     begin, x = ends.mean(axis=0) - 0.5 * edges.sum(axis=0), gauss_lobatto(order)
@@ -82,7 +84,7 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):
             step = np.stack([apart[:, 0] * across[:, 1] - apart[:, 1] * across[:, 0],
                              along[:, 0] * apart[:, 1] - along[:, 1] * apart[:, 0]], axis=1) / area[:, None]
-        # Far outside a cell its polynomials are of no meaning.
+        # Far outside a cell its polynomials have no meaning.
         at[left] = np.clip(at[left] + np.nan_to_num(step), -FAR, 1.0 + FAR)
         miss[left] = np.abs(apart).max(axis=1)
         left = left[(miss[left] > CLOSE * size) & (np.abs(at[left] - 0.5) < 0.5 + FAR).all(axis=1)]
@@ -93,7 +95,7 @@ def _local(nodes: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def interpolated(cells: IntArray, values: NodalArray, cell: IntArray, local: FloatArray) -> NodalArray:
-    """`values` (N, ...) at places (K, 2) of known cells (K,) and local coordinates (K, 2): (K, ...)."""
+    """Interpolants (K, ...) of `values` (N, ...) at places of known cells (K,) and local coordinates (K, 2)."""
     result = np.empty((len(cell), *values.shape[1:]), dtype=values.dtype)
     order = np.argsort(cell, kind="stable")
     bounds = np.flatnonzero(np.diff(cell[order], prepend=-1, append=-1))
@@ -117,7 +119,7 @@ def nodal_slopes(points: FloatArray, cells: IntArray, values: NodalArray) -> Nod
 
 
 def beside(points: FloatArray, cells: IntArray) -> IntArray:
-    """Numbers (M, 4) of the neighbours of cells at their sides left, right, below and above; -1 where there is none."""
+    """Numbers (M, 4) of the neighbours of cells at their left, right, lower and upper side; -1 for none."""
     corners = points[cells[:, [0, -1]][:, :, [0, -1]]]  # (M, 2, 2, 2)
     sides = np.stack([corners[:, 0].mean(axis=1), corners[:, 1].mean(axis=1),
                       corners[:, :, 0].mean(axis=1), corners[:, :, 1].mean(axis=1)], axis=1).reshape(-1, 2)
@@ -128,7 +130,7 @@ def beside(points: FloatArray, cells: IntArray) -> IntArray:
 
 
 def of_order(points: FloatArray, cells: IntArray, order: int) -> tuple[FloatArray, IntArray]:
-    """The same cells with the nodes of another order: points (N', 2), and node numbers (M, order + 1, order + 1)."""
+    """Cells with the nodes of another order: points (N', 2), and node numbers (M, order + 1, order + 1)."""
     weights = polynomials(cells.shape[1] - 1, gauss_lobatto(order))
     places = np.einsum("ia,jb,mijx->mabx", weights, weights, points[cells], optimize=True)
     corners, numbers = np.unique(cells[:, [0, -1]][:, :, [0, -1]], return_inverse=True)

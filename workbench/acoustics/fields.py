@@ -1,4 +1,4 @@
-"""From a solution to the fields a person looks at: displacement, pressure, velocity, stress, energy."""
+"""Fields of a solution: displacement, pressure, velocity, stress, energy."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Fields(Brief):
     ``voltage`` (V) and ``current`` (A) at the electrodes, ``power`` (W) electrical input. On the N nodes of ``mesh``:
     ``displacement`` (N, 2) m in solids, ``potential`` (N,) V in the piezoelectric, ``pressure`` (N,) Pa in fluids,
     ``velocity`` (N, 2) m/s, ``stress`` (N, 4) Pa (rr, tt, zz, rz) in solids, ``energy_density`` (N,) J/m^3 averaged
-    over time: kinetic plus elastic or compressional, and electric in the piezoelectric. NaN where a field does not
-    exist. ``drive`` says in words how it is driven, and which voltage that gives at the electrodes.
+    over time: kinetic plus elastic or compressional, and electric in the piezoelectric. NaN in regions without the
+    field. ``drive`` describes the drive in words, with the voltage that it gives at the electrodes.
     """
 
     mesh: NodalMesh
@@ -143,7 +143,7 @@ def section_nodes(mesh: SectionMesh) -> tuple[NodalMesh, NDArray[np.int64]]:
 
 
 def _strain(mesh: NodalMesh, displacement: Complex, region: str, nodes: NDArray[np.int64]) -> Complex:
-    """(n, 4) strain rr, tt, zz, 2rz at the nodes of a region; on the axis u_r / r is its limit, d u_r / d r."""
+    """Strain (n, 4), rr, tt, zz, 2rz, at the nodes of a region; on the axis u_r / r is its limit, d u_r / d r."""
     slope = gradient(mesh, displacement, [region])[nodes]  # (n, 2 directions, 2 components)
     r = mesh.points[nodes, 0]
     on_axis = r < 1e-9 * mesh.points[:, 0].max()

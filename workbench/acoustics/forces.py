@@ -1,4 +1,4 @@
-"""Potential and radiation force on a particle in a computed field, and how long they take to move it.
+"""Potential and radiation force on a particle in a computed field, and the time they take to move it.
 
 A force means nothing without the field it was computed in, so every result carries an :class:`Excitation`.
 """
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation:
-    """The field a force was computed in, without which the force says nothing.
+    """The field in which a force was computed.
 
-    ``description`` how the device was driven, in words; ``frequency`` Hz; ``voltage`` V amplitude across the
-    transducer; ``pressure_amplitude`` Pa, the largest |p| in the region; ``energy_density`` J/m^3 of a standing wave of
-    that amplitude, p0^2/(4 rho c^2); ``mean_energy_density`` J/m^3, the field's own mean over the region.
+    ``description`` of the drive in words; ``frequency`` Hz; ``voltage`` V amplitude across the transducer;
+    ``pressure_amplitude`` Pa, the largest |p| in the region; ``energy_density`` J/m^3 of a standing wave of that
+    amplitude, p0^2/(4 rho c^2); ``mean_energy_density`` J/m^3, the mean of the field itself over the region.
     """
 
     description: str
@@ -52,7 +52,7 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ParticleForces(Brief):
-    """Potential (N,) J and radiation force (N, 2) N on a particle at the nodes of ``mesh``, which is that of ``region``
+    """Potential (N,) J and radiation force (N, 2) N on a particle, at the nodes of ``mesh``, the mesh of ``region``
     alone."""
 
     excitation: Excitation

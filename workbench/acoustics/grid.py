@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: Two lines of a grid are one, and a point is on a line, within this part of the grid's extent: 3e-11 m of 26 mm.
+#: Largest distance, as a share of the grid's extent, at which two lines of a grid are one and a point is on a line:
+#: 3e-11 m of 26 mm.
 TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class CellGrid:
-    """The lines on which the cells of a mesh lie, and what is between them.
+    """The lines of the grid on which cells lie, and the cells between them.
 
     ``r`` (n + 1,) and ``z`` (m + 1,) coordinates in metres, ascending; ``cell`` (n, m) number of the cell between two
-    lines of each, -1 where there is none.
+    lines of each, -1 for none.
     """
 
     r: FloatArray
@@ -28,7 +29,8 @@ class CellGrid:
     cell: IntArray
 
     def beside(self, values: NDArray[Any], axis: int, step: int) -> NDArray[Any]:
-        """What `values` (n, m) are one `step` (1 or -1) on in direction `axis` (0 r, 1 z); -1 beyond the edge."""
+        """Elements of `values` (n, m) shifted by one `step` (1 or -1) in direction `axis` (0 r, 1 z), with -1 past the
+        edge."""
         moved: NDArray[Any] = np.roll(np.pad(values, 1, constant_values=-1), -step, axis=axis)[1:-1, 1:-1]
         return moved
 

@@ -1,6 +1,6 @@
 """Values at the nodes of cells of any order: their gradient, their integral, their value at any point.
 
-A :class:`NodalMesh` is what post-processing and pictures need of a finite-element mesh and no more. Each node belongs
+A :class:`NodalMesh` holds the part of a finite-element mesh that post-processing and pictures need. Each node belongs
 to one region, so that a stress that jumps at an interface is still single valued. Lengths are metres, (r, z)
 axisymmetric.
 """
@@ -28,15 +28,15 @@ NodalArray = NDArray[Any]
 
 #: The sides of a cell, left, right, below and above: direction (0 r, 1 z) and sense.
 SIDES = ((0, -1), (0, 1), (1, -1), (1, 1))
-#: A polynomial through the nodes of two cells is a good one while neither is this much larger than the other. Measured
-#: on the reference chip, order 4: between 1.5 and 2.5 the stress does not change by a tenth of its error; at 4 that of
-#: the thin bond is 30 times as large, and at 20, beside the smallest cells of a corner, 1000 times.
+#: Largest ratio of the sizes of two cells whose nodes share a polynomial. Measured on the reference chip, order 4:
+#: between 1.5 and 2.5 the stress does not change by a tenth of its error; at 4 that of the thin bond is 30 times as
+#: large, and at 20, beside the smallest cells of a corner, 1000 times.
 ALIKE = 2.0
-#: Nodes of the neighbour on one side that help at the other end of a cell. Two make the derivative there 2.5 times as
-#: accurate and three times as sensitive to noise, of any order; all of them would make it 3000 times as sensitive at
-#: order 8.
+#: Number of nodes of the neighbour on one side that are used for the other end of a cell. Two make the derivative there
+#: 2.5 times as accurate and three times as sensitive to noise, at any order; all of them would make it 3000 times as
+#: sensitive at order 8.
 BEYOND = 2
-#: Cells whose points are moved by less apart, per length, than this are moved alike.
+#: Largest difference between the shifts of two cells' points, per length, at which the cells count as moved alike.
 SMOOTH = 1e-6
 
 
@@ -45,13 +45,13 @@ class NodalMesh(Brief):
     """Cells with Gauss-Lobatto nodes that are not shared between regions.
 
     ``points`` (N, 2) r, z in metres; ``cells`` (M, p + 1, p + 1) node numbers of every cell, the first index along r
-    and the second along z, for fields of order p; ``region`` (M,) index into ``regions``. ``straight`` (N, 2) is where
-    the points are before they are moved to where they are: in rectangles between the lines of one grid; None where
-    they are not moved. Cells that are ``free`` are of any shape and layout.
+    and the second along z, for fields of order p; ``region`` (M,) index into ``regions``. ``straight`` (N, 2) are the
+    points before they are moved, in rectangles between the lines of one grid; None if they are not moved. ``free``
+    cells are of any shape and layout.
 
     Raises:
         ValueError: wrong shapes, an order below two, node or region numbers out of range, a cell that is clockwise or
-            has its nodes elsewhere, one that is crossed by a line of another or covers it, a node in two regions or in
+            has misplaced nodes, one that is crossed by a line of another or covers it, a node in two regions or in
             none.
     """
 
@@ -106,17 +106,17 @@ class NodalMesh(Brief):
 
     @property
     def flat(self) -> FloatArray:
-        """Where the points (N, 2) are in rectangles."""
+        """The points (N, 2) before they are moved, in rectangles."""
         return self.points if self.straight is None else self.straight
 
     @property
     def shift(self) -> FloatArray | None:
-        """By how much the points (N, 2) are moved; None where they are not."""
+        """The displacements of the points (N, 2) from the rectangles; None if they are not moved."""
         return None if self.straight is None else self.points - self.straight
 
     @property
     def boxes(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper r, z of every cell, each (M, 2), where it is a rectangle."""
+        """Lower and upper r, z of every cell, each (M, 2), as a rectangle."""
         return self.flat[self.cells[:, 0, 0]], self.flat[self.cells[:, -1, -1]]
 
     @property
@@ -125,7 +125,7 @@ class NodalMesh(Brief):
 
     @property
     def lines(self) -> tuple[FloatArray, FloatArray]:
-        """Radii (n,) and heights (m,), ascending, about as far apart as the lines of the cells, from end to end."""
+        """Radii (n,) and heights (m,), ascending, from end to end, spaced about as the lines of the cells are."""
         if self.is_grid:
             return self.grid.r, self.grid.z
         if self.free:
@@ -137,7 +137,7 @@ class NodalMesh(Brief):
 
     @cached_property
     def neighbours(self) -> IntArray:
-        """Of free cells the numbers (M, 4) of those beside them at every side, see `curved_cells.beside`."""
+        """Numbers (M, 4) of the neighbours of free cells at every side, see `curved_cells.beside`."""
         return curved_cells.beside(self.points, self.cells)
 
     @cached_property
@@ -168,7 +168,7 @@ class NodalMesh(Brief):
 def mesh_of(
     low: FloatArray, high: FloatArray, region: IntArray, regions: tuple[str, ...], *, order: int
 ) -> NodalMesh:
-    """The mesh of rectangles from `low` (M, 2) to `high` (M, 2) metres in the regions of that number, with the nodes of
+    """The mesh of rectangles from `low` (M, 2) to `high` (M, 2) metres in the regions of these numbers, with nodes of
     `order`.
 
     Raises:
@@ -191,7 +191,8 @@ def mesh_of(
 def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
     """The cells of one region in a mesh of its own, with the nodes of another `order`.
 
-    Products of two fields are polynomials of twice their order: it is on its nodes that they keep all they hold.
+    Products of two fields are polynomials of twice their order, and keep all their information on the nodes of that
+    order.
     """
     chosen = mesh.cells_of([region])
     if mesh.free:
@@ -204,7 +205,7 @@ def raised(mesh: NodalMesh, order: int, region: str) -> NodalMesh:
 
 
 def transfer(mesh: NodalMesh, values: NodalArray, finer: NodalMesh) -> NodalArray:
-    """`values` (N, ...) of `mesh` at the nodes of `finer`, which :func:`raised` made of it: (N', ...)."""
+    """Values (N', ...) at the nodes of `finer`, made by :func:`raised`, from `values` (N, ...) of `mesh`."""
     weights = polynomials(mesh.order, gauss_lobatto(finer.order))
     (region,) = finer.regions
     inside = values[mesh.cells[mesh.cells_of([region])]]
@@ -216,13 +217,13 @@ def transfer(mesh: NodalMesh, values: NodalArray, finer: NodalMesh) -> NodalArra
 def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> NodalArray:
     """Gradient at the nodes of `regions` of `values` (N, ...) per metre: (N, 2, ...), d/dr then d/dz; NaN elsewhere.
 
-    The derivative of a cell's own polynomial is least accurate where most of its nodes are, at the edges. So that of a
-    polynomial through more nodes is taken, each of the two directions by itself: for a node in the half of its cell
-    towards a neighbour, through the nodes of both cells; in a half without neighbour, through those of the cell and the
-    next :data:`BEYOND` on its other side, for further ones would amplify noise there. This is polynomial-preserving
-    recovery (Zhang & Naga, SIAM J. Sci. Comput. 26, 1192, 2005) with interpolation in place of the least-squares fit.
-    A cell of another region, or one larger or smaller by more than :data:`ALIKE`, is no neighbour, and free cells have
-    none. At a node of several cells the gradient is their mean.
+    The derivative of a cell's own polynomial is least accurate at the edges, where most of its nodes are. Therefore a
+    polynomial through more nodes is differentiated, in each of the two directions by itself. For a node in the half of
+    its cell towards a neighbour, it goes through the nodes of both cells. For a node in a half without neighbour, it
+    goes through those of the cell and the next :data:`BEYOND` on its other side, since further ones would amplify noise
+    there. This is polynomial-preserving recovery (Zhang & Naga, SIAM J. Sci. Comput. 26, 1192, 2005) with interpolation
+    in place of the least-squares fit. A cell of another region, or one larger or smaller by more than :data:`ALIKE`, is
+    no neighbour, and free cells have none. At a node of several cells the gradient is their mean.
 
     Raises:
         ValueError: a name that is not a region of the mesh.
@@ -234,7 +235,7 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
         return result.reshape(len(mesh.points), 2, *values.shape[1:])
     result = _recovered(mesh, flat, chosen)
     if mesh.straight is not None:
-        # By the chain rule, where the points have got to likewise.
+        # The chain rule, with the slopes of the map that moves the points.
         there = np.unique(mesh.cells[chosen])
         slopes = _recovered(mesh, mesh.points, chosen)[there]
         result[there] = np.linalg.solve(slopes, result[there])
@@ -242,8 +243,8 @@ def gradient(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> Nod
 
 
 def _recovered(mesh: NodalMesh, values: NodalArray, chosen: IntArray) -> NodalArray:
-    """Derivatives (N, 2, k) in both directions of the rectangles of `values` (N, k) at the nodes of the cells `chosen`;
-    NaN elsewhere."""
+    """Derivatives (N, 2, k) in both directions of the rectangles of `values` (N, k), at the nodes of the cells
+    `chosen`; NaN elsewhere."""
     both = [_slopes(mesh, values, chosen, axis) for axis in (0, 1)]
     return _averaged(mesh, chosen, np.stack(both, axis=-2))
 
@@ -264,13 +265,13 @@ def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) ->
     order = mesh.order
     lines = mesh.cells if axis == 1 else mesh.cells.swapaxes(1, 2)  # (M, across, along)
     before, after = (_alike(mesh, axis, step)[chosen] for step in (-1, 1))
-    # Which half a node is in; one in the middle is in either to a half.
+    # The half that a node is in; one in the middle is in each to a half.
     first_half = 0.5 - 0.5 * np.sign(np.round(gauss_lobatto(order) - 0.5, 9))
     result = np.zeros((len(chosen), order + 1, order + 1, values.shape[1]), dtype=np.result_type(values.dtype, float))
 
     def add(members: IntArray, half: FloatArray, parts: Sequence[IntArray]) -> None:
-        """Add to the nodes of one half of some cells the derivative through the nodes of `parts`, the first the cell's
-        own."""
+        """Add the derivative through the nodes of `parts` to the nodes of one half of some cells; the first part is the
+        cell itself."""
         windows = np.concatenate(parts, axis=2)
         matrix = half[:, None] * _differentiation(mesh.flat[windows[:, 0], axis])[:, :order + 1]
         result[members] += np.einsum("mij,mcjk->mcik", matrix, values[windows], optimize=True)
@@ -290,8 +291,7 @@ def _slopes(mesh: NodalMesh, values: NodalArray, chosen: IntArray, axis: int) ->
 
 
 def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
-    """The neighbour (M,) of every cell in direction `axis`, of its region and about its size; -1 where there is none.
-    """
+    """The neighbour (M,) of every cell in direction `axis`, of its region and about its size; -1 for none."""
     there = mesh.grid.cell >= 0
     beside = np.full(len(mesh.cells), -1)
     beside[mesh.grid.cell[there]] = mesh.grid.beside(mesh.grid.cell, axis, step)[there]
@@ -300,7 +300,7 @@ def _alike(mesh: NodalMesh, axis: int, step: int) -> IntArray:
     ratio = size[beside] / size
     fit = (mesh.region[beside] == mesh.region) & (ratio < ALIKE) & (ratio > 1.0 / ALIKE)
     if mesh.shift is not None:
-        # Nor one that is moved otherwise: the field has a kink there on the rectangles.
+        # A cell that is moved differently is no neighbour: on the rectangles, the field has a kink there.
         lines = np.moveaxis(mesh.shift[mesh.cells], 1 + axis, 1)
         matrix = _differentiation(gauss_lobatto(mesh.order)[None])[0]
         ends = np.einsum("ek,mkjx->emjx", matrix[[0, -1]], lines) / size[:, None, None]
@@ -314,7 +314,7 @@ def _differentiation(nodes: FloatArray) -> FloatArray:
     count = nodes.shape[1]
     diagonal = np.arange(count)
     apart = nodes[:, :, None] - nodes[:, None, :]
-    # In units of the length of all: products of metres would vanish.
+    # Scaled by the length of all: products of metres would vanish.
     length = np.ptp(nodes, axis=1, keepdims=True)[:, :, None]
     scaled = apart / length
     scaled[:, diagonal, diagonal] = 1.0
@@ -328,7 +328,7 @@ def _differentiation(nodes: FloatArray) -> FloatArray:
 def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> NodalArray:
     """Integral over the revolved volume of `regions`, weight 2 pi r, of nodal `values` (N, ...): shape (...).
 
-    By the Gauss-Lobatto rule of the nodes, exact for the interpolant.
+    The rule is the Gauss-Lobatto rule of the nodes, exact for the interpolant.
     """
     chosen = mesh.cells_of(regions)
     weights = lobatto_weights(mesh.order)
@@ -347,7 +347,7 @@ def integrate(mesh: NodalMesh, values: NodalArray, regions: Sequence[str]) -> No
 def interpolate(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions: Sequence[str]) -> NodalArray:
     """Interpolant of nodal `values` (N, ...) at `points` (K, 2) r, z in metres: (K, ...); NaN outside.
 
-    Where two of `regions` touch at a point, the cell with the lower number gives the value.
+    At a point where two of `regions` touch, the cell with the lower number gives the value.
     """
     cell, local = locate(mesh, points, regions)
     found = cell >= 0
@@ -357,8 +357,7 @@ def interpolate(mesh: NodalMesh, values: NodalArray, points: FloatArray, regions
 
 
 def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple[IntArray, FloatArray]:
-    """Cell (K,) of `regions` that holds each of `points` (K, 2), -1 where none, and local coordinates (K, 2), 0 to 1.
-    """
+    """Cell (K,) of `regions` that holds each of `points` (K, 2), -1 for none, and local coordinates (K, 2), 0 to 1."""
     if not mesh.is_grid:
         cells = mesh.cells_of(regions)
         found, local = curved_cells.cells_at(mesh.points, mesh.cells[cells], points)
@@ -387,10 +386,10 @@ def locate(mesh: NodalMesh, points: FloatArray, regions: Sequence[str]) -> tuple
 def raster(
     mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray, regions: Sequence[str]
 ) -> NodalArray:
-    """Interpolant of nodal `values` (N,) at every pair of ascending `r` (n,) and `z` (m,) in metres: (n, m); NaN
-    outside `regions`, and where the values are.
+    """Interpolant (n, m) of nodal `values` (N,) at every pair of ascending `r` (n,) and `z` (m,) in metres; NaN outside
+    `regions`, and at nodes that are NaN.
 
-    What :func:`interpolate` gives, in a fraction of its time.
+    The result is that of :func:`interpolate`, in a fraction of its time.
     """
     result = np.full((len(r), len(z)), np.nan, dtype=np.result_type(values.dtype, float))
     if not mesh.is_grid:
@@ -398,7 +397,7 @@ def raster(
     grid = mesh.grid
     columns, rows = (_within(lines, place, mesh.order) for lines, place in ((grid.r, r), (grid.z, z)))
     chosen = np.isin(np.arange(len(mesh.cells)), mesh.cells_of(regions))
-    # The lowest number last: it has the points that several cells share.
+    # The lowest number comes last: its values stay at points that several cells share.
     for cell, i, j in sorted(((int(grid.cell[i, j]), i, j) for i, j in zip(*np.nonzero(grid.cell >= 0), strict=True)),
                              reverse=True):
         (across, weights_r), (up, weights_z) = columns[i], rows[j]
@@ -408,8 +407,8 @@ def raster(
 
 
 def cell_raster(mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArray) -> NodalArray:
-    """The one of `values` (M,) that belongs to the cell at every pair of ascending `r` (n,) and `z` (m,) in metres:
-    (n, m); NaN where there is no cell."""
+    """The value (of `values` (M,), one a cell) at every pair of ascending `r` (n,) and `z` (m,) in metres: (n, m); NaN
+    outside all cells."""
     if not mesh.is_grid:
         cell, _ = locate(mesh, _pairs(r, z), mesh.regions)
         return np.where(cell >= 0, values[cell], np.nan).reshape(len(r), len(z))
@@ -421,14 +420,13 @@ def cell_raster(mesh: NodalMesh, values: NodalArray, r: FloatArray, z: FloatArra
 
 
 def _pairs(r: FloatArray, z: FloatArray) -> FloatArray:
-    """(n m, 2) of every r (n,) with every z (m,)."""
+    """All pairs (n m, 2) of r (n,) and z (m,)."""
     return np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def borders(mesh: NodalMesh, label: IntArray) -> list[tuple[int, IntArray]]:
     """Numbers (L,) of the cells whose neighbour on a side has another `label` (M,) or is missing, for each of the four
-    sides :data:`SIDES`; the axis is left out. Cells labelled -1 count as missing.
-    """
+    sides :data:`SIDES`; the axis is left out. Cells labelled -1 count as missing."""
     if mesh.free:
         across = np.where(mesh.neighbours >= 0, label[mesh.neighbours], -1)
         apart = (label[:, None] >= 0) & (across != label[:, None])
@@ -455,8 +453,8 @@ def edge_nodes(mesh: NodalMesh, side: int, cells: IntArray) -> IntArray:
 
 
 def border_lines(mesh: NodalMesh, label: IntArray) -> IntArray:
-    """Nodes (n, 2) at the ends of the lines that :func:`borders` consist of: whole sides of rectangles, and from node
-    to node along those of other cells."""
+    """Nodes (n, 2) at the ends of the lines that make up :func:`borders`: whole sides of rectangles, and from node to
+    node along the sides of other cells."""
     found = []
     for side, cells in borders(mesh, label):
         nodes = edge_nodes(mesh, side, cells)
@@ -466,8 +464,8 @@ def border_lines(mesh: NodalMesh, label: IntArray) -> IntArray:
 
 
 def _within(lines: FloatArray, place: FloatArray, order: int) -> list[tuple[slice, FloatArray]]:
-    """For every interval of `lines` those of ascending `place` that lie in it, ends included, and the weights of the
-    nodes there (order + 1, count)."""
+    """The part of ascending `place` in every interval of `lines`, ends included, and the weights of the nodes there
+    (order + 1, count)."""
     slack = TOLERANCE * (lines[-1] - lines[0])
     first = np.searchsorted(place, lines[:-1] - slack, side="left")
     last = np.searchsorted(place, lines[1:] + slack, side="right")

@@ -1,6 +1,6 @@
-"""What sound does to a particle: energy density, Gor'kov potential, radiation force.
+"""Effect of sound on a particle: energy density, Gor'kov potential, radiation force.
 
-Formulas and time factor as in `workbench.model.particles`.
+Formulas and time factor are those of `workbench.model.particles`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def gorkov_potential(
     pressure: NDArray[Any],
     velocity: NDArray[Any],
 ) -> FloatArray:
-    """U = V [ (f1/2) kappa <p^2> - (3/4) Re f2 rho <v^2> ] in J.
+    """Gor'kov potential U = V [ (f1/2) kappa <p^2> - (3/4) Re f2 rho <v^2> ] in J.
 
     `pressure` (...) in Pa and `velocity` (..., d) in m/s are complex amplitudes, so <p^2> = |p|^2/2.
     """
@@ -56,8 +56,8 @@ def radiation_force(
         F = -pi a^3 [ (2 kappa/3) Re(f1* p* grad p) - rho Re(f2* (v* . grad) v) ]
 
     Complex amplitudes: `pressure` (...) Pa, `pressure_gradient` (..., d) Pa/m, `velocity` (..., d) m/s and
-    `velocity_gradient` (..., d, d) 1/s, the direction of differentiation before the component. It is -grad U for a
-    standing wave; in a travelling one the imaginary part of f2 pushes the particle along.
+    `velocity_gradient` (..., d, d) 1/s, the direction of differentiation before the component. The force is -grad U in
+    a standing wave; in a travelling one the imaginary part of f2 pushes the particle along.
     """
     from_pressure = np.real(scattering.monopole * np.conj(pressure)[..., None] * pressure_gradient)
     convected = np.einsum("...j,...ji->...i", np.conj(velocity), velocity_gradient)

@@ -1,4 +1,4 @@
-"""Where a particle comes to rest: minima of the potential, what holds it there, and the time to get there."""
+"""Traps of a particle: minima of the potential, the barriers around them, and the time to get there."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from workbench.acoustics.nodal import FloatArray, interpolate, raster
 from workbench.model.particles import net_weight
 from workbench.results.brief import Brief
 
-#: Points a wavelength of sound at which minima and passes of the potential are looked for: 32 a period of the potential
-#: of a standing wave, so a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span off.
+#: Points per wavelength of sound of the raster on which minima and passes of the potential are found. They are 32 per
+#: period of the potential of a standing wave, so a pass is at most (pi / 32)^2 / 4 = 0.2 % of its span off.
 RASTER_POINTS = 64
-#: Degree of the polynomial fitted about a minimum; over half a period it leaves 1e-6 of the curvature.
+#: Degree of the polynomial fitted about a minimum; over half a period its relative error in the curvature is 1e-6.
 FIT_DEGREE = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trap:
-    """A place where the sound field alone would bring the particle to rest, and what holds it there against its weight.
+    """A place where the sound field alone would bring the particle to rest, and the barriers against its weight.
 
     ``radius``, ``height`` r, z in m, and ``above_floor`` m from the cavity's floor below it; ``potential`` J; ``depth``
-    J below the pass to a deeper trap or, of the deepest, below the highest potential in the region.
+    J below the pass to a deeper trap or, for the deepest, below the highest potential in the region.
     ``radial_stiffness``, ``axial_stiffness`` N/m; ``on_wall``: held at a wall, where the force need not vanish
     (stiffness is then the curvature at the wall).
 
     With the weight less buoyancy in the potential: ``barrier`` J, the lowest pass over which the particle leaves, to
-    another trap or to a wall that it does not lie on; ``axial_barrier`` and ``radial_barrier`` J, the same for a
-    particle that moves along z or along r alone, hence no lower. All are 0 where the weight pulls the particle out, and
-    None where no way leads out. ``lift`` N, the largest force against the weight on the vertical line through the trap;
-    None where a wall carries the weight. ``share``: the part of the cavity's volume that drains into the trap.
+    another trap or to a wall that it does not lie on; ``axial_barrier`` and ``radial_barrier`` J, the passes for a
+    particle that moves along z or along r alone, hence no lower. All are 0 if the weight pulls the particle out, and
+    None if no way leads out. ``lift`` N, the largest force against the weight on the vertical line through the trap;
+    None if a wall carries the weight. ``share``: the part of the cavity's volume that drains into the trap.
     """
 
     radius: float
@@ -54,7 +54,7 @@ class Trap:
 
     @property
     def holds(self) -> bool:
-        """Whether the particle stays although it has a weight."""
+        """Whether the particle stays in spite of its weight."""
         return self.barrier is None or self.barrier > 0.0
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ class TrapReport(Brief):
 
     @property
     def excitation(self) -> Excitation:
-        """The field the traps were found in."""
+        """The field in which the traps were found."""
         return self.forces.excitation
 
     @property
@@ -96,10 +96,10 @@ class TrapReport(Brief):
 def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapReport:
     """Minima of the potential, deepest first.
 
-    A minimum shallower than `least_depth` times the span of the potential in the region is left out: it may be no more
-    than the mesh showing. Depths are topological: the lowest pass to a deeper minimum, on a raster of
-    :data:`RASTER_POINTS` a wavelength; so are barriers, of the potential with the weight in it. Place, value and
-    stiffness come from a polynomial fitted to the potential around, mirrored where that reaches the axis.
+    A minimum shallower than `least_depth` times the span of the potential in the region is left out, since it may be an
+    artefact of the mesh. Depths are topological: the lowest pass to a deeper minimum, on a raster of
+    :data:`RASTER_POINTS` per wavelength. Barriers are found in the same way in the potential that includes the weight.
+    Place, value and stiffness come from a polynomial fitted to the potential around, mirrored at the axis.
     """
     mesh, potential = forces.mesh, forces.potential
     wavelength = forces.fluid.sound_speed / forces.excitation.frequency
@@ -108,14 +108,14 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
     least = least_depth * float(np.nanmax(values) - np.nanmin(values))
     landscape = _Landscape(forces, r, z, values, least)
     traps = []
-    # From the deepest on, so that two that the weight makes one give it to the deeper.
+    # Deepest first: if the weight merges two traps, the merged one counts for the deeper.
     for (i, j), highest in sorted(find_basins(values), key=lambda basin: values[basin[0]] - basin[1]):
         if highest - values[i, j] <= least:
             continue
         place, value, curvature = _refine(forces, np.array([r[i], z[j]]), wavelength)
         if not np.isfinite(interpolate(mesh, potential, place[None, :], [forces.region])[0]):
             place, value = np.array([r[i], z[j]]), float(values[i, j])
-        # A trap on the axis is on it, not a rounding error beside it.
+        # A trap on the axis is exactly on it, not a rounding error beside it.
         radius = 0.0 if place[0] < 1e-9 * r[-1] else float(place[0])
         column = np.flatnonzero(np.isfinite(values[i, :j + 1]))
         floor = z[column[np.flatnonzero(np.diff(column, prepend=-2) > 1)[-1]]]
@@ -131,7 +131,7 @@ def find_traps(forces: ParticleForces, *, least_depth: float = 1e-2) -> TrapRepo
 
 @dataclass(frozen=True)
 class _Held:
-    """What holds a particle in a trap: see :class:`Trap`."""
+    """The barriers that hold a particle in a trap: see :class:`Trap`."""
 
     barrier: float | None
     axial: float | None
@@ -141,10 +141,10 @@ class _Held:
 
 
 class _Landscape:
-    """The potential with the particle's weight in it on a raster, and the ways out of its basins.
+    """The potential with the particle's weight on a raster, and the ways out of its basins.
 
     A particle leaves a trap when it comes to another one, or to a wall that it does not lie on: near a wall other
-    forces act and it may stay. Walls that face within 60 degrees of that which the trap lies on are the same wall.
+    forces act and it may stay. Walls that face within 60 degrees of the one that the trap lies on count as that wall.
     """
 
     def __init__(self, forces: ParticleForces, r: FloatArray, z: FloatArray, values: FloatArray, least: float) -> None:
@@ -165,7 +165,7 @@ class _Landscape:
         self.taken: set[int] = set()
 
     def hold(self, i: int, j: int) -> _Held:
-        """What holds the particle in the trap at a place of the raster."""
+        """The barriers around the trap at a place of the raster."""
         rest = int(self.label[i, j])
         at = divmod(rest, self.total.shape[1])
         lies = bool(self.walls[i, j])
@@ -182,7 +182,7 @@ class _Landscape:
         i, j = at
         axial = self._climb(self._along(self.total[i], j, mirrored=False), at)
         radial = self._climb(self._along(self.total[:, j], i, mirrored=self.on_axis), at)
-        # In a corner, where two walls have one direction between them, a straight way may end sooner.
+        # In a corner, where two walls share one mean direction, a straight way may end sooner.
         ways = [way for way in (self._climb(lowest_pass(self.total, at, exits), at), axial, radial) if way is not None]
         return _Held(min(ways, default=None), axial, radial, lift, share)
 
@@ -192,7 +192,7 @@ class _Landscape:
     def _along(self, line: FloatArray, start: int, *, mirrored: bool) -> float | None:
         """The lowest pass (J) out of the place `start` of a line (n,), to its end at a wall or to another minimum.
 
-        The line goes on behind its first point where it is `mirrored`: there is no wall.
+        A `mirrored` line continues behind its first point: there is no wall.
         """
         inside = np.pad(np.isfinite(line), 1)
         inside[0] = mirrored
@@ -204,7 +204,8 @@ class _Landscape:
         return lowest_pass(line[:, None], (start, 0), exits[:, None])
 
     def _lift(self, i: int, j: int) -> float | None:
-        """The largest force (N) against the weight between the trap and the next pass that the weight pulls it to."""
+        """The largest force (N) against the weight between the trap and the next pass in the direction of the weight.
+        """
         step = -1 if self.weight > 0.0 else 1
         column = self.acoustic[i]
         end = j
@@ -220,14 +221,14 @@ class _Landscape:
 def focus_time(report: TrapReport) -> float | None:
     """Time (s) to the deepest trap along the axial line through it, from 90 % to 10 % of a quarter wavelength above it.
 
-    None where there is no trap, or where a particle starting there is not drawn all the way down: a wall is in between,
-    or the field is too weak against the particle's weight.
+    None if there is no trap, or if a particle starting there is not drawn all the way down: a wall is in between, or
+    the field is too weak against the particle's weight.
     """
     return None if not report.traps else _time_from(report, report.traps[0], 1.0)
 
 
 def time_to(report: TrapReport, trap: Trap) -> float | None:
-    """:func:`focus_time` to any one of the traps and, where that is None, from as far below it."""
+    """Time (s) as in :func:`focus_time` to any one of the traps or, if that is None, from as far below it."""
     above = _time_from(report, trap, 1.0)
     return _time_from(report, trap, -1.0) if above is None else above
 
@@ -252,9 +253,9 @@ def _subdivided(lines: FloatArray, spacing: float) -> FloatArray:
 def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tuple[FloatArray, float, FloatArray]:
     """Place (2,), value and second derivatives (2,) along r and z of the minimum next to `start` (2,).
 
-    Newton's method on a polynomial of :data:`FIT_DEGREE` along r and along z, fitted to the potential within an eighth
-    of the `wavelength` of sound on all sides: that is half a period of the potential of a standing wave. The potential
-    is even in r, so behind the axis it is as before it.
+    Newton's method runs on a polynomial of :data:`FIT_DEGREE` along r and along z, fitted to the potential within an
+    eighth of the `wavelength` of sound on all sides, that is half a period of the potential of a standing wave. The
+    potential is even in r, so it is mirrored at the axis.
     """
     reach = wavelength / 8.0
     across = np.linspace(-1.0, 1.0, 2 * FIT_DEGREE + 1)
@@ -290,6 +291,6 @@ def _refine(forces: ParticleForces, start: FloatArray, wavelength: float) -> tup
             break
     curvature = np.array([derivative(2, 0, place), derivative(0, 2, place)]) / reach**2
     minimum = start + place * reach
-    # Rounding may put a minimum on the axis a hair behind it.
+    # Rounding may put a minimum on the axis slightly behind it.
     minimum[0] = max(minimum[0], 0.0)
     return minimum, derivative(0, 0, place), curvature

@@ -8,13 +8,21 @@ import time
 from typing import TYPE_CHECKING
 
 from workbench.commands.asked import asked_accuracy, output_folder, say_read_as
-from workbench.commands.diagnosis_report import print_diagnosis, write_diagnosis_report, write_stopped
-from workbench.commands.terminal import progress_bars
+from workbench.commands.terminal import print_paragraph, print_table, progress_bars
 from workbench.diagnosis.appraisal import diagnose
 from workbench.diagnosis.campaign import read_campaign
-from workbench.diagnosis.record import contributions, record
+from workbench.diagnosis.known_physics import contributions
+from workbench.diagnosis.outcome import Diagnosis
 from workbench.files.errors import InputError
 from workbench.readers import READ_AS
+from workbench.report.diagnosis import (
+    LEFT,
+    diagnosis_record,
+    established_table,
+    left_table,
+    write_diagnosis_report,
+    write_stopped,
+)
 from workbench.report.page import write_json
 
 if TYPE_CHECKING:
@@ -44,15 +52,28 @@ def run_diagnose(options: argparse.Namespace, console: Console) -> int:
         write_stopped(campaign, folder, time.perf_counter() - started)
         raise
     # Whatever ends what follows, the result is kept.
-    write_json(folder / "diagnosis.json", {**record(found), "known_physics": []})
+    write_json(folder / "diagnosis.json", {**diagnosis_record(found), "known_physics": []})
     known = contributions(found)
-    write_json(folder / "diagnosis.json", {**record(found), "known_physics": [row._asdict() for row in known]})
+    # Anew: the record counts their full solves.
+    write_json(folder / "diagnosis.json", {
+        **diagnosis_record(found), "known_physics": [row._asdict() for row in known]})
     write_diagnosis_report(found, known, folder)
     print_diagnosis(found)
     if found.provisional is None:
         return 0
     console.print(f"not finished; what is known so far is in {folder}", style="yellow", markup=False)
     return INTERRUPTED if found.interrupted else NOT_FINISHED
+
+
+def print_diagnosis(found: Diagnosis) -> None:
+    """Headline, what is established, what each state leaves, and what to measure next, to standard output."""
+    print_paragraph(found.headline)
+    if found.established:
+        print_table("", established_table(found))
+    print_table(LEFT, left_table(found))
+    for text in (*found.findings, found.next_measurement):
+        if text:
+            print_paragraph(text)
 
 
 def _asked_effort(options: argparse.Namespace) -> tuple[int, float | None]:

@@ -4,12 +4,12 @@ mistakes in them. Whoever mistypes a name is told at once."""
 from __future__ import annotations
 
 import argparse
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
+from workbench.files.tables import read_toml
 
 #: Options that name a file that is read, of any command.
 FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "device", "file", "uncertainties")
@@ -57,8 +57,8 @@ def check_order(recording: Path, chip: Path) -> None:
     """
     def is_toml(path: Path) -> bool:
         try:
-            return bool(tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError):  # of decoding and of TOML as well
+            return bool(read_toml(path))
+        except InputError:
             return False
 
     if is_toml(recording) and chip.is_file() and not is_toml(chip):

@@ -8,39 +8,27 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from workbench.commands.asked import asked_accuracy, output_folder, saving_folder, say_read_as
-from workbench.commands.fit_job import (
-    Done,
-    derived_table,
-    gel_table,
-    known,
-    match_table,
-    number_in_unit,
-    parameter_table,
-    run_job,
-)
+from workbench.commands.fit_job import Done, known, run_job
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity, shown_factor, shown_unit
+from workbench.files.quantities import parse_quantity
 from workbench.fitting.batch import (
-    OUTLIER,
-    BatchColumn,
     BatchMember,
     Job,
     Settings,
     read_batch,
     run_commands,
     summarise,
-    summary_record,
 )
 from workbench.fitting.prepare import DEFAULT
 from workbench.fitting.record import refusals
 from workbench.readers import READ_AS
-from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
+from workbench.report.fit import derived_table, gel_table, match_table, parameter_table, without_prior
+from workbench.report.fit_batch import batch_columns_table, devices_table, summary_record, write_batch_report
+from workbench.report.page import write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -93,7 +81,7 @@ def _thicknesses(text: str | None) -> tuple[float, ...]:
 def _tell(done: Done, console: Console, wanted: str | None) -> int:
     """Print what was found; the exit status."""
     print_table(f"{done.prepared.material.name}, {done.result.algorithm}",
-                _narrow(parameter_table(done.result, done.prepared)))
+                without_prior(parameter_table(done.result, done.prepared)))
     derived = derived_table(done.result, done.prepared)
     if derived is not None:
         print_table("", derived)
@@ -115,13 +103,6 @@ def _tell(done: Done, console: Console, wanted: str | None) -> int:
         console.print(f"not saved as {wanted}; --force saves it all the same", style="bold red", markup=False)
     console.print(f"{done.result.seconds:.1f} s, {done.result.full_solves} full solves", markup=False)
     return 1 if refused else 0
-
-
-def _narrow(table: TextTable) -> TextTable:
-    """The table of parameters for a terminal of 80 columns: without what was known before."""
-    without = table.columns.index("known before")
-    heads, *rows = (row[:without] + row[without + 1:] for row in (table.columns, *table.rows))
-    return TextTable(heads, tuple(rows))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -159,10 +140,10 @@ def _batch(options: argparse.Namespace, console: Console, settings: Settings) ->
     finished = {name: record for name, record in records.items() if record is not None}
     columns = summarise(finished)
     write_json(folder / "summary.json", summary_record(batch.name, columns, finished, failed))
-    _write_summary(folder, batch.name, columns, finished, failed)
-    print_table(batch.name, _devices_table(finished))
+    write_batch_report(folder, batch.name, columns, finished, failed)
+    print_table(batch.name, devices_table(finished))
     if columns:
-        print_table("what they have in common", _columns_table(columns))
+        print_table("what they have in common", batch_columns_table(columns))
     for name, words in failed.items():
         console.print(f"{name}: {words}", style="bold red", markup=False)
     for name, record in finished.items():
@@ -192,59 +173,3 @@ def _command(options: argparse.Namespace, name: str) -> list[str]:
 
 def _report(show: Show, name: str, activity: str) -> None:
     show(name, activity, 0.0 if activity == "fitting" else 1.0)
-
-
-def _devices_table(records: dict[str, dict[str, Any]]) -> TextTable:
-    return TextTable(("device", "MAPE of |Z| (%)", "rms of ln(Z / Z_measured)", "accepted", "saved as", "time (s)"),
-                     tuple(
-        (name, number_text(r["mape_percent"]), number_text(r["rms_log_residual"]), "yes" if r["accepted"] else "NO",
-         r["saved_as"] or "", f"{r['wall_seconds']:.1f}") for name, r in records.items()))
-
-
-def _columns_table(columns: tuple[BatchColumn, ...]) -> TextTable:
-    heads = ("quantity", "unit", "devices", "mean", "standard deviation", "range over mean (%)", "outliers")
-    return TextTable(heads, tuple(
-        (c.name, shown_unit(c.unit), str(len(c.devices)), number_in_unit(c.mean, c.unit),
-         number_in_unit(c.deviation, c.unit, digits=3),
-         number_text(c.dispersion_percent, 3), ", ".join(c.outliers)) for c in columns))
-
-
-def _values_table(columns: tuple[BatchColumn, ...]) -> TextTable:
-    devices = list(dict.fromkeys(device for c in columns for device in c.devices))
-    rows = []
-    for c in columns:
-        cells = {device: number_in_unit(v, c.unit) + (" (!)" if device in c.outliers else "")
-                 for device, v in zip(c.devices, c.values, strict=True)}
-        rows.append((f"{c.name} ({shown_unit(c.unit)})".replace(" ()", ""), *(cells.get(d, "") for d in devices)))
-    return TextTable(("quantity", *devices), tuple(rows))
-
-
-def _write_summary(
-    folder: Path, title: str, columns: tuple[BatchColumn, ...], records: dict[str, dict[str, Any]],
-    failed: dict[str, str]
-) -> None:
-    from workbench.render import fits
-
-    blocks: list[Block] = [Note(f"{name}: {words}") for name, words in failed.items()]
-    blocks += [Note(f"{name}: {text}") for name, r in records.items() for text in r["refusals"]]
-    blocks.append(_devices_table(records))
-    sections: list[tuple[str, list[Block]]] = [("The fits", blocks)]
-    if columns:
-        devices = tuple(dict.fromkeys(device for c in columns for device in c.devices))
-        drawn, outliers = {}, {}
-        for c in columns:
-            label = f"{c.name} ({shown_unit(c.unit)})".replace(" ()", "")
-            rows = dict(zip(c.devices, np.stack([c.values, c.low, c.high], axis=1) * shown_factor(c.unit), strict=True))
-            table = np.array([rows.get(device, np.full(3, np.nan)) for device in devices])
-            drawn[label] = (table[:, 0], table[:, 1], table[:, 2])
-            outliers[label] = c.outliers
-        picture = fits.draw_batch(devices, drawn, outliers, folder / "batch.png", title=title)
-        sections.append(("What they have in common", [
-            _columns_table(columns),
-            f"Outliers, marked (!): further than {OUTLIER:g} robust standard deviations from the median.",
-            _values_table(columns),
-            Picture(picture, "every quantity over the devices with its interval; dashed: the median"),
-        ]))
-    sections.append(("Findings", [TextTable(("device", "finding"), tuple(
-        (name, text) for name, r in records.items() for text in r["findings"]))]))
-    write_report(folder / "report.html", title, sections)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import subprocess
 import sys
 import tempfile
@@ -17,18 +16,21 @@ from typing import TYPE_CHECKING
 from geometry.chip import Chip, read_chip
 from workbench.commands.asked import Asked, asked_model, output_folder
 from workbench.commands.states import SIMULATED, run_state, write_fields
-from workbench.commands.tables import model_table
 from workbench.commands.terminal import Show, print_paragraph, print_table, progress_bars, say_finding
 from workbench.jobs.interruption import Stopped, shielded
 from workbench.model.discretisation import discretisation
 from workbench.model.job_size import job_size, memory_to_use
-from workbench.model.numbers import ParameterName
 from workbench.model.problem import fill
-from workbench.report.figures import MODEL_COLUMNS, capacitance_cells, figures_row
-from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, write_json, write_report
-from workbench.report.simulations import field_table, simulation_record, traps_table
+from workbench.report.page import Picture, write_json
+from workbench.report.simulation import (
+    gathering_record,
+    simulated_figures_table,
+    simulation_record,
+    without_resonance,
+    write_simulation_report,
+)
 from workbench.results.spectrum import write_csv
-from workbench.simulation.gathering import Gathering, gathering
+from workbench.simulation.gathering import gathering
 from workbench.simulation.run import Simulation
 
 if TYPE_CHECKING:
@@ -67,25 +69,24 @@ def run_simulate(options: argparse.Namespace, console: Console) -> int:
     write_json(folder / "merit.json", {
         "chip": chip.name, "chip_file": str(options.chip), "spectrum_csv": runs[-1].state,
         "states": {run.state: simulation_record(run) for run in runs},
-        "gathering": {answer.state: {"gathers": answer.gathers, "sentences": list(answer.sentences)}
-                      for answer in answers},
+        "gathering": gathering_record(answers),
     })
     solid_view: list[Picture] = []
     if solids and not options.no_pictures:
         from workbench.render.gallery import draw_chip
 
         solid_view.append(draw_chip(chip, solids, folder / "cad.png"))
-    _simulation_report(chip, runs, answers, pictures, solid_view, folder)
+    write_simulation_report(chip, runs, answers, pictures, solid_view, folder)
     # Not sooner: a run interrupted in its second state must not solve the first one again.
     for path in unfinished.values():
         path.unlink(missing_ok=True)
-    print_table(chip.name, _figures_table(chip, runs))
+    print_table(chip.name, simulated_figures_table(chip, runs))
     for answer in reversed(answers):
         print_paragraph(str(answer))
     for text in dict.fromkeys(text for run in runs for text in run.findings):
         say_finding(text, console)
-    for note in _without_resonance(runs):
-        console.print(note.text, style="yellow", markup=False)
+    for text in without_resonance(runs):
+        console.print(text, style="yellow", markup=False)
     return 0
 
 
@@ -160,69 +161,3 @@ def _solid_model(chip_file: Path, folder: Path, *, wanted: bool) -> Iterator[Cal
         yield wait
 
 
-def _figures_table(chip: Chip, runs: list[Simulation]) -> TextTable:
-    rows = []
-    for run in runs:
-        rows.append((*figures_row(f"{run.state}, simulated", run.figures), *capacitance_cells(run.capacitance)))
-        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number_text(r.z_min), number_text(r.q), "", "", "")
-                 for r in chip.state(run.state).reported]
-    return TextTable(MODEL_COLUMNS, tuple(rows))
-
-
-def _without_resonance(runs: list[Simulation]) -> list[Note]:
-    return [Note(f"{run.state}: {run.no_resonance}") for run in runs if run.figures is None]
-
-
-def _findings(runs: list[Simulation]) -> list[Note]:
-    """Findings of all runs, each once with the states that it holds in."""
-    found: dict[str, list[str]] = {}
-    for run in runs:
-        for text in run.findings:
-            found.setdefault(text, []).append(run.state)
-    return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
-
-
-def _millimetres(name: str, value: float, factor: float) -> str:
-    """A dimension (m or rad) times a factor; an angle with its unit."""
-    if ParameterName.parse(name).quantity == "angle":
-        return f"{math.degrees(value):.3g} deg"
-    return f"{factor * value:.4g}"
-
-
-def _simulation_report(
-    chip: Chip, runs: list[Simulation], answers: Sequence[Gathering], pictures: Mapping[str, list[Picture]],
-    solid_view: list[Picture], folder: Path,
-) -> None:
-    from workbench.render.plots import draw_spectra
-
-    spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
-    dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
-        (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
-         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
-    sections: list[tuple[str, list[Block]]] = []
-    if answers:
-        # That of the last state first: it is the one the device works in.
-        sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
-    sections.append(("Figures of merit", [
-        chip.description, f"Source: {chip.source}" if chip.source else "", _figures_table(chip, runs),
-        *_without_resonance(runs), *_findings(runs), Picture(spectra, _resolution(runs))]))
-    for run in runs:
-        blocks: list[Block] = []
-        if run.traps is not None:
-            blocks += [field_table(run.traps), traps_table(run.traps)]
-        sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}",
-                         [*blocks, *pictures[run.state]]))
-    used = TextTable(("state", "region", "material", "source"), tuple(
-        (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
-    sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
-    write_report(folder / "report.html", chip.name, sections)
-
-
-def _resolution(runs: Sequence[Simulation]) -> str:
-    """The caption of the spectra: how many points lie on each resonance, and what is drawn between them."""
-    resolved = [f"{run.figures.count_within(run.spectrum.frequency)} of {run.state}" for run in runs
-                if run.figures is not None]
-    words = "impedance; between the points that were computed the curve is their interpolant, from which f0 and Q are"
-    if not resolved:
-        return words
-    return f"{words}. Points within the half-power width of the resonance: {', '.join(resolved)}"

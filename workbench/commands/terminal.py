@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from workbench.report.page import TextTable
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
 
 #: Called with a state, what is being done for it, and the fraction of it that is done.
 Show = Callable[[str, str, float], None]
@@ -48,87 +48,85 @@ def print_line(text: str) -> None:
 
 def print_paragraph(text: str) -> None:
     """A result in sentences, on lines as wide as the terminal (80 columns where there is none)."""
-    print_line(textwrap.fill(text, shutil.get_terminal_size((80, 24)).columns, break_on_hyphens=False))
+    print_line(textwrap.fill(text, shutil.get_terminal_size((80, 24)).columns, break_long_words=False,
+                             break_on_hyphens=False))
 
 
 def print_table(title: str, table: TextTable) -> None:
     """A table of results, to standard output, as wide as the terminal at most (80 columns where there is none)."""
     from rich.console import Console
 
-    console = Console(highlight=False, soft_wrap=True)
-    for line in table_lines(title, table, width=console.width):
-        console.print(line.translate(_ASCII) if console.options.ascii_only else line, markup=False)
+    console = Console(highlight=False)
+    console.print(*table_parts(title, table, width=console.width), sep="\n")
 
 
-#: For a terminal that has no characters to draw with.
-_ASCII = str.maketrans(dict.fromkeys("┏┳┓┡╇┩└┴┘", "+") | dict.fromkeys("━─", "-") | dict.fromkeys("┃│", "|"))
+def table_parts(title: str, table: TextTable, *, width: int) -> list[RenderableType]:
+    """A title and a table as `rich` draws them in `width` cells of a terminal; no word is cut.
 
-
-def table_lines(title: str, table: TextTable, *, width: int) -> list[str]:
-    """A table as lines of at most `width` cells of the terminal; no word is cut.
-
-    Headings and cells that are too long are wrapped between words, then behind the dots and slashes of names
+    `rich` alone takes the width that is wanting from the widest columns, and cuts their words; so the widths are set
+    here. Headings and cells that are too long are wrapped between words, then behind the dots and slashes of names
     ("transducer.thickness", "pla/acevedo_2026"; never within a number). If that is not enough, the columns are folded
     into several tables below one another, each with the columns that tell the rows apart, and at last every row
-    becomes a list of headings and values. Only a word that is longer than a whole line is broken elsewhere.
+    becomes a list of headings and values. Only a word that is longer than a whole line is cut.
     """
-    lines = [] if not title else _wrapped(title, width, at_joints=True)
-    for at_joints in (False, True):
-        widths = _widths(table, width, at_joints=at_joints)
-        if widths is not None:
-            return lines + _drawn(table, widths, at_joints=at_joints)
-    folded = _folded(table, width)
-    if not folded:
-        return lines + _as_records(table, width)
+    from rich.table import Table
+    from rich.text import Text
+
+    parts: list[RenderableType] = [Text(_breakable(title, width))] if title else []
+    folded = [table] if _widths(table, width) is not None else _folded(table, width)
+    if folded is None:
+        return [*parts, _as_list(table, width)]
     for part in folded:
-        widths = _widths(part, width, at_joints=True)
+        widths = _widths(part, width)
         assert widths is not None
-        lines += _drawn(part, widths, at_joints=True)
-    return lines
+        drawn = Table()
+        heads, *rows = ([Text(_breakable(text, size), overflow="fold") for text, size in zip(row, widths, strict=True)]
+                        for row in (part.columns, *part.rows))
+        for head, size in zip(heads, widths, strict=True):
+            drawn.add_column(head, width=size)
+        for row in rows:
+            drawn.add_row(*row)
+        parts.append(drawn)
+    return parts
 
 
-def _widths(table: TextTable, width: int, *, at_joints: bool) -> list[int] | None:
-    """The width of every column so that the table fits in `width`; None if its words are too long."""
+def _widths(table: TextTable, width: int) -> list[int] | None:
+    """Cells for every column, so that the table fits in `width` and its words are whole; None if they are too long."""
+    from rich.cells import cell_len
+
+    room = width - (3 * len(table.columns) + 1)
     columns = list(zip(table.columns, *table.rows, strict=True))
-    least = [max(max(map(cell_width, _pieces(text, at_joints=at_joints)), default=0) for text in column)
-             for column in columns]
-    wanted = [max(map(cell_width, column)) for column in columns]
-    room = width - (3 * len(columns) + 1)
-    if sum(max(one, 1) for one in least) > room:
-        return None
+    wanted = [max(1, *map(cell_len, column)) for column in columns]
     if sum(wanted) <= room:
         return wanted
-    # What is left goes where it makes the most crowded column less crowded.
-    found = [max(one, 1) for one in least]
-    for _ in range(room - sum(found)):
-        found[max(range(len(found)), key=lambda column: wanted[column] / found[column])] += 1
-    return found
-
-
-def _keys(table: TextTable) -> int:
-    """How many of the first columns tell every row from the others; one, if all of them do not."""
-    for count in range(1, len(table.columns)):
-        if len({row[:count] for row in table.rows}) == len(table.rows):
-            return count
-    return 1
+    for split in (str.split, _pieces):
+        found = [max((cell_len(piece) for text in column for piece in split(text)), default=1) for column in columns]
+        if sum(found) <= room:
+            # What is left goes where it makes the most crowded column less crowded.
+            for _ in range(room - sum(found)):
+                found[max(range(len(found)), key=lambda column: wanted[column] / found[column])] += 1
+            return found
+    return None
 
 
 def _folded(table: TextTable, width: int) -> list[TextTable] | None:
     """Tables that fit in `width`, each with the columns that tell the rows apart; None if one column cannot."""
-    keys = list(range(_keys(table)))
+    # The first columns that tell every row from the others; the first one, if all of them do not.
+    keys = next((count for count in range(1, len(table.columns))
+                 if len({row[:count] for row in table.rows}) == len(table.rows)), 1)
     found: list[TextTable] = []
     group: list[int] = []
-    for column in range(len(keys), len(table.columns)):
-        longer, alone = _chosen(table, [*keys, *group, column]), _chosen(table, [*keys, column])
-        if group and _widths(longer, width, at_joints=True) is not None:
+    for column in range(keys, len(table.columns)):
+        longer, alone = (_chosen(table, [*range(keys), *more, column]) for more in (group, []))
+        if group and _widths(longer, width) is not None:
             group.append(column)
             found[-1] = longer
-        elif _widths(alone, width, at_joints=True) is not None:
+        elif _widths(alone, width) is not None:
             group = [column]
             found.append(alone)
         else:
             return None
-    return found
+    return found or None
 
 
 def _chosen(table: TextTable, columns: Sequence[int]) -> TextTable:
@@ -137,73 +135,40 @@ def _chosen(table: TextTable, columns: Sequence[int]) -> TextTable:
     return TextTable(heads, tuple(rows))
 
 
-def _drawn(table: TextTable, widths: list[int], *, at_joints: bool) -> list[str]:
-    """The table with lines around it, its columns of the given widths."""
-    def rule(left: str, line: str, middle: str, right: str) -> str:
-        return left + middle.join(line * (width + 2) for width in widths) + right
+def _as_list(table: TextTable, width: int) -> RenderableType:
+    """Every row as a list of headings and values, with lines between the rows."""
+    from rich.box import HORIZONTALS
+    from rich.table import Table
+    from rich.text import Text
 
-    def row(cells: tuple[str, ...], edge: str) -> list[str]:
-        wrapped = [_wrapped(text, width, at_joints=at_joints) for text, width in zip(cells, widths, strict=True)]
-        return [edge + edge.join(f" {_padded(cell[at] if at < len(cell) else '', width)} "
-                                 for cell, width in zip(wrapped, widths, strict=True)) + edge
-                for at in range(max(map(len, wrapped)))]
-
-    lines = [rule("┏", "━", "┳", "┓"), *row(table.columns, "┃"), rule("┡", "━", "╇", "┩")]
-    for one in table.rows:
-        lines += row(one, "│")
-    return [*lines, rule("└", "─", "┴", "┘")]
-
-
-def _as_records(table: TextTable, width: int) -> list[str]:
-    """Every row as a list of headings and values."""
-    lines = []
+    drawn = Table(box=HORIZONTALS, show_header=False, show_lines=True, show_edge=False, padding=0)
+    drawn.add_column(width=width)
     for row in table.rows:
-        lines.append("─" * width)
-        for heading, cell in zip(table.columns, row, strict=True):
-            if cell:
-                lines += _wrapped(f"{heading}: {cell}" if heading else cell, width, at_joints=True)
-    return [*lines, "─" * width]
-
-
-def cell_width(text: str) -> int:
-    """Cells of the terminal that a text takes."""
-    from rich.cells import cell_len
-
-    return cell_len(text)
-
-
-def _padded(text: str, width: int) -> str:
-    return text + " " * (width - cell_width(text))
+        drawn.add_row(Text("\n".join(
+            _breakable(f"{heading}: {cell}" if heading else cell, width)
+            for heading, cell in zip(table.columns, row, strict=True) if cell), overflow="fold"))
+    return drawn
 
 
 #: Where a name may be broken: behind a dot or slash that a letter follows.
 _JOINT = re.compile(r"(?<=[^\W_][./])(?=[^\W\d_])")
 
 
-def _pieces(text: str, *, at_joints: bool) -> list[str]:
-    """What a text may be broken into: words, or (`at_joints`) the members of names."""
-    return [piece for word in text.split() for piece in (_JOINT.split(word) if at_joints else [word])]
+def _pieces(text: str) -> list[str]:
+    """The members of names that a text may be broken into."""
+    return [piece for word in text.split() for piece in _JOINT.split(word)]
 
 
-def _wrapped(text: str, width: int, *, at_joints: bool) -> list[str]:
-    """The text in lines of at most `width` cells, one at least."""
-    lines = [""]
+def _breakable(text: str, width: int) -> str:
+    """The text with line ends at the joints of words longer than `width` cells, at which these must be broken."""
+    from rich.cells import cell_len
+
+    words = []
     for word in text.split():
-        gap = " " if lines[-1] else ""
-        if cell_width(lines[-1] + gap + word) <= width:
-            lines[-1] += gap + word
-            continue
-        if cell_width(word) <= width:
-            lines.append(word)
-            continue
-        for piece in _pieces(word, at_joints=at_joints):
-            if cell_width(lines[-1] + gap + piece) <= width:
-                lines[-1] += gap + piece
-            else:
-                # Longer than a line: only in a title or a list of values.
-                while cell_width(piece) > width:
-                    lines.append(piece[:width])
-                    piece = piece[width:]
-                lines.append(piece)
-            gap = ""
-    return lines[1:] if len(lines) > 1 and not lines[0] else lines
+        lines = [""]
+        for piece in _JOINT.split(word) if cell_len(word) > width else [word]:
+            if lines[-1] and cell_len(lines[-1] + piece) > width:
+                lines.append("")
+            lines[-1] += piece
+        words.append("\n".join(lines))
+    return " ".join(words)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
@@ -15,21 +14,22 @@ from workbench.design.figures import check_figures
 from workbench.design.requirement import parse_requirements
 from workbench.design.stated import Statement, parse_statement, read_statements, stated_uncertainty
 from workbench.design.tolerance import Tolerance, check_tolerance_request, tolerance
-from workbench.design.tolerance_report import (
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import parse_quantity
+from workbench.model.problem import fill
+from workbench.report.page import write_json
+from workbench.report.tolerance import (
+    drive_in_words,
     figures_table,
-    inputs_table,
     sensitivities_table,
     sobol_table,
     tightening_table,
     tolerance_record,
     unclear_tightenings,
     write_samples,
+    write_tolerance_report,
     yields_table,
 )
-from workbench.files.errors import InputError, choose
-from workbench.files.quantities import parse_quantity
-from workbench.model.problem import fill
-from workbench.report.page import Block, Note, TextTable, write_json, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -91,7 +91,7 @@ def _thermal_resistance(texts: Sequence[str], chip: Chip) -> Mapping[str, float]
 
 def _tell(found: Tolerance, console: Console) -> None:
     """Print what was found."""
-    title = f"{found.chip.name}, {found.state}, {_driven(found)}"
+    title = f"{found.chip.name}, {found.state}, {drive_in_words(found)}"
     print_table(title, figures_table(found))
     print_table("what matters", sensitivities_table(found))
     if found.sobol is not None:
@@ -110,52 +110,3 @@ def _tell(found: Tolerance, console: Console) -> None:
                       markup=False)
 
 
-def _driven(found: Tolerance) -> str:
-    return ("drive follows f0" if found.frequency is None else f"driven at {found.frequency / 1e6:.4f} MHz")
-
-
-def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
-    """``report.html`` with its pictures."""
-    from workbench.render.tolerances import draw_tolerance
-
-    pictures = draw_tolerance(found, folder)
-    blocks: list[tuple[str, list[Block]]] = []
-    first: list[Block] = []
-    first.append(f"{_driven(found)}; {found.drive}" + ("" if found.outcomes is None else
-                 f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
-    first.append(figures_table(found))
-    if found.yields is not None:
-        first += [yields_table(found), pictures["yield"], pictures["samples"]]
-        first.append(
-            "The linear estimate takes every figure as linear in the uncertain numbers, with the exact derivatives of "
-            "full solves at their means. Beside it is what the samples' yield has more, on the same samples.")
-        blocks.append(("Yield", first))
-        blocks.append(("What to make more exactly", [
-            *([tightening_table(found)] if any(each.is_clear for each in found.yields.tightenings) else []),
-            unclear_tightenings(found),
-            "Found by weighing the samples as if they were of the narrower law (importance sampling), with the linear "
-            "estimate on many more samples as control variate. A normal number is taken to be measured once more, so "
-            "well that half of its uncertainty is left; what a fit correlates with it becomes narrower too."]))
-    else:
-        blocks.append(("Figures", first))
-    first += [Note(text) for text in found.findings]
-    matters: list[Block] = [pictures["tornado"]] if "tornado" in pictures else []
-    blocks.append(("What matters", [*matters, sensitivities_table(found)]))
-    if found.sobol is not None:
-        blocks.append(("Shares of the variance", [
-            sobol_table(found), f"Sobol indices by {found.sobol.evaluations} evaluations, with bootstrap intervals of "
-            "95 %: the share of the figure's variance that a number causes alone, and together with all others."]))
-    blocks.append(("What is uncertain", [inputs_table(found)] if found.uncertainty.inputs else ["Nothing is stated."]))
-    if found.model is not None:
-        blocks.append(("The model", [_model_table(found)]))
-    return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances", blocks)
-
-
-def _model_table(found: Tolerance) -> TextTable:
-    assert found.model is not None
-    rows = [("unknowns", str(found.model.rank)),
-            ("largest relative error found by full solves", f"{100.0 * found.model.error:.2g} %"),
-            ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
-    rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
-             for label, off in found.model.off.items()]
-    return TextTable(("of the model", "value"), tuple(rows))

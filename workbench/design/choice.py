@@ -20,7 +20,7 @@ from workbench.design.spread import Spread
 from workbench.design.variables import Selection, changed
 
 #: Called with a chip that is not confirmed and its point on the model, as each is found.
-Keep = Callable[[Chip, ProgrammePoint], None]
+Keep = Callable[[Chip, ProgrammePoint], object]
 
 #: Distinct optima of a choice from which a robust one is looked for.
 RUNNERS_UP = 3

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 
 from workbench.files.errors import InputError, choose
 
+#: Units in which changes are told where those of the figure itself are too large, and what one is in SI.
+OF_CHANGES = {"MHz": ("kHz", 1e3)}
+
 #: How the name of the share of the power that is lost in a region begins; the region follows.
 LOSS_SHARE = "loss."
 
@@ -61,6 +64,11 @@ def figure_named(name: str) -> Figure:
         return Figure(name, "1", "dimensionless", f"share of the power lost in {name.removeprefix(LOSS_SHARE)}", "%",
                       1e-2)
     return FIGURES[name]
+
+
+def change_unit(figure: Figure) -> tuple[str, float]:
+    """The unit in which changes of a figure are told, and what one of it is in SI."""
+    return OF_CHANGES.get(figure.shown, (figure.shown, figure.factor))
 
 
 def check_figures(names: Iterable[str], regions: Iterable[str], *, source: str, field: str) -> tuple[str, ...]:

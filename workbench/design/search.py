@@ -17,12 +17,9 @@ from scipy.stats import qmc
 from workbench.design.descent import DesignDescent, descend
 from workbench.design.goal import SearchOptions
 from workbench.design.programme import Programme, ProgrammePoint
+from workbench.search.optimum import distinct, is_same_optimum
 
 Real = NDArray[np.float64]
-
-#: Ends that differ by less in the objective (natural logarithm of the figure) and in every unknown (share of its range)
-#: are one optimum: what the ends of descents into one minimum differ by, many times over.
-SAME_OBJECTIVE, SAME_PLACE = 2e-3, 0.05
 
 #: Points closer than this in every unknown lead to the same end as a rule: one of them is enough to descend from.
 BESIDE = 0.1
@@ -102,23 +99,16 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
 
     A start counts for the optimum that its best descent found.
     """
-    ends = sorted(((each, start.number) for start in attempts for each in start.descents),
-                  key=lambda pair: pair[0].point.rank)
-    groups: list[list[tuple[DesignDescent, int]]] = []
-    for end in ends:
-        group = next((each for each in groups if same(each[0][0].point, end[0].point)), None)
-        if group is None:
-            groups.append(group := [])
-        group.append(end)
+    ends = [(each, start.number) for start in attempts for each in start.descents]
+    groups = distinct(ends, lambda end, best: _same(end[0].point, best[0].point), lambda end: end[0].point.rank)
     best = {start.number: start.best for start in attempts}
     return [Optimum(group[0][0], tuple(sorted(number for end, number in group if end is best[number])))
             for group in groups]
 
 
-def same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
-    """Whether two points are of one optimum."""
-    return bool(one.exists and other.exists and abs(one.objective - other.objective) <= SAME_OBJECTIVE
-                and np.all(np.abs(one.x - other.x) <= SAME_PLACE))
+def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
+    """Whether two points with figures are one optimum; what is known of an unknown beforehand is its range."""
+    return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
 
 
 def feasible(found: Iterable[Optimum]) -> list[Optimum]:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.passivity import smallest_dissipation
 from workbench.files.errors import InputError
-from workbench.model.numbers import Number, Stated, placed
+from workbench.files.quantities import shown_factor, shown_unit
+from workbench.model.numbers import Number, ParameterName, Stated, placed
 
 Real = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -62,11 +63,6 @@ class Uncertainty:
         mixed = [each.name for each in self.correlated if each.law != "normal"]
         if mixed:
             raise ValueError(f"{', '.join(mixed)}: only normal laws can be correlated")
-
-    @classmethod
-    def independent(cls, inputs: Sequence[Number]) -> Uncertainty:
-        """Inputs that have nothing to do with each other."""
-        return cls(tuple(inputs), np.eye(len(inputs)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -189,3 +185,11 @@ def halved_weights(number: Number, values: Real) -> Real:
     if number.law == "uniform":
         return np.where(np.abs(off) <= 0.5 * math.sqrt(3.0), 2.0, 0.0)
     return 2.0 * np.exp(-1.5 * off**2)
+
+
+def amount(name: str, value: float) -> str:
+    """A change of a number (SI) with its unit: of lengths in micrometres."""
+    unit = ParameterName.parse(name).unit
+    if unit == "m":
+        return f"{value * 1e6:.3g} um"
+    return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -29,9 +29,9 @@ from workbench.diagnosis.workers import Workers
 from workbench.fem.solve import one_thread
 from workbench.fitting.seen import log_ratio
 from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.search.continuation import Progress
 
 Complex = NDArray[np.complex128]
-Progress = Callable[[str, float], None]
 
 
 def diagnose(

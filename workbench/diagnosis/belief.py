@@ -17,6 +17,7 @@ from workbench.diagnosis.device import Model
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.fitting.objective import Objective
 from workbench.fitting.search import NO_END
+from workbench.search.multistart import StartPoint, multistart
 
 Real = NDArray[np.float64]
 
@@ -65,12 +66,10 @@ class Belief:
 
         Of several optima the best. As it is where nothing can be predicted.
         """
-        search, known, ends = likelihood.search(Hypothesis()), range(len(self.root)), []
-        for start in [self.x, *self.places(DESCENTS, 0)[:DESCENTS - 1]]:
-            try:
-                ends.append(smoothed(likelihood, search, start))
-            except NO_END:
-                continue
+        search, known = likelihood.search(Hypothesis()), range(len(self.root))
+        starts = [StartPoint("", x) for x in (self.x, *self.places(DESCENTS, 0)[:DESCENTS - 1])]
+        trials = multistart(starts, lambda start: smoothed(likelihood, search, start.x), refused=NO_END)
+        ends = [trial.end for trial in trials if trial.end is not None]
         if not ends:
             return self
         x = min(ends, key=lambda end: end.cost).x

@@ -1,48 +1,41 @@
-"""The one search: from places that the prior allows, with the weight of the data raised in a few steps.
+"""Descents of the diagnosis: from places that the prior allows, with the weight of the data raised in a few stages.
 
-Spectra have many optima, one for every way to lay the overtones of the model on those of the recording. Where points
-weigh little (:data:`LEVELS`), and admittances are smoothed at first, there are few. The ends that differ are kept on
-the way, as long as they are not far behind the best.
+Where points weigh little (:data:`LEVELS`), and admittances are smoothed at first, there are few optima. The distinct
+ones are kept on the way, as long as they are not far behind the best.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.diagnosis.device import Model
 from workbench.diagnosis.evidence import WrongEvidence
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.odds import CLOSE
 from workbench.fitting.search import NO_END, FitSearch, Optimum
+from workbench.search.continuation import ContinuationStage, Schedule, tempered
+from workbench.search.multistart import StartPoint, multistart
+from workbench.search.optimum import distinct, is_same_optimum
 
 Real = NDArray[np.float64]
 
 
-class Placed(Protocol):
-    """What has a place x (p,)."""
-
-    @property
-    def x(self) -> Real: ...
-
-
-End = TypeVar("End", bound=Placed)
-
 #: Further deviations of the points, from little weight of the data to more.
 LEVELS = (0.05, 0.01)
 
-#: Half width of the smoothing that a descent begins with, relative to the middle of the band. There are few ways to lay
-#: what is left of the overtones on a recording.
-SMOOTHED = 0.01
+#: A stage at little weight.
+STAGE = ContinuationStage(LEVELS[0], limit=8, tolerance=0.01)
 
-#: What begins does so no closer to the ends of its range than this share of it.
+#: The stages that every search begins with: smoothed admittances leave few ways to lay overtones on a recording.
+SCHEDULE = Schedule((replace(STAGE, smoothing=0.01), STAGE))
+
+#: Descents begin no closer to the ends of a range than this share of it.
 INSIDE = 1e-4
-
-#: Steps of a descent.
-DESCENT = 8
 
 #: Of the ends of one hypothesis so many are followed, if they are not far behind (`odds.CLOSE`).
 KEPT = 3
@@ -53,17 +46,13 @@ EXCESS = 1.5
 #: What ends one start of several.
 REFUSED: tuple[type[Exception], ...] = (*NO_END, WrongEvidence)
 
-#: Two optima are one where their parameters differ by less than so many uncertainties.
-ALIKE = 0.3
-
 
 def smoothed(likelihood: Likelihood, search: FitSearch, x: Real, held: tuple[int, ...] = ()) -> Optimum:
     """The optimum at little weight that smoothed admittances lead to from x (p,).
 
     Parameters of the indices `held` move only after the others.
     """
-    end = likelihood.tempered(search, x, LEVELS[0], smoothing=SMOOTHED, fixed=held)
-    return likelihood.tempered(search, end.x, LEVELS[0])
+    return tempered(SCHEDULE.holding(held), lambda stage, x: likelihood.solve(search, stage, x), x)
 
 
 def inside(values: Real, low: Real | float, high: Real | float) -> Real:
@@ -72,15 +61,24 @@ def inside(values: Real, low: Real | float, high: Real | float) -> Real:
     return np.clip(values, low + margin, high - margin)
 
 
-def distinct(likelihood: Likelihood, ends: Sequence[End], cost: Callable[[End], float]) -> list[End]:
-    """Ends that differ, of least cost first."""
-    known = slice(likelihood.model.known)
-    scale = np.array([p.prior or np.inf for p in likelihood.model.parameters[known]])
-    kept: list[End] = []
-    for end in sorted(ends, key=cost):
-        if all(np.abs((end.x[known] - other.x[known]) / scale).max() > ALIKE for other in kept):
-            kept.append(end)
-    return kept
+class OptimumFound(Protocol):
+    """An end at x (p,), and the standard errors (p,) there, zero of what did not move."""
+
+    @property
+    def x(self) -> Real: ...
+
+    @property
+    def errors(self) -> Real: ...
+
+
+End = TypeVar("End", bound=OptimumFound)
+
+
+def distinct_ends(model: Model, ends: Iterable[End], rank: Callable[[End], float]) -> list[End]:
+    """The best end of every distinct optimum, of least `rank` first; what is known beforehand are the priors."""
+    known = np.array([parameter.prior or 0.0 for parameter in model.parameters])
+    return [best for best, *_ in distinct(
+        ends, lambda end, best: is_same_optimum(end.x, best.x, best.errors, known), rank)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +92,9 @@ class Candidate:
     ends: tuple[Weighed, ...]
 
     @classmethod
-    def of(cls, hypothesis: Hypothesis, ends: Sequence[Weighed]) -> Candidate | None:
-        """Of the ends that differ, those that are not far behind the best; None of none."""
-        kept: list[Weighed] = []
-        for end in sorted(ends, key=lambda each: -each.log_evidence):
-            if not any(end.is_at(other) for other in kept):
-                kept.append(end)
+    def of(cls, model: Model, hypothesis: Hypothesis, ends: Iterable[Weighed]) -> Candidate | None:
+        """The best ends of the distinct optima that are not far behind the best one; None without ends."""
+        kept = distinct_ends(model, ends, lambda each: -each.log_evidence)
         kept = [end for end in kept if end.log_evidence > kept[0].log_evidence - CLOSE][:KEPT]
         return cls(hypothesis, tuple(kept)) if kept else None
 
@@ -133,14 +128,11 @@ def followed(likelihood: Likelihood, hypothesis: Hypothesis, starts: Sequence[Re
         # What is admissible may be a million times what is there.
         moved = max(abs(float(start[i]) - search.centre[i]) for start in starts)
         search.scale[i] = moved or search.scale[i]
-    ends: list[Weighed] = []
-    refused: Exception | None = None
-    for start in starts:
-        try:
-            ends.append(likelihood.descended(hypothesis, search, start, level, DESCENT))
-        except REFUSED as error:
-            refused = error
-    found = Candidate.of(hypothesis, ends)
+    stage = replace(STAGE, deviation=level)
+    trials = multistart([StartPoint(hypothesis.name, start) for start in starts],
+                        lambda start: likelihood.descended(hypothesis, search, start.x, stage), refused=REFUSED)
+    found = Candidate.of(likelihood.model, hypothesis, (trial.end for trial in trials if trial.end is not None))
     if found is None:
+        refused = next((trial.error for trial in reversed(trials) if trial.error is not None), None)
         raise refused or ValueError(f"{hypothesis.name}: no place to start from")
     return found

@@ -29,7 +29,7 @@ from workbench.fitting.parameter import (
 )
 from workbench.model.dimensions import flexible_within
 from workbench.model.discretisation import ACCURACY, Discretisation
-from workbench.model.moved_parts import Interpolation, joined_meshes
+from workbench.model.moved_mesh import Interpolation, joined_meshes
 from workbench.model.numbers import BENCH_ELEMENTS, Number, Stated, limits
 from workbench.model.problem import Problem, build, with_boundary_layers
 from workbench.physics.rim import FOUND, OfRim

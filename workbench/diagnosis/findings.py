@@ -21,11 +21,13 @@ Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Begun:
-    """An optimum ``x`` (p,) of that ``cost`` where the data weigh little."""
+class InitialOptimum:
+    """An optimum ``x`` (p,) of that ``cost`` where the data weigh little, with the standard ``errors`` (p,) there, zero
+    where they are not known."""
 
     x: Real
     cost: float
+    errors: Real
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,15 +19,9 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.campaign import Campaign
 from workbench.diagnosis.conclusion import explained_share
-from workbench.diagnosis.descent import (
-    LEVELS,
-    Candidate,
-    distinct,
-    followed,
-    smoothed,
-)
+from workbench.diagnosis.descent import LEVELS, STAGE, Candidate, distinct_ends, followed, smoothed
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.findings import Begun, Found, NotTried, Settled, leading_of, promise, weakness
+from workbench.diagnosis.findings import Found, InitialOptimum, NotTried, Settled, leading_of, promise, weakness
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, Weighed
 from workbench.diagnosis.neighbourhoods import PLACES, ROUGH, Neighbourhoods
@@ -39,9 +33,9 @@ from workbench.diagnosis.sweep import corners, swept
 from workbench.diagnosis.workers import Workers
 from workbench.fitting.search import NO_END
 from workbench.model.discretisation import Discretisation
+from workbench.search.continuation import Progress
 
 Real = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 #: What is done, the name of a method, and what it is given.
 Named = tuple[str, str, tuple[Any, ...]]
@@ -151,13 +145,13 @@ class DiagnosisSearch:
             best.setdefault(each.hypothesis.name, each)
         return self.concluded(plain, settled, [plain, *best.values()])
 
-    def begun(self) -> tuple[list[Begun], Candidate]:
+    def begun(self) -> tuple[list[InitialOptimum], Candidate]:
         """The optima where nothing is wrong with the data weighing little, best first, and where these lead with more
         weight.
 
         From where the known numbers are believed to be, and from draws of that.
         """
-        belief, ends, plain = self.models.belief, list[Begun](), None
+        belief, ends, plain = self.models.belief, list[InitialOptimum](), None
         starts: list[tuple[Real, tuple[int, ...]]] = [(place, ()) for place in (belief.x, *belief.places(PAIRS, 0))]
         for steps in STEPS:
             starts += [(place, (i,)) for i in self.models.multimodal for place in belief.along(i, steps)]
@@ -168,14 +162,14 @@ class DiagnosisSearch:
         assert plain is not None
         return ends, plain
 
-    def led(self, starts: Sequence[tuple[Real, tuple[int, ...]]], known: Sequence[Begun]) -> tuple[
-            list[Begun], Candidate]:
+    def led(self, starts: Sequence[tuple[Real, tuple[int, ...]]], known: Sequence[InitialOptimum]) -> tuple[
+            list[InitialOptimum], Candidate]:
         """As :meth:`begun`, from some `starts` (p,), parameters of the indices beside them held at first, and ends that
         are `known`."""
         nothing = Hypothesis()
         found = self.work([("a start where nothing is wrong", "descended", start) for start in starts], must=1)
-        ends = distinct(self.models.bare(), [*known, *(each for each in found if each is not None)],
-                        lambda each: each.cost)
+        ends = distinct_ends(self.model, [*known, *(each for each in found if each is not None)],
+                             lambda each: each.cost)
         ends = [each for each in ends if each.cost < ends[0].cost + CLOSE][:BASINS]
         self.say("begun", [round(each.cost, 1) for each in found if each], [round(each.cost, 1) for each in ends])
         narrow = Likelihood.bare(self.model, self.models.narrow)
@@ -187,11 +181,11 @@ class DiagnosisSearch:
                              for w in sorted(further, key=lambda each: -each.log_evidence)])
         if not further:
             further = [self.models.likelihood(ends[0].x).weighed(nothing, ends[0].x, LEVELS[1])]
-        plain = Candidate.of(nothing, further)
+        plain = Candidate.of(self.model, nothing, further)
         assert plain is not None
         return ends, plain
 
-    def descended(self, x: Real, held: tuple[int, ...] = ()) -> Begun | None:
+    def descended(self, x: Real, held: tuple[int, ...] = ()) -> InitialOptimum | None:
         """Where nothing being wrong leads from x (p,) with the data weighing little; None if to nothing.
 
         Parameters of the indices `held` move only after the others.
@@ -199,13 +193,14 @@ class DiagnosisSearch:
         bare = self.models.bare()
         if held:
             bare = bare.on(self.models.around(x, self.models.belief, self.model.fitted))
+        search = bare.search(Hypothesis())
         try:
-            end = smoothed(bare, bare.search(Hypothesis()), x, held)
+            end = smoothed(bare, search, x, held)
         except NO_END:
             return None
-        return Begun(end.x, end.cost)
+        return InitialOptimum(end.x, end.cost, search.errors(end))
 
-    def furthered(self, begun: Begun) -> Weighed | None:
+    def furthered(self, begun: InitialOptimum) -> Weighed | None:
         """Where nothing being wrong leads with the data weighing more, on models of that place."""
         nothing, likelihood = Hypothesis(), self.models.bare()
         end = likelihood.weighed(nothing, begun.x, LEVELS[0])
@@ -214,14 +209,14 @@ class DiagnosisSearch:
                 if not self.models.doubts(end.doubt, LEVELS[1]):
                     break
                 likelihood = likelihood.on(self.models.near(nothing, end.x, end.errors, ROUGH))
-                x = likelihood.tempered(likelihood.search(nothing), end.x, LEVELS[0]).x
+                x = likelihood.solve(likelihood.search(nothing), STAGE, end.x).x
                 end = likelihood.weighed(nothing, x, LEVELS[0])
             return followed(likelihood.with_patterns(end.x), nothing, [end.x], LEVELS[1]).weighed
         except NO_END:
             return None
 
     def by_score(
-        self, plain: Candidate, ends: Sequence[Begun], settled: Mapping[Candidate, Settled]
+        self, plain: Candidate, ends: Sequence[InitialOptimum], settled: Mapping[Candidate, Settled]
     ) -> list[Candidate]:
         """Where the hypotheses lead that promise most, from where nothing being wrong ends."""
         *places, last = self.work([
@@ -238,7 +233,7 @@ class DiagnosisSearch:
         x = self.models.belief.x
         scores = self.work([("scores of the hypotheses", "scored", (x, LEVELS[0]))])[0] or []
         bare = self.models.bare()
-        left = math.sqrt(2.0 * bare.tempered(bare.search(Hypothesis()), x, LEVELS[0]).cost)
+        left = math.sqrt(2.0 * bare.solve(bare.search(Hypothesis()), STAGE, x).cost)
         effects = [each.effect for each in scores if each.most > left]
         self.say("   swept", len(effects), "of", len(scores), "left", left)
         swept = self.work([(f"{effect.name} of any size", "swept", (effect.name,)) for effect in effects])
@@ -249,7 +244,7 @@ class DiagnosisSearch:
                                                for e in each])
         return self.tried(plain, self.models.belief.x, [(effect, [at.x for at in each]) for each, effect in best])
 
-    def swept(self, name: str) -> list[Begun]:
+    def swept(self, name: str) -> list[InitialOptimum]:
         """The sizes of an effect that leave least where the known numbers are believed to be."""
         effect, x = self.effect(name), self.models.belief.x
         wider = self.models.coarsely_wider(Hypothesis((effect,)), corners(self.model, effect, x))

@@ -35,6 +35,7 @@ from workbench.fitting.objective import Objective, Residual
 from workbench.fitting.search import FitSearch, Optimum
 from workbench.fitting.uncertainty import correlation_length
 from workbench.results.spectrum import Spectrum
+from workbench.search.continuation import ContinuationStage
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -53,9 +54,6 @@ ROUNDS, STRICTER = 6, 0.3
 
 #: Log evidences that differ by less are alike.
 ALIKE = 0.5
-
-#: Descents that end within so many standard deviations of each other have the same optimum before them.
-APART = 5.0
 
 #: A relative fall of chi-square that ends a fit, and its most steps.
 ENOUGH, STEPS = 1e-3, 25
@@ -138,10 +136,6 @@ class Weighed(NamedTuple):
     accuracy: float
     left: float
     doubt: float
-
-    def is_at(self, other: Weighed) -> bool:
-        """Whether both lead to one optimum: no parameter is further than :data:`APART` from that of the other."""
-        return bool((np.abs(self.x - other.x) <= APART * other.errors).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,18 +277,10 @@ class Likelihood:
         free, released = self.model.free(hypothesis.effects)
         return FitSearch(self.objective, free=free, released=released)
 
-    def tempered(
-        self, search: FitSearch, x: Real, level: float, *, smoothing: float = 0.0, accuracy: float = 0.0,
-        limit: int = 8,
-        fixed: tuple[int, ...] = (),
-    ) -> Optimum:
-        """The least cost near x (p,) where points weigh less, by a further deviation `level`, on few of them.
-
-        `smoothing` of admittances is the half width, relative to the middle of the band; `accuracy` that of the model.
-        """
-        recordings = search.objective.recordings
-        every = [own.step(SEARCHED) for own in recordings]
-        spreads = self.spreads(level, every)
+    def solve(self, search: FitSearch, stage: ContinuationStage, x: Real, *, accuracy: float = 0.0) -> Optimum:
+        """The end of a stage from x (p,), on few of the points; `accuracy` is that of the model."""
+        every = [own.step(SEARCHED) for own in search.objective.recordings]
+        spreads = self.spreads(stage.deviation, every)
         thin = search.on(search.objective.thinned(SEARCHED))
         if accuracy > 0.0 and self.columns.size:
             rows = np.concatenate([np.concatenate([np.arange(place.start, middle, step),
@@ -303,13 +289,14 @@ class Likelihood:
                                    for middle in [(place.start + place.stop) // 2]])
             deviation = np.concatenate([np.tile(each, 2) for each in spreads])
             thin = thin.under(Covariance.of(self.columns[rows] / deviation[:, None] * accuracy))
-        width = smoothing * float(np.mean(recordings[0].measured.frequency[[0, -1]]))
-        return thin.minimise(x, spreads, smoothing=width, limit=limit, tolerance=0.01, fixed=fixed)
+        return thin.solve(stage, x, spreads)
 
-    def descended(self, hypothesis: Hypothesis, search: FitSearch, x: Real, level: float, limit: int) -> Weighed:
-        """The optimum near x (p,) where points weigh less, and the model is as accurate as it seems to be there."""
+    def descended(self, hypothesis: Hypothesis, search: FitSearch, x: Real, stage: ContinuationStage) -> Weighed:
+        """The optimum of a stage near x (p,), where the model is as accurate as it seems to be there."""
+        level = stage.deviation
+
         def again(best: Weighed, strictness: float) -> Weighed:
-            end = self.tempered(search, best.x, level, accuracy=strictness * best.accuracy, limit=limit)
+            end = self.solve(search, stage, best.x, accuracy=strictness * best.accuracy)
             return self.weighed(hypothesis, end.x, level)
 
         return _improved(self.weighed(hypothesis, x, level), again, lambda each: each.log_evidence, ROUNDS,

@@ -38,9 +38,9 @@ from workbench.diagnosis.likelihood import Explanation, Hypothesis, Likelihood, 
 from workbench.diagnosis.neighbourhoods import Neighbourhoods
 from workbench.diagnosis.starts import start
 from workbench.files.errors import nearest_names
-from workbench.fitting.constrained import STRICT
 from workbench.fitting.search import REFUSED, FitSearch
 from workbench.results.brief import Brief
+from workbench.search.constrained import STRICT
 
 Real = NDArray[np.float64]
 

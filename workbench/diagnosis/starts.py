@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.descent import inside
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.findings import Begun
+from workbench.diagnosis.findings import InitialOptimum
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.ranking import Score
 
@@ -20,7 +20,7 @@ STARTS = 2
 
 
 def starts_of(
-    model: Model, effect: Effect, ends: Sequence[Begun], scores: Sequence[Sequence[Score] | None]
+    model: Model, effect: Effect, ends: Sequence[InitialOptimum], scores: Sequence[Sequence[Score] | None]
 ) -> list[Real]:
     """Where (p,) a hypothesis begins: at those ends where its score promises most, all told."""
     found = []

@@ -23,8 +23,6 @@ from workbench.model.device_numbers import bench_number, device_numbers
 from workbench.model.numbers import BENCH_ELEMENTS, Number
 from workbench.model.problem import FilledChip, fill
 from workbench.readers import read_column_map, read_recording
-from workbench.report.figures import measured_figures
-from workbench.results.comparison import compare
 from workbench.results.spectrum import Origin, Spectrum
 
 Real = NDArray[np.float64]
@@ -102,15 +100,6 @@ def state_fit(name: str, log: Complex, impedance: Complex, noise: Real) -> State
 def fitted_spectrum(fit: StateFit, state: DeviceState) -> Spectrum:
     """The spectrum of a state as it was fitted."""
     return Spectrum(state.measured.frequency, fit.impedance, origin=Origin("simulated"))
-
-
-def state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
-    """What is written of a state as it was fitted."""
-    spectrum = fitted_spectrum(fit, state)
-    figures, _ = measured_figures(spectrum)
-    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
-            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
-            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
 
 
 def read_state(name: str, table: FileTable, folder: Path, registry: Registry) -> DeviceState:

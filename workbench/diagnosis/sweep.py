@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from workbench.diagnosis.descent import LEVELS, inside
 from workbench.diagnosis.device import Model
-from workbench.diagnosis.findings import Begun
+from workbench.diagnosis.findings import InitialOptimum
 from workbench.diagnosis.hypothesis import Effect
 from workbench.diagnosis.likelihood import Hypothesis, Likelihood
 from workbench.diagnosis.starts import replaced
@@ -56,14 +56,14 @@ def corners(model: Model, effect: Effect, x: Real) -> list[Real]:
     return [_sized(model, effect, x, way, size) for way in ways(model, effect) for size in HELD]
 
 
-def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[Begun]:
+def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[InitialOptimum]:
     """The sizes of an effect at x (p,) that leave least where the data weigh little, best first.
 
     Raises:
         NotConverged, NotEnriched, MeshError, InputError, ValueError: nothing can be predicted, or is admissible, at any
             size; the reason is that of the first one.
     """
-    model, found = likelihood.model, dict[tuple[int, float], Begun]()
+    model, found = likelihood.model, dict[tuple[int, float], InitialOptimum]()
     hypothesis = Hypothesis((effect,))
     own = [model.index(name) for name in effect.names]
     search, every = likelihood.search(hypothesis), [each.step(LOOKED_AT) for each in likelihood.objective.recordings]
@@ -81,7 +81,8 @@ def swept(likelihood: Likelihood, effect: Effect, x: Real) -> list[Begun]:
                 refused.append(error)
                 continue
             step = np.linalg.lstsq(seen.jacobian[:, free], -seen.vector, rcond=None)[0]
-            found[way, size] = Begun(place, 0.5 * float(np.sum((seen.vector + seen.jacobian[:, free] @ step) ** 2)))
+            cost = 0.5 * float(np.sum((seen.vector + seen.jacobian[:, free] @ step) ** 2))
+            found[way, size] = InitialOptimum(place, cost, np.zeros(place.size))
 
     for way in range(len(directions)):
         look(way, SIZES)

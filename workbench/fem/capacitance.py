@@ -43,7 +43,7 @@ def capacitance(operators: FullOperators, values: Values) -> Capacitance:
 
 
 def clamped_capacitance(operators: FullOperators, values: Values, frequency: float) -> float:
-    """Capacitance (F) while every displacement and every pressure is held at zero, losses aside.
+    """Capacitance (F) with every displacement and every pressure held at zero and without losses.
 
     The permittivity is that of `frequency` (Hz).
     """

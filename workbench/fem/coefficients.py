@@ -26,8 +26,8 @@ Groups = tuple[tuple[Complex, Complex], ...]
 
 @dataclass(frozen=True)
 class FrequencyLaw:
-    """How a coefficient depends on frequency: as w^``power``, or as a ``coefficient`` that is no power of it, or as
-    the derivative of that by the parameter ``name``."""
+    """The frequency dependence of a coefficient: w^``power``, or a general ``coefficient``, or the derivative of that
+    coefficient by the parameter ``name``."""
 
     power: float = 0.0
     coefficient: Coefficient | None = None
@@ -93,7 +93,7 @@ class Coefficients:
         found = []
         for k, shape in enumerate(self.shapes):
             own = np.where(self.shape == k, constants, 0.0)
-            # Tested at one fixed frequency, so that the groups do not depend on `omega`: a thick layer underflows at
+            # Tested at one fixed frequency, so that `omega` does not decide the groups: a thick layer underflows at
             # some.
             if own.any() and (shape.coefficient is None or shape(np.ones(1), values).any()):
                 found.append((shape(omega, values), own))

@@ -27,10 +27,10 @@ LARGE, MANY = 120, 60
 
 #: Settings of the projection: number of frequencies factorised first, number added at a time, vectors from each, and
 #: the relative change of the charge at which it ends. The error of the charge is of second order, so the remaining
-#: error is smaller than the last change. Twice as many vectors cost twice the memory and change no digit that is shown.
+#: error is smaller than the last change. The three numbers decide the work, not the accuracy.
 NODES, FURTHER, DEPTH, CHANGED = 8, 2, 6, 1e-5
 
-#: Number of matrix entries solved at once, so that they stay in the processor's cache. Twice as many are slower.
+#: Number of matrix entries solved at once, so that they stay in the processor's cache. It decides speed alone.
 ENTRIES = 500_000
 
 
@@ -85,8 +85,7 @@ def solve_dense(factors: Complex, matrices: Complex) -> DenseSweep:
 
 
 def _solved(factors: Complex, matrices: Complex, loads: Complex, right: Complex) -> tuple[Complex, Complex]:
-    """Solutions x (r, n) for right-hand sides (r, n), which are the `factors` times `loads` (g, r), and their
-    remainders."""
+    """Solutions x (r, n) for right-hand sides `right` (r, n), the `factors` times `loads` (g, r), and remainders."""
     pencil = Pencil.of(factors, matrices) if factors.shape[1] > 1 else None
     if pencil is not None:
         norm = np.linalg.norm(right, axis=0)
@@ -173,8 +172,8 @@ def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
 
 
 def solve_each(factors: Complex, matrices: Complex, right: Complex) -> Complex:
-    """Solutions x (..., r, n) of sum_g factors_g(w) matrices_g (groups, r, r) times x = right (..., r, n), at n
-    frequencies."""
+    """Solve sum_g factors_g(w) matrices_g (groups, r, r) times x = right for x and right (..., r, n), at n frequencies.
+    """
     count, rank = len(matrices), matrices.shape[1]
     if rank == 0:
         return np.zeros(right.shape, dtype=complex)
@@ -230,8 +229,7 @@ class Pencil:
         return None
 
     def solve(self, factors: Complex | None, loads: Complex) -> Complex:
-        """Solution x (r, n) of the pencil times x = loads (r, g) times factors (g, n), or = loads (r, n) without
-        factors."""
+        """Solve the pencil times x (r, n) = loads (r, g) times factors (g, n), or = loads (r, n) without factors."""
         inside = self._back @ scipy.linalg.lu_solve(self._factor, loads, check_finite=False)
         inside = inside if factors is None else inside @ factors
         return np.asarray(self._vectors @ (self._damped * (inside / self._scale)))

@@ -28,7 +28,8 @@ def bilinear(matrices: NDArray[np.inexact], left: Complex, right: Complex) -> Co
 def real_times(matrices: NDArray[np.inexact], columns: Complex) -> Complex:
     """Products (k, r, n) of `matrices` (k, r, r) and `columns` (r, n).
 
-    Real matrices take one real product for the real and imaginary parts together."""
+    Real matrices take one real product for the real and imaginary parts together.
+    """
     count, rows, rank = matrices.shape
     flat, columns = matrices.reshape(count * rows, rank), np.ascontiguousarray(columns)
     images = flat @ columns if np.iscomplexobj(flat) else (flat @ columns.view(np.float64)).view(np.complex128)

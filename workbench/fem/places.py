@@ -19,7 +19,7 @@ from workbench.physics.term import FACING, Integral, ModelError, Radial
 
 Real = NDArray[np.float64]
 
-#: Largest relative difference of cell sizes that counts as rounding. Twice as much would change nothing.
+#: Largest relative difference of cell sizes that counts as rounding, far above the rounding of coordinates.
 SAME_SHAPE = 1e-9
 
 
@@ -28,10 +28,10 @@ class Place:
     """A region or boundary with its basis functions tabulated at the quadrature points.
 
     ``dofs`` (nb, ne) are scalar mesh dofs, ``weights`` (ne, nq) hold 2 pi r dr dz (or 2 pi r ds), ``radius`` (ne, nq)
-    the radii (m) of the points, ``shapes`` maps what is taken of a basis function (``value``, ``d_r``, ``d_z``,
-    ``over_r``) to (ne, nq, nb), ``normal`` (2, ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells.
-    Where another boundary faces it, its functions are among the nb ones, ``shapes`` has what is taken of them under
-    ``value_facing`` and so on, ``facing_normal`` its normal.
+    the radii (m) of the points. ``shapes`` maps each operation on a basis function (``value``, ``d_r``, ``d_z``,
+    ``over_r``) to (ne, nq, nb); ``normal`` (2, ne, nq) is set on boundaries. ``elements`` (ne,) are the mesh cells. If
+    the integral couples an opposite boundary, its functions are among the nb ones: ``shapes`` has their values under
+    ``value_facing`` and so on, and ``facing_normal`` is its normal.
     """
 
     dofs: NDArray[np.int64]

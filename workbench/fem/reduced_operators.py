@@ -23,7 +23,7 @@ Complex = NDArray[np.complex128]
 class ReducedOperators(Brief):
     """The affine model on a small basis: ``matrices`` (distinct forms, r, r), dense and real.
 
-    ``forms`` (integrals,) says which of them is that of every integral.
+    ``forms`` (integrals,) is the index of every integral's matrix.
     """
 
     integrals: tuple[Integral, ...]
@@ -71,7 +71,7 @@ class ReducedOperators(Brief):
 
     @cached_property
     def _mirror(self) -> NDArray[np.int64]:
-        """Where in the upper triangle each entry (r, r) of a symmetric matrix is."""
+        """Index in the upper triangle of each entry (r, r) of a symmetric matrix."""
         row, column = np.triu_indices(self.size)
         found = np.empty((self.size, self.size), dtype=np.int64)
         found[row, column] = found[column, row] = np.arange(row.size)

@@ -97,11 +97,6 @@ class Solution(Brief):
         """
         return 1.0 / self.admittance
 
-    def impedance_gradient(self) -> Complex:
-        """Derivatives dZ/dg_q (n, integrals) by every complex coefficient g_q, e^{-i w t}."""
-        # Z = i / (w Q), dQ = -x^T A_q x dg.
-        return (1j / (self.omega * self.charge**2))[:, None] * self.forms
-
     def parameter_gradient(self, values: Values, names: tuple[str, ...]) -> Complex:
         """Derivatives dZ/dtheta (n, len(names)) by complex parameters, e^{-i w t}.
 
@@ -192,7 +187,7 @@ def one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factorised, symmetrically scaled system at one frequency, and what is needed to refine a solve."""
+    """A factorised, symmetrically scaled system at one frequency, with the matrix that refines a solve."""
 
     frequency: float
     matrix: sparse.csr_matrix

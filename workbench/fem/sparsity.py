@@ -72,7 +72,7 @@ class Pattern:
 
 @dataclass(frozen=True, eq=False)
 class Symmetric:
-    """A symmetric matrix (size, size) by its entries (upper,) in the upper triangle of a pattern."""
+    """A symmetric matrix (size, size), given by its entries (upper,) in the upper triangle of a pattern."""
 
     pattern: Pattern
     upper: Complex
@@ -99,7 +99,8 @@ class FreeUnknowns:
     """The unknowns of a solve at given voltage: all but the last.
 
     ``pattern`` is theirs, ``entries`` the indices of its entries in the pattern of the whole system, ``factorisation``
-    the method prepared for the pattern."""
+    the method prepared for the pattern.
+    """
 
     pattern: sparse.csc_matrix
     entries: NDArray[np.int64]

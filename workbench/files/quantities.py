@@ -155,3 +155,8 @@ def format_quantity(value: float, dimension: str, units: Sequence[str]) -> str:
     least = min(len(text) for text in found if text)
     # The unit asked for first unless it takes a tail of digits to hit a number that another unit says in few.
     return next(text for text in found if text and (len(text) <= least + SPARED))
+
+
+def finite(number: float) -> float | None:
+    """A number for a file, None where it is infinite or not a number."""
+    return float(number) if math.isfinite(number) else None

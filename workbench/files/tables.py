@@ -13,6 +13,18 @@ from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 
 
+def parse_toml(text: str, *, source: str, field: str = "TOML syntax") -> dict[str, Any]:
+    """The content of TOML text from a `source`, in its `field`.
+
+    Raises:
+        InputError: it is not TOML (the parser's line and column are kept).
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(source, field, str(error), "valid TOML") from None
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file.
 
@@ -20,15 +32,14 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: the file does not exist, is not text, or is not TOML (the parser's line and column are kept).
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         folder = path.parent if path.parent.is_dir() else Path()
         near = nearest_names(path.name, (p.name for p in folder.iterdir() if p.suffix == ".toml"))
         raise InputError(str(path), "file", path.name, "an existing file", near) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(str(path), "file", path.name, f"a readable text file ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), "TOML syntax", str(error), "valid TOML") from None
+    return parse_toml(text, source=str(path))
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
-from workbench.fitting.constrained import Inequality
 from workbench.fitting.parameter import Parameter
 from workbench.model.numbers import LOSS
 from workbench.model.problem import Problem
+from workbench.search.constrained import Inequality
 
 Real = NDArray[np.float64]
 

@@ -361,21 +361,3 @@ def outlying(values: Real) -> NDArray[np.bool_]:
     away = np.abs(values - np.median(values))
     sigma = MAD_TO_SIGMA * float(np.median(away))
     return np.asarray(away > max(OUTLIER * sigma, 1e-9 * abs(float(np.median(values)))))
-
-
-def summary_record(
-    name: str, columns: Sequence[BatchColumn], records: Mapping[str, Mapping[str, Any]], failed: Mapping[str, str]
-) -> dict[str, Any]:
-    """The summary for a JSON file, SI units beside the numbers."""
-    return {
-        "batch": name, "failed": dict(failed),
-        "devices": {device: {key: record[key] for key in (
-            "accepted", "refusals", "mape_percent", "rms_log_residual", "wall_seconds", "full_solves", "saved_as")}
-            for device, record in records.items()},
-        "parameters": [
-            {"name": c.name, "unit": c.unit, "mean": c.mean, "standard_deviation": c.deviation,
-             "dispersion_percent": c.dispersion_percent if np.isfinite(c.dispersion_percent) else None,
-             "outliers": list(c.outliers),
-             "devices": {device: {"value": float(v), "low": float(low), "high": float(high)} for device, v, low, high in
-                         zip(c.devices, c.values, c.low, c.high, strict=True)}} for c in columns],
-    }

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,24 +26,25 @@ from numpy.typing import NDArray
 from workbench.fitting import uncertainty
 from workbench.fitting.multistart import (
     PRIOR_SAMPLES,
+    FitEnd,
+    FitMultistart,
     Refined,
     Start,
-    descent_from,
     listed_starts,
-    multistart,
     prior_samples,
     where_they_ended,
 )
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
-from workbench.fitting.search import SEARCHED_POINTS, FitSearch, Optimum
+from workbench.fitting.search import NO_END, SEARCHED_POINTS, FitSearch, Optimum
 from workbench.fitting.uncertainty import BandLeftOut, Direction, Noise, ParameterEstimate
 from workbench.results.brief import Brief
 from workbench.results.comparison import Comparison, compare
 from workbench.results.spectrum import Origin, Spectrum
+from workbench.search.continuation import Progress
+from workbench.search.multistart import StartPoint, multistart
 
 Real = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 #: Relative error of the reduced model while exploring, and at the end.
 COARSE, FINE = 5e-2, 3e-4
@@ -136,17 +137,16 @@ def fit_parameters(
     searched = [r.thinned(SEARCHED_POINTS) for r in coarse or recordings]
     scout = FitSearch(Objective(searched, parameters, tolerance=COARSE), poisson=poisson)
     before = _start_spectra(scout, recordings)
-    begins = [("start", scout.centre), *(starts or {}).items()]
-    stages = len(begins) * len(scout.widths())
-    done = 0
+    begins = [StartPoint("start", scout.centre),
+              *(StartPoint(label, np.asarray(x, dtype=float)) for label, x in (starts or {}).items())]
 
-    def stage() -> None:
-        nonlocal done
-        done += 1
-        show("searching", 0.6 * done / max(stages, done))
+    def from_start(start: StartPoint) -> FitEnd:
+        before = begins.index(start)
+        return FitEnd(scout.descend(
+            start.x, progress=lambda text, share: show(text, 0.6 * (before + share) / len(begins))))
 
-    found = [descent_from(scout, label, np.asarray(begin, dtype=float), stage) for label, begin in begins]
-    ends = [trial.end for trial in found if trial.end is not None]
+    found = multistart(begins, from_start, refused=NO_END)
+    ends = [trial.end.descent for trial in found if trial.end is not None and trial.end.descent is not None]
     if not ends:
         raise FitError("no start could be predicted: " + found[0].reason)
     search = FitSearch(Objective(recordings, parameters, tolerance=FINE), poisson=poisson)
@@ -155,18 +155,17 @@ def fit_parameters(
         show("refining", 0.6)
         return Refined(*reweighted_descent(search, x))
 
-    best, refined, tried = multistart(
-        scout, refine, min(ends, key=lambda end: end.cost), prior_samples(scout, PRIOR_SAMPLES, seed), tries,
-        lambda label: show(f"searching, {label}", 0.6))
-    found += tried
-    minimum, noise = refined.minimum, refined.noise
+    further = FitMultistart(scout, refine, min(ends, key=lambda end: end.cost), tries,
+                            lambda label, _share: show(f"searching, {label}", 0.6))
+    further.run(prior_samples(scout, PRIOR_SAMPLES, seed))
+    minimum, noise = further.refined.minimum, further.refined.noise
     show("judging", 0.85)
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
                                                  coarser=None if coarse is None else scout.objective)
     left_out = uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
     check = uncertainty.reduced_model_error(search.objective, minimum.x)
     matches = _matches(recordings, before, minimum, noise)
-    listed = listed_starts(found, best, scout, noise)
+    listed = listed_starts([*found, *further.trials], further.reached, scout, search)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
     solves = search.objective.solves + scout.objective.solves
     show("done", 1.0)

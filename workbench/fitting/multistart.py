@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.fitting.search import EXPLORATION, NO_END, WIDTHS, FitSearch, Optimum, SmoothedDescent
+from workbench.fitting.search import NO_END, SCHEDULE, FitDescent, FitSearch, Optimum
 from workbench.fitting.uncertainty import Noise
+from workbench.search.continuation import Progress
+from workbench.search.multistart import StartPoint, Trial, multistart
+from workbench.search.optimum import is_same_optimum, separation
 
 Real = NDArray[np.float64]
 
@@ -31,8 +34,8 @@ OVERTONE_FACTORS = {0: 1.0, -1: 0.88, 1: 1.13, -2: 0.78, 2: 1.27}
 #: other with it: optima stand 8 to 20 % apart, each in its own narrow valley, lower towards the right one.
 FILM_FACTORS = {0: 1.0, -1: 0.87, 1: 1.15, -2: 0.76, 2: 1.32}
 
-#: What the labels of starts offset by overtones, or in a film, and of samples of the prior, begin with.
-OFFSET_LABEL, FILM_LABEL, SAMPLE_LABEL = "hop", "film", "draw"
+#: The last stage of the schedule.
+UNSMOOTHED = len(SCHEDULE.stages)
 
 #: Samples of the prior to start from where offsets did not help.
 PRIOR_SAMPLES = 8
@@ -44,10 +47,6 @@ CLOSE = 4.0
 #: An end is better if the logarithm of what it leaves is lower by this: less is the end of one valley found twice.
 #: Doubled, an optimum that leaves 2 % less is not taken for another.
 BETTER = 0.01
-
-#: Two ends are the same optimum if every parameter agrees within this many standard errors of either, or within this
-#: share of its prior, whichever is larger: a flat direction of the data may be anywhere along it.
-SAME_ERRORS, SAME_SHARE = 2.0, 0.02
 
 #: How a start may have ended.
 SAME, GIVEN_UP = "same optimum", "given up: worse than the best while still smoothed"
@@ -63,16 +62,6 @@ class Start:
     rms: float
     outcome: str
     steps: int
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One descent: from where (p,), to where, and why not where it has no end."""
-
-    label: str
-    begin: Real
-    end: SmoothedDescent | None
-    reason: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,99 +93,105 @@ class Refined:
 Refine = Callable[[Real], Refined]
 
 
-def descent_from(
-    search: FitSearch, label: str, begin: Real, progress: Callable[[], None], rival: SmoothedDescent | None = None
-) -> Trial:
-    """The descent from `begin` (p,), moved to where it is admissible.
+@dataclass(frozen=True, eq=False)
+class FitEnd:
+    """The end of one start: its ``descent`` on the mesh of the search, and the minimum on the mesh asked for where the
+    end was worth one. A start on the mesh asked for has the minimum alone."""
 
-    Smoothing would undo an offset: of an overtone the widest is left out, of a film all of it.
+    descent: FitDescent | None
+    refined: Refined | None = None
+
+    @property
+    def optimum(self) -> Optimum:
+        """The end on the mesh that the start was on."""
+        found = self.descent if self.refined is None else self.descent or self.refined.minimum
+        assert found is not None
+        return found
+
+
+#: Starts one and two optima from a point (p,), nearest first.
+Offsets = Callable[[FitSearch, Real], list[StartPoint]]
+
+
+@dataclass(eq=False)
+class FitMultistart:
+    """A search from several starts as it goes on, with the best end so far; at most ``tries`` starts are tried.
+
+    Ends are looked for on the mesh of ``search``, and those that cost about as little as the best or less are refined.
+    The one that leaves least then is the best. No start is tried once that leaves nothing unexplained.
     """
-    first = 1 if label.startswith(OFFSET_LABEL) else len(WIDTHS) if label.startswith(FILM_LABEL) else 0
-    try:
-        begin = search.inside(begin)
-        return Trial(label, begin, search.descend(begin, progress, first=first, rival=rival))
-    except NO_END as error:
-        return Trial(label, begin, None, f"{type(error).__name__}: {error}")
+
+    search: FitSearch
+    refine: Refine
+    best: FitDescent
+    tries: int
+    progress: Progress
+    trials: list[Trial[FitEnd]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.refined = self.refine(self.best.x)
+        self.reached = FitEnd(self.best, self.refined)
+        self._told_apart = [self.best]
+
+    def run(self, samples: Sequence[StartPoint]) -> None:
+        """Try offsets of the best end and `samples`, and offsets of films on the mesh asked for: the error of the mesh
+        of the search may hide the valley of a thin film."""
+        self._try(self.best.x, offsets, samples, self._searched)
+        self._try(self.refined.minimum.x, on_mesh_offsets, (), self._on_mesh)
+
+    def _searched(self, start: StartPoint) -> FitEnd:
+        end = self.search.descend(start.x, first=start.stage, rival=self.best)
+        if not end.ended or end.cost > CLOSE * self.best.cost or any(
+                is_same_optimum(end.x, other.x, self.search.errors(other), self.search.scale)
+                for other in self._told_apart):
+            return FitEnd(end)
+        self._told_apart.append(end)
+        return FitEnd(end, self.refine(end.x))
+
+    def _on_mesh(self, start: StartPoint) -> FitEnd:
+        return FitEnd(None, self.refine(self.search.inside(start.x)))
+
+    def _try(
+        self, x: Real, offsets_of: Offsets, samples: Sequence[StartPoint], attempt: Callable[[StartPoint], FitEnd]
+    ) -> None:
+        def following(trial: Trial[FitEnd], waiting: list[StartPoint]) -> Sequence[StartPoint]:
+            end = trial.end
+            if end is not None and end.refined is not None and end.refined.left < self.refined.left - BETTER:
+                self.reached, self.refined, self.best = end, end.refined, end.descent or self.best
+                # What helped once may help again.
+                again = sorted(offsets_of(self.search, end.optimum.x), key=lambda each: each.label != trial.start.label)
+                waiting = [*again, *(each for each in waiting if each in samples)]
+            return () if self.refined.explained else waiting
+
+        starts = () if self.refined.explained else (*offsets_of(self.search, x), *samples)
+        self.trials += multistart(starts, attempt, refused=NO_END, tries=self.tries - len(self.trials),
+                                  following=following, progress=self.progress)
 
 
-def multistart(
-    search: FitSearch, refine: Refine, best: SmoothedDescent, samples: Sequence[tuple[str, Real]], tries: int,
-    progress: Callable[[str], None],
-) -> tuple[SmoothedDescent, Refined, list[Trial]]:
-    """The best end reached from offsets of `best` and from the `samples`, refined, and every descent, at most `tries`.
-
-    Ends are looked for on the mesh of `search`; those that cost about as little as the best or less are refined, and
-    the one that leaves least then is the best. No descent is begun once that leaves nothing unexplained.
-    """
-    tried: list[Trial] = []
-    refined, ends = refine(best.x), [best.x]
-    waiting = [*offsets(search, best.x), *samples]
-    while waiting and len(tried) < tries and not refined.explained:
-        label, begin = waiting.pop(0)
-        progress(label)
-        trial = descent_from(search, label, begin, lambda: None, rival=best)
-        tried.append(trial)
-        end = trial.end
-        if end is None or not end.ended or end.cost > CLOSE * best.cost or any(
-                _close(search, end.x, other) for other in ends):
-            continue
-        ends.append(end.x)
-        other = refine(end.x)
-        if other.left < refined.left - BETTER:
-            best, refined = end, other
-            # What helped once may help again.
-            again = sorted(offsets(search, best.x), key=lambda offset: offset[0] != label)
-            waiting = [*again, *(each for each in waiting if each[0].startswith(SAMPLE_LABEL))]
-    return best, _from_film_to_film(search, refine, refined, tries - len(tried), progress), tried
-
-
-def _from_film_to_film(
-    search: FitSearch, refine: Refine, best: Refined, tries: int, progress: Callable[[str], None]
-) -> Refined:
-    """The best that films moved to their next optima lead to on the mesh asked for, from there on as long as it helps,
-    with at most so many `tries`.
-
-    The error of a mesh for the search may hide the valley of a thin film: such a film is moved here once more.
-    """
-    waiting = film_offsets(search, best.minimum.x)
-    while waiting and tries > 0 and not best.explained:
-        label, begin = waiting.pop(0)
-        tries -= 1
-        progress(f"{label}, refined")
-        try:
-            other = refine(search.inside(begin))
-        except NO_END:
-            continue
-        if other.left < best.left - BETTER:
-            best = other
-            waiting = sorted(film_offsets(search, best.minimum.x), key=lambda offset: offset[0] != label)
-    return best
-
-
-def _close(search: FitSearch, one: Real, other: Real) -> bool:
-    """Whether two ends (p,) differ by less than :data:`SAME_SHARE` of what is known before, in every parameter."""
-    return bool(np.all(np.abs(one - other) <= SAME_SHARE * search.scale))
-
-
-def offsets(search: FitSearch, x: Real) -> list[tuple[str, Real]]:
-    """Starts one and two optima from x (p,) by label, nearest first: films alone, then overtones."""
+def offsets(search: FitSearch, x: Real) -> list[StartPoint]:
+    """Starts one and two optima from x (p,), nearest first: films alone, then overtones."""
     return [*film_offsets(search, x), *overtone_offsets(search, x)]
 
 
-def film_offsets(search: FitSearch, x: Real) -> list[tuple[str, Real]]:
-    """Starts with a film one and two optima from x (p,) by label, nearest first."""
+def on_mesh_offsets(search: FitSearch, x: Real) -> list[StartPoint]:
+    """Starts with a film one and two optima from x (p,), nearest first, for the mesh asked for."""
+    return [replace(each, label=f"{each.label}, on the mesh asked for") for each in film_offsets(search, x)]
+
+
+def film_offsets(search: FitSearch, x: Real) -> list[StartPoint]:
+    """Starts with a film one and two optima from x (p,), nearest first. Any smoothing would undo the offset."""
     result = []
     films = [i for i, p in enumerate(search.parameters) if p.is_film]
     for number, factor in sorted(FILM_FACTORS.items(), key=lambda item: abs(item[0])):
         for film in films if number else ():
             begin = x.copy()
             begin[film] = np.clip(factor * x[film], search.low[film], search.high[film])
-            result.append((f"{FILM_LABEL} {search.parameters[film].name} x {factor:g}", begin))
+            result.append(StartPoint(f"film {search.parameters[film].name} x {factor:g}", begin, UNSMOOTHED))
     return result
 
 
-def overtone_offsets(search: FitSearch, x: Real) -> list[tuple[str, Real]]:
-    """Starts one and two overtones from x (p,) by label, nearest first."""
+def overtone_offsets(search: FitSearch, x: Real) -> list[StartPoint]:
+    """Starts one and two overtones from x (p,), nearest first. The widest smoothing would undo the offset."""
     groups = [[i for i, p in enumerate(search.parameters) if not p.is_loss and p.parsed.coefficient in names]
               for names in OVERTONE_GROUPS]
     groups = [group for group in groups if group]
@@ -209,48 +204,51 @@ def overtone_offsets(search: FitSearch, x: Real) -> list[tuple[str, Real]]:
             if overtones:
                 first = search.parameters[group[0]].parsed.coefficient
                 words.append(f"{first} x {OVERTONE_FACTORS[overtones]:g}")
-        result.append((f"{OFFSET_LABEL} " + ", ".join(words), begin))
+        result.append(StartPoint("hop " + ", ".join(words), begin, 1))
     return result
 
 
-def prior_samples(search: FitSearch, count: int, seed: int) -> list[tuple[str, Real]]:
-    """Starts sampled from the prior, by label; losses, whose prior is wide, within a factor of two of the start."""
+def prior_samples(search: FitSearch, count: int, seed: int) -> list[StartPoint]:
+    """Starts sampled from the prior; losses, whose prior is wide, within a factor of two of the start."""
     random = np.random.default_rng(seed)
     loss = np.array([p.is_loss for p in search.parameters])
     result = []
     for number in range(count):
         factor = np.exp(np.log(2.0) * random.uniform(-1.0, 1.0, loss.size))
         offset = search.scale * random.standard_normal(loss.size)
-        result.append((f"{SAMPLE_LABEL} {number + 1}", np.where(loss, search.centre * factor, search.centre + offset)))
+        result.append(StartPoint(f"draw {number + 1}",
+                                 np.where(loss, search.centre * factor, search.centre + offset)))
     return result
 
 
 def listed_starts(
-    found: Sequence[Trial], best: Optimum, search: FitSearch, noise: Sequence[Noise]
+    trials: Sequence[Trial[FitEnd]], reached: FitEnd, coarse: FitSearch, fine: FitSearch
 ) -> tuple[Start, ...]:
-    """Every start with where it ended, seen from the best end."""
-    jacobian = best.residual.jacobian
-    spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
-    # The exploration's deviation is a stand-in; what the data resolve is what the noise allows.
-    resolved = spread * max(float(np.mean(n.deviation)) for n in noise) / EXPLORATION
-    allowed = np.maximum(SAME_ERRORS * resolved, SAME_SHARE * search.scale)
+    """Every start with where it ended, seen from the end that was `reached`.
+
+    Ends on the mesh of the `coarse` search are compared with the end there that led to the answer, if one did, and all
+    others with the answer on the mesh of the `fine` one.
+    """
+    assert reached.refined is not None
     result = []
-    for trial in found:
-        end = trial.end
-        if end is None:
-            result.append(Start(trial.label, trial.begin, trial.begin, np.inf, f"failed: {trial.reason}", 0))
+    for trial in trials:
+        if trial.end is None:
+            x = trial.start.x
+            result.append(Start(trial.start.label, x, x, np.inf, f"failed: {trial.reason}", 0))
             continue
-        data = end.residual.data
-        rms = float(np.sqrt(np.mean(np.abs(np.concatenate(data.log_ratio)) ** 2)))
-        off = np.abs(end.x - best.x) / allowed
+        end, descent = trial.end.optimum, trial.end.descent
+        rms = float(np.sqrt(np.mean(np.abs(np.concatenate(end.residual.data.log_ratio)) ** 2)))
+        search, best = (coarse, reached.descent) if descent and reached.descent else (fine, reached.refined.minimum)
+        off = separation(end.x, best.x, search.errors(best), search.scale)
         worst = int(np.argmax(off))
         if off[worst] <= 1.0:
             outcome = SAME
-        elif not end.ended:
+        elif descent is not None and not descent.ended:
             outcome = GIVEN_UP
         else:
             outcome = f"another optimum: {search.parameters[worst].name} differs most"
-        result.append(Start(trial.label, trial.begin, end.x, rms, outcome, end.iterations))
+        begin = trial.start.x if descent is None else descent.begin
+        result.append(Start(trial.start.label, begin, end.x, rms, outcome, end.iterations))
     return tuple(result)
 
 

@@ -1,6 +1,6 @@
-"""What is written of a fit: ``fit.json``, the verdict whether to trust it, and the entry for the registry.
+"""The verdict whether to trust a fit, what follows from it, its sources, and its entry for the registry.
 
-What an algorithm does not say - the paper's give no intervals - is NaN in a :class:`FitResult` and null in the file.
+What an algorithm does not say - the paper's give no intervals - is NaN in a :class:`FitResult`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from materials.kinds import IsotropicSolid, Material
 from materials.saving import fitted
 from materials.value import Value
 from workbench.fem.operators import assemble
-from workbench.files.quantities import shown_factor, shown_unit
+from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.fitting.derived import Derived, derived_moduli, moduli_of
 from workbench.fitting.joint import FitResult, Match
 from workbench.fitting.multistart import NOISY, Start
@@ -31,7 +30,6 @@ from workbench.fitting.prepare import Prepared
 from workbench.fitting.uncertainty import CONFIDENCE, Noise, ParameterEstimate
 from workbench.model.numbers import LOSS, ParameterName, placed
 from workbench.reduced.reduction import reduce
-from workbench.report.figures import figures_record, measured_figures
 from workbench.reproduction.fits import PaperFit
 from workbench.results.comparison import compare
 from workbench.results.merit import NoResonance, figures
@@ -165,83 +163,6 @@ def reference_frequency(result: FitResult) -> float:
         return figures(measured).f0
     except NoResonance:
         return float(np.mean(measured.frequency[[0, -1]]))
-
-
-def fit_record(
-    result: FitResult, prepared: Prepared, sources: Sequence[Source], *, date: datetime, saved_as: str | None = None
-) -> dict[str, Any]:
-    """Everything of a fit for a JSON file: SI units in the names, or beside the numbers where they differ."""
-    refused = refusals(result)
-    return {
-        "kind": prepared.kind, "algorithm": result.algorithm, "software": software(), "date": date.isoformat(),
-        "chip": prepared.chip.name, "state": prepared.state, "material": prepared.material.name,
-        "accepted": not refused, "refusals": list(refused), "saved_as": saved_as,
-        "findings": list(result.findings),
-        "mape_percent": float(np.mean([m.after.mape_percent for m in result.recordings])),
-        "rms_log_residual": float(np.sqrt(np.mean([m.after.rms_log_residual**2 for m in result.recordings]))),
-        "converged": result.converged, "improved": result.improved, "iterations": result.iterations,
-        "wall_seconds": result.seconds, "full_solves": result.full_solves, "confidence": CONFIDENCE,
-        "parameters": [parameter_record(e) for e in result.estimates],
-        "derived": [{"name": d.name, "value": d.value, "unit": d.unit, "low": finite(d.low), "high": finite(d.high),
-                     "standard_error": finite(d.standard_error)} for d in derived_quantities(result, prepared)],
-        "derived_frequency_hz": reference_frequency(result),
-        "recordings": [_match_record(m, s) for m, s in zip(result.recordings, sources, strict=True)],
-        "correlation": {"names": [e.parameter.name for e in result.estimates],
-                        "rows": [[finite(x) for x in row] for row in result.correlation]},
-        "undetermined": [{"shares": dict(d.shares), "narrowing": d.narrowing, "symmetry": d.symmetry}
-                         for d in result.undetermined],
-        "starts": [{"label": s.label, "rms_log_residual": finite(s.rms),
-                    "outcome": s.outcome, "steps": s.steps,
-                    "begin": [float(x) for x in s.begin], "end": [float(x) for x in s.end]} for s in result.starts],
-        "bands_left_out": [{"recording": b.recording, "low_hz": b.low, "high_hz": b.high, "fitted_rms": b.fitted_rms,
-                            "predicted_rms": b.predicted_rms} for b in result.bands],
-        "check_against_full_solves": {"relative_difference": finite(result.check[0]),
-                                      "frequency_hz": finite(result.check[1])},
-    }
-
-
-def parameter_record(estimate: ParameterEstimate) -> dict[str, Any]:
-    """One row of the parameter table."""
-    p = estimate.parameter
-    return {
-        "name": p.name, "recordings": list(p.recordings), "value": estimate.value, "unit": p.unit,
-        "low": finite(estimate.low), "high": finite(estimate.high),
-        "standard_error": finite(estimate.standard_error), "numerical": finite(estimate.numerical), "prior": p.prior,
-        "start": p.start, "at_bound": estimate.at_bound, "determined": estimate.determined,
-        "narrowing": finite(estimate.narrowing), "method": estimate.method,
-    }
-
-
-def finite(number: float) -> float | None:
-    """A number for a JSON file: None where there is none."""
-    return float(number) if math.isfinite(number) else None
-
-
-def _match_record(match: Match, files: Source) -> dict[str, Any]:
-    measured = match.measured
-    return {
-        "name": match.name, "file": files.recording, "sha256": files.sha256, "chip_file": files.chip,
-        "chip_sha256": files.chip_sha256, "reader_findings": list(files.findings),
-        "band_hz": [float(measured.frequency[0]), float(measured.frequency[-1])],
-        "points": int(measured.frequency.size),
-        "mape_percent": match.after.mape_percent, "rms_log_residual": match.after.rms_log_residual,
-        "worst_percent": match.after.worst_percent, "worst_frequency_hz": match.after.worst_frequency,
-        "phase_mean_deg": match.after.phase_mean_deg, "phase_max_deg": match.after.phase_max_deg,
-        "start_mape_percent": match.before.mape_percent, "start_rms_log_residual": match.before.rms_log_residual,
-        "figures": {label: _figures_record(s) for label, s in
-                    (("measured", measured), ("start", match.start), ("fitted", match.fitted))},
-        "noise": {"relative_deviation": match.noise.deviation, "correlated_points": match.noise.correlation,
-                  "stated": match.noise.stated, "ratio_to_stated": match.noise.ratio},
-    }
-
-
-def _figures_record(spectrum: Spectrum) -> dict[str, Any]:
-    merit, reason = measured_figures(spectrum)
-    return figures_record(merit, reason)
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# The registry.
 
 
 def registry_entry(

@@ -1,9 +1,9 @@
-"""The least-squares problem of a fit: weighted data, priors, bounds and matrix inequalities, and descents in it."""
+"""The least-squares problem of a fit: weighted data, priors, bounds, matrix inequalities; tempered searches in it."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,28 +13,28 @@ from geometry.mesh import MeshError
 from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError
 from workbench.fitting.admissible import inequalities
-from workbench.fitting.constrained import Inequality, Minimum, interior, minimise
 from workbench.fitting.covariance import Covariance
-from workbench.fitting.objective import Objective, Residual
+from workbench.fitting.objective import FitRecording, Objective, Residual
 from workbench.reduced.reduction import NotEnriched
+from workbench.search.constrained import Inequality, Minimum, interior, minimise
+from workbench.search.continuation import ContinuationStage, Progress, Schedule, TemperedMinimum, tempered
+from workbench.search.optimum import standard_errors
 
 Real = NDArray[np.float64]
-
-#: Half widths of the smoothing, relative to the middle of the band, from far to none.
-WIDTHS = (0.03, 0.01, 0.003, 0.0)
 
 #: Relative deviation that a point is given during exploration. It stands for all that the model leaves out, and lets
 #: the prior hold what the smoothed spectra cannot see.
 EXPLORATION = 0.05
+
+#: Stages from far smoothing to none. One that has not ended after its 20 steps is in a valley that says little, or in
+#: none.
+SCHEDULE = Schedule(tuple(ContinuationStage(EXPLORATION, smoothing) for smoothing in (0.03, 0.01, 0.003, 0.0)))
 
 #: A recording is searched on at most about so many of its points.
 SEARCHED_POINTS = 241
 
 #: A descent is given up where it costs more than this many times what the best cost at the same smoothing.
 WORSE = 2.0
-
-#: Steps at one smoothing. A descent that has not ended by then is in a valley that says little, or in none.
-STEPS = 20
 
 #: Where nothing can be predicted.
 REFUSED: tuple[type[Exception], ...] = (NotEnriched, NotConverged, MeshError, InputError)
@@ -56,15 +56,8 @@ class Weighted:
 Optimum = Minimum[Weighted]
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothedDescent(Optimum):
-    """The end of a descent through the smoothed problems.
-
-    ``costs`` by the number of the width, as far as the descent went; ``ended`` is whether that was to no smoothing.
-    """
-
-    costs: Mapping[int, float]
-    ended: bool
+#: Where a search through the stages of :data:`SCHEDULE` ended.
+FitDescent = TemperedMinimum[Weighted]
 
 
 class FitSearch:
@@ -162,34 +155,46 @@ class FitSearch:
         held[free] = 0.0
         return [Inequality(i.name, i(held), i.slopes[free]) for i in self.inequalities if i.slopes[free].any()]
 
+    @property
+    def middle(self) -> float:
+        """The middle (Hz) of the band."""
+        return float(np.mean(self.objective.recordings[0].measured.frequency[[0, -1]]))
+
+    @property
+    def schedule(self) -> Schedule:
+        """The stages of :data:`SCHEDULE` that the points of the recording can show."""
+        return SCHEDULE.resolved(_spacing(self.objective.recordings[0]) / self.middle)
+
+    def solve(self, stage: ContinuationStage, x: Real, deviation: Sequence[Real | float]) -> Optimum:
+        """The end of a stage from x (p,), with points of that `deviation`, the stage's own included."""
+        return self.minimise(x, deviation, smoothing=stage.smoothing * self.middle, limit=stage.limit,
+                             tolerance=stage.tolerance, fixed=stage.held)
+
     def descend(
-        self, x: Real, progress: Callable[[], None], *, first: int = 0, rival: SmoothedDescent | None = None
-    ) -> SmoothedDescent:
-        """From a start through the smoothed problems, from number `first` on, to the recordings themselves.
+        self, x: Real, *, first: int = 0, rival: FitDescent | None = None,
+        progress: Progress = lambda _text, _share: None,
+    ) -> FitDescent:
+        """The end of a tempered search from x (p,), moved to where it is admissible, from the stage of number `first`.
 
-        What the smoothed spectra cannot see is held by the prior. The descent is given up once it is
-        clearly worse than `rival` was at the same width.
+        The prior holds what the smoothed spectra cannot see. The search is given up where it is clearly worse than its
+        `rival` was at the same stage.
         """
-        steps, costs, ended = 0, {}, True
-        widths = self.widths()
-        for number in range(min(first, len(widths) - 1), len(widths)):
-            width = widths[number]
+        def solve(stage: ContinuationStage, x: Real) -> Optimum:
             # A smoothed spectrum has as many independent points as widths fit into the band.
-            deviation = [EXPLORATION * np.sqrt(max(1.0, width / float(np.median(np.diff(r.measured.frequency)))))
-                         for r in self.objective.recordings]
-            found = self.minimise(x, deviation, smoothing=width, limit=STEPS, tolerance=1e-4)
-            x, steps = found.x, steps + found.iterations
-            costs[number] = found.cost
-            progress()
-            ended = width == 0.0
-            if not ended and rival is not None and found.cost > WORSE * rival.costs.get(number, np.inf):
-                break
-        return SmoothedDescent(x, found.residual, found.cost, found.converged, steps, found.reason, found.refusals,
-                               costs,
-                               ended)
+            return self.solve(stage, x, [
+                stage.deviation * np.sqrt(max(1.0, stage.smoothing * self.middle / _spacing(recording)))
+                for recording in self.objective.recordings])
 
-    def widths(self) -> list[float]:
-        """Half widths (Hz) of the smoothed problems: those that a recording's points can show, then none."""
-        frequency = self.objective.recordings[0].measured.frequency
-        middle, spacing = float(np.mean(frequency[[0, -1]])), float(np.median(np.diff(frequency)))
-        return [w * middle for w in WIDTHS if w == 0.0 or w * middle > spacing]
+        return tempered(self.schedule, solve, self.inside(x), first=first, rival=rival, worse=WORSE,
+                        progress=progress)
+
+    def errors(self, optimum: Optimum) -> Real:
+        """Standard errors (p,) at an optimum of this problem as the data weigh there, zero of what is not free."""
+        found = np.zeros(self.scale.size)
+        found[self.free] = standard_errors(optimum.residual.jacobian, self.scale[self.free])
+        return found
+
+
+def _spacing(recording: FitRecording) -> float:
+    """The distance (Hz) of the points of a recording."""
+    return float(np.median(np.diff(recording.measured.frequency)))

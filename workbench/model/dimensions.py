@@ -14,16 +14,8 @@ from geometry.mesh import MeshError, SectionMesh
 from geometry.shapes import with_shapes
 from geometry.stretch import Piece, movable, split, tied
 from workbench.files.errors import InputError, choose
-from workbench.model.moved_parts import (
-    TO_ROUNDING,
-    Cells,
-    Interpolation,
-    LayerShape,
-    MovedMeshes,
-    moved_pieces,
-    shapes_of,
-    shapes_that_move,
-)
+from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation
+from workbench.model.moved_parts import LayerShape, ShapedLayers, shapes_of
 from workbench.model.moved_sections import flexible_free
 from workbench.model.numbers import ParameterKind, ParameterName
 from workbench.model.problem import Problem
@@ -79,9 +71,9 @@ def flexible(
     mesh, pieces = split(problem.mesh, chip, tuple(moving))
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
     lengths = {**ranges, **_thickness_ranges(nominal, thicknesses)}
-    meshes = _moved_meshes(problem.mesh, chip, shapes, lengths, interpolation)
+    layers = _shaped_layers(problem.mesh, chip, shapes, lengths, interpolation)
     if not interpolation.carried:
-        _check_parabolas(meshes.shapes, chip, ranges)
+        _check_parabolas(layers.shapes, chip, ranges)
 
     def radius(value: float) -> MovableLength:
         return MovableLength(value, next((name for each, name in moving.items() if each == value), ""))
@@ -100,7 +92,7 @@ def flexible(
 
     terms: dict[Term, Term] = {}
     for group, each in interpolation.of(problem.terms, asides):
-        own = replace(meshes, interpolation=each)
+        own = layers.following(each)
         integrals = {term: term.integrals() for term in group}
         used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
         parts: dict[str, tuple[StretchedPart, ...]] = {}
@@ -110,12 +102,12 @@ def flexible(
             parts = {place: tuple(part(piece) for piece in pieces[place]) for pair in used for place in pair if place}
         for term, found in integrals.items():
             places = tuple(dict.fromkeys(p for i in found for p in (i.place, i.facing) if p))
-            layers = sorted({each.layer for place in places for each in parts[place]} - {""})
+            stretched = sorted({each.layer for place in places for each in parts[place]} - {""})
             terms[term] = Stretched(term, tuple((place, parts[place]) for place in places),
-                                    tuple((layer, nominal[layer]) for layer in layers))
+                                    tuple((layer, nominal[layer]) for layer in stretched))
     values = {**problem.values, **{thickness(layer): complex(value) for layer, value in nominal.items()},
               **{name: complex(known[name].value) for name in ranges},
-              **{each.name: complex(each.size.nominal) for each in meshes.shapes if each.size.parameter}}
+              **{each.name: complex(each.nominal) for each in layers.shapes if each.parameter}}
     return replace(problem, mesh=mesh, terms=tuple(terms[term] for term in problem.terms), values=values)
 
 
@@ -135,9 +127,9 @@ def flexible_within(
     return flexible(problem, chip, radii, shapes, thicknesses=thicknesses, interpolation=interpolation, asides=asides)
 
 
-def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],
-                  interpolation: Interpolation) -> MovedMeshes:
-    """The meshes of the chip by its shapes; those of `shapes` are parameters."""
+def _shaped_layers(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], lengths: Mapping[str, Range],
+                   interpolation: Interpolation) -> ShapedLayers:
+    """The section of the chip with its shapes; those of `shapes` are parameters."""
     stating = with_shapes(chip, list(shapes))
     for name, (low, high) in shapes.items():
         value = stating.dimensions()[name].value
@@ -145,12 +137,10 @@ def _moved_meshes(mesh: SectionMesh, chip: Chip, shapes: Mapping[str, Range], le
             raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
     straight = replace(mesh, coordinates=None)
     nominal = {layer.region: layer.thickness.value for layer in chip.layers}
-    found = MovedMeshes(straight, stating, shapes_of(stating, shapes), lengths, nominal, interpolation)
-    found.check()
+    found = ShapedLayers.of(straight, stating, shapes_of(stating, shapes), lengths, nominal, interpolation)
     if stating.is_shaped:
-        own, wanted = mesh.coordinates, coordinates_of(straight, stating)
-        own = found.at({}) if own is None else own
-        assert own is not None
+        wanted = coordinates_of(straight, stating)
+        own = found.mesh.existing({}) if mesh.coordinates is None else mesh.coordinates
         assert wanted is not None
         if np.abs(own - wanted).max() > SAME_LENGTH:
             raise MeshError(f"the mesh is not of chip {chip.name!r} with the shapes that its layers have")
@@ -173,7 +163,7 @@ def _check_parabolas(shapes: Sequence[LayerShape], chip: Chip, ranges: Mapping[s
 
 
 def _moved_parts(
-    mesh: SectionMesh, pieces: Mapping[str, Sequence[Piece]], meshes: MovedMeshes, used: Iterable[tuple[str, str]],
+    mesh: SectionMesh, pieces: Mapping[str, Sequence[Piece]], layers: ShapedLayers, used: Iterable[tuple[str, str]],
     part: Callable[[Piece], StretchedPart],
 ) -> tuple[SectionMesh, dict[str, tuple[StretchedPart, ...]]]:
     """The parts of all places that are `used`, and of what faces them, with how shapes move them."""
@@ -183,30 +173,30 @@ def _moved_parts(
         faced.setdefault(place, []).append(facing)
     for place, others in faced.items():
         if place in mesh.mesh.subdomains:
-            mesh, own = moved_pieces(mesh, pieces[place], meshes)
+            mesh, own = layers.pieces(mesh, pieces[place])
             cells = [Cells(mesh, np.asarray(mesh.mesh.subdomains[piece.name])) for piece, _ in own]
         else:
             # What faces it is on the same mesh, whichever of both is moved.
             sides = zip(*(pieces[each] for each in dict.fromkeys([place, *others]) if each), strict=True)
             cells = [Cells.of_facets(mesh, np.concatenate([np.asarray(mesh.mesh.boundaries[each.name])
                                                            for each in both])) for both in sides]
-            own = [(piece, shapes_that_move(meshes, each)) for piece, each in zip(pieces[place], cells, strict=True)]
+            own = [(piece, layers.moving(each)) for piece, each in zip(pieces[place], cells, strict=True)]
         found[place] = tuple(
-            replace(part(piece), moves=_moves(part(piece), piece, shapes, each, meshes)) if shapes else part(piece)
+            replace(part(piece), moves=_moves(part(piece), piece, shapes, each, layers)) if shapes else part(piece)
             for (piece, shapes), each in zip(own, cells, strict=True))
     for facing in dict.fromkeys(each for others in faced.values() for each in others if each and each not in found):
         found[facing] = tuple(map(part, pieces[facing]))
-    return replace(mesh, variants=meshes.variants), found
+    return replace(mesh, variants=layers.mesh.variants), found
 
 
 def _moves(plain: StretchedPart, piece: Piece, shapes: Sequence[LayerShape], cells: Cells,
-           meshes: MovedMeshes) -> Moves:
+           layers: ShapedLayers) -> Moves:
     """How shapes move one piece of a place."""
     column = Ratio(plain.across.outer, plain.across.inner) if isinstance(plain.across, RadialInterval) else None
     side = None
     if cells.facets and piece.layer:
         side = plain.across.radius if isinstance(plain.across, MovingRim) else MovableLength(cells.radius)
-    return meshes.moves(piece, shapes, cells, column, side)
+    return layers.moves(piece, shapes, cells, column, side)
 
 
 def _ranges(chip: Chip, radii: Mapping[str, tuple[float, float]] | Sequence[str]) -> dict[str, tuple[float, float]]:

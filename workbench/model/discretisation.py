@@ -1,4 +1,4 @@
-"""How fine a mesh and of what order the fields on it are, chosen by the accuracy that is asked of Z."""
+"""The discretisation: size of the elements and order of the fields, chosen by the accuracy required of Z."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from materials.kinds import Fluid, IsotropicSolid
 from materials.registry import Material
 from workbench.files.errors import InputError
 
-#: Thickness of the row of elements beside a film, in the lengths 1 / k that what it moves decays over.
+#: Thickness of the row of elements beside a film, in units of 1 / k, the decay length of its near field in the solid.
 FILM_ROW = 1.75
 
-#: Fluids of a smaller characteristic impedance (Pa s/m) than this are gases; water has 1.5e6, air 4e2.
+#: Characteristic impedance (Pa s/m) below which a fluid counts as a gas; water has 1.5e6, air 4e2.
 GAS_IMPEDANCE = 1e4
 
 
@@ -29,9 +29,9 @@ class Discretisation:
     ``transducer_finer`` times as many: its radial overtones are sharp and its losses small. A gas has ``gas_finer``
     times as many, that is fewer: behind solid walls all of it changes Z by 0.3 % at most, and its short waves would
     rule every element above and below. The wave along a film of fluid (:func:`film_speeds`) has ``film_finer`` times as
-    many: fewer will do where it takes little of the energy. What it moves in the solid beside it decays within
-    1 / k, and has a row of elements there (:data:`FILM_ROW`): without these 3.7 % was left in Z of a chip with 24 um of
-    gel, with them 0.4 %. The others as in `geometry.mesh_size.MeshSize`.
+    many; fewer suffice if it carries little of the energy. Its near field in the solid beside it decays within 1 / k,
+    and has a row of elements there (:data:`FILM_ROW`): without them Z of a chip with 24 um of gel was wrong by 3.7 %,
+    with them by 0.4 %. The others as in `geometry.mesh_size.MeshSize`.
     """
 
     order: int
@@ -45,7 +45,7 @@ class Discretisation:
     film_finer: float = 1.0
 
     def refined(self, factor: float) -> Discretisation:
-        """The same with elements smaller by `factor`."""
+        """A copy with elements smaller by `factor`."""
         return replace(self, elements_per_wavelength=self.elements_per_wavelength * factor,
                        through_thickness=math.ceil(self.through_thickness * factor),
                        through_quarter_wave=math.ceil(self.through_quarter_wave * factor))
@@ -67,7 +67,7 @@ class Discretisation:
                         levels=film_levels(section, materials, films, frequency), radii=tuple(radii))
 
     def mesh_speeds(self, regions: tuple[str, ...], materials: Mapping[str, Material]) -> dict[str, float]:
-        """The speed (m/s) whose wavelength rules the mesh size in every region; infinite where there is nothing."""
+        """The speed (m/s) whose wavelength decides the mesh size in every region; infinite for an empty one."""
         return {region: materials[region].slowest_wave_speed() / self._finer(region, materials[region])
                 if region in materials else math.inf for region in regions}
 
@@ -82,8 +82,8 @@ def film_speeds(
 ) -> dict[str, float]:
     """Speed (m/s) at `frequency` (Hz) of the wave along every film of fluid on an elastic solid, by region.
 
-    What the fluid moves sideways makes room by pressing the solids apart, which is slower the thinner the film:
-    h k^3 = w^2 rho sum (1 - nu) / G over the solids beside it, isotropic ones (ceramics are far stiffer).
+    The fluid that moves along the film presses the solids apart, and the wave is slower the thinner the film: h k^3 =
+    w^2 rho sum (1 - nu) / G over the solids beside it, isotropic ones (ceramics are far stiffer).
     """
     omega, found = 2.0 * math.pi * frequency, dict[str, float]()
     for film in section.rectangles:
@@ -102,14 +102,14 @@ def film_speeds(
 def film_levels(
     section: Section | FreeSection, materials: Mapping[str, Material], speeds: Mapping[str, float], frequency: float
 ) -> tuple[float, ...]:
-    """Heights (m) in the elastic solids beside films where what these move at `frequency` (Hz) has decayed.
+    """Heights (m) in the elastic solids beside films at which the near field at `frequency` (Hz) has decayed.
 
-    `speeds` as of :func:`film_speeds`. None where a solid is too thin for a row of its own there.
+    `speeds` are those of :func:`film_speeds`. A solid that is too thin for a row of its own has none.
     """
     found = set[float]()
     for film in (each for each in section.rectangles if each.region in speeds):
         if speeds[film.region] > materials[film.region].slowest_wave_speed():
-            continue  # thicker than a film: sound in it is slower
+            continue  # Thicker than a film: sound in it is slower.
         depth = FILM_ROW * speeds[film.region] / (2.0 * math.pi * frequency)
         for solid in _beside(section, film):
             if isinstance(materials.get(solid.region), IsotropicSolid) and depth < 0.5 * (solid.z_top - solid.z_bottom):
@@ -119,19 +119,19 @@ def film_levels(
 
 
 def _beside(section: Section | FreeSection, film: Rectangle) -> list[Rectangle]:
-    """What lies on a film or below it."""
+    """The rectangles that lie on a film or below it."""
     return [r for r in section.rectangles if r.z_top == film.z_bottom or r.z_bottom == film.z_top
             if r.r_inner < film.r_outer and r.r_outer > film.r_inner]
 
 
 def _softness(solid: IsotropicSolid) -> float:
-    """(1 - nu) / G of a solid, 1/Pa."""
+    """Compliance (1 - nu) / G of a solid, 1/Pa."""
     bulk, shear = complex(solid.bulk_modulus).real, complex(solid.shear_modulus).real
     return (3.0 * bulk + 4.0 * shear) / (2.0 * shear * (3.0 * bulk + shear))
 
 
-#: What it takes for an rms error of ln Z of at most so much over the band of every chip in `geometry/chips`, in every
-#: state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
+#: Discretisations by the largest rms error of ln Z that they leave over the band of every chip in `geometry/chips`, in
+#: every state, coarsest first: measured by `tests/benchmarks/discretisation.py`.
 ROWS: Mapping[float, Discretisation] = {
     5e-3: Discretisation(4, 1.4),  # 0.38 %, 2 100 (disc_20x2) to 17 000 unknowns (acevedo_2026_chip empty)
     1e-3: Discretisation(4, 1.8),  # 0.077 %, to 26 000
@@ -143,12 +143,13 @@ ROWS: Mapping[float, Discretisation] = {
     1e-4: Discretisation(6, 1.4, corner_refinement=0.03, growth=6.0, transducer_finer=1.15, gas_finer=0.9),
 }
 
-#: Relative accuracy of Z that meshes are made for unless another is asked for.
+#: Default relative accuracy of Z that meshes are made for. Doubled, a model has about a fifth fewer unknowns.
 ACCURACY = 5e-4
 
 
 def discretisation(accuracy: float | Discretisation) -> Discretisation:
-    """The coarsest of :data:`ROWS` that is as accurate as asked for: rms of ln Z. A `Discretisation` is itself.
+    """The coarsest of :data:`ROWS` that reaches the accuracy, an rms error of ln Z. A `Discretisation` is returned as
+    is.
 
     Raises:
         InputError: no accuracy, or one finer than that of the last row.

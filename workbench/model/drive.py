@@ -1,8 +1,8 @@
-"""How a device is driven: the voltage that reaches its electrodes.
+"""The drive of a device: the voltage that reaches its electrodes.
 
-The model is solved at unit electrode voltage; a drive says what that voltage is. A generator's open-circuit voltage is
-not it: fifty ohm in front of four leave about a thirteenth. Lickert et al. (arXiv 2210.02311) find a constant generator
-voltage unsuitable for comparing frequencies and recommend constant device voltage or constant power.
+The model is solved at unit electrode voltage; a drive gives the actual voltage. It differs from a generator's
+open-circuit voltage: fifty ohm in front of four leave about a thirteenth. Lickert et al. (arXiv 2210.02311) find a
+constant generator voltage unsuitable for comparing frequencies and recommend constant device voltage or constant power.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from workbench.files.quantities import parse_quantity
 
 
 class Drive(Protocol):
-    """Anything that says which voltage a device of a given impedance sees."""
+    """Interface of a drive: the voltage at a device of a given impedance."""
 
     def amplitude(self, impedance: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Voltage amplitude (V, zero to peak) at the electrodes of a device of `impedance` (ohm)."""
@@ -69,8 +69,8 @@ class PowerDrive:
         return f"{self.power:g} W of electrical input power"
 
 
-#: The least and the largest drive that amplifiers for such devices give: V peak-to-peak, W, and ohm of a source.
-#: Doubled, a slip of the unit is still outside.
+#: Least and largest drive that amplifiers for such devices give: V peak-to-peak, W, and ohm of a source. Doubled, a
+#: slip of the unit is still outside.
 PLAUSIBLE: Mapping[str, tuple[float, float, str]] = {
     "peak-to-peak voltage": (1e-3, 2e3, "1 mVpp to 2000 Vpp"), "power": (1e-9, 500.0, "1e-9 W to 500 W"),
     "resistance": (1e-3, 1e5, "1 mohm to 100 kohm")}

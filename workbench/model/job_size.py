@@ -1,10 +1,10 @@
-"""How large a job is before a mesh is made: unknowns, memory and time, and whether this machine has room for it.
+"""The size of a job before a mesh is made: unknowns, memory and time, and whether this machine has room for it.
 
 The unknowns follow from the lengths of the section, the wavelengths at the top of the band and the order of the fields,
 with no mesh made. Memory and time follow from them by the laws of nested dissection in two dimensions: a factor holds
-of the order of N log N entries, and a factorisation takes of the order of N^1.5 operations. On the meshes that a
-computer has room for, what is linear in N outweighs both: the stored couplings of every unknown, (order + 1)^2 of a
-kind, and the states that a reduced model is made from, some more with every full solve. The constants are measured by
+of the order of N log N entries, and a factorisation takes of the order of N^1.5 operations. For models that fit into a
+computer, the parts linear in N outweigh both: the stored couplings of every unknown, (order + 1)^2 of a kind, and the
+states of a reduced model, some more with every full solve. The constants are measured by
 `tests/benchmarks/job_size.py`, which prints them beside the peak of real runs.
 """
 
@@ -28,56 +28,58 @@ from workbench.files.errors import InputError
 from workbench.files.quantities import parse_quantity
 from workbench.model.discretisation import ROWS, Discretisation
 
-#: Bytes that one unknown takes for each of the (order + 1)^2 couplings of a kind. Doubled, a job of order 4 is said to
-#: take half as much again.
+#: Bytes that one unknown takes for each of the (order + 1)^2 couplings of a kind. Doubled, the estimated memory of a
+#: job of order 4 is half as much again.
 COUPLING = 620.0
 
-#: Bytes of one unknown for each full solve of a reduced model: what is kept of `reduction.DEPTH` complex states, and of
-#: the images of the basis made of them. Doubled, a job of 30 solves is said to take half as much again.
+#: Bytes of one unknown for each full solve of a reduced model: the kept part of `reduction.DEPTH` complex states, and
+#: the images of the basis made of them. Doubled, the estimated memory of a job of 30 solves is half as much again.
 SNAPSHOT = 700.0
 
 #: Bytes of the factor for each unknown and doubling of the unknowns (N log2 N).
 FACTOR = 110.0
 
-#: Bytes that libraries and small arrays take whatever the size of the job.
+#: Bytes that libraries and small arrays take, whatever the size of the job.
 FIXED = 60e6
 
 #: Bytes of one frequency of a reduced spectrum: its state, right-hand side and residual on the reduced basis.
 POINT = 5e3
 
-#: Full solves of a reduced model, at least, and for every resonance in the band; never more than the limit.
+#: Least number of full solves of a reduced model, number for every resonance in the band, and largest number.
 SOLVES, SOLVES_OF_RESONANCE, MOST_SOLVES = 8.3, 0.043, 40.0
 
-#: Seconds per unknown and full solve of what is linear in the unknowns, and of what grows with their power of 1.5 (one
-#: core of some 3 GHz). Doubled, every job is said to take twice as long.
+#: Seconds per unknown and full solve of the linear part, and of the part that grows with the power 1.5 of the unknowns
+#: (one core of some 3 GHz). Doubled, the estimated time of every job is twice as long.
 LINEAR, DISSECTION = 1.6e-5, 4e-8
 
-#: Full solves from which on projecting the model on their states takes longer than what is linear in the unknowns.
-#: Doubled, wide bands are said to take a third of the time.
+#: Number of full solves above which projecting the model on their states takes longer than the linear part. Doubled,
+#: the estimated time of wide bands is a third.
 PROJECTED = 17.0
 
-#: Share of the memory that is free which a job may take; the rest is for whatever else runs by then.
+#: Share of the free memory that a job may take; the rest is for other programs.
 SHARE = 0.9
 
-#: Cells of a section of any shape over the area of a region by that of its largest cell: thin layers and curved sides
-#: have smaller ones.
+#: Number of cells of a section of any shape, relative to the area of a region over that of its largest cell: thin
+#: layers and curved sides have smaller cells.
 CURVED = 2.0
 
-#: Cells of such sections from which on their sides are not divided to count them; and cells of a face that gmsh fills,
-#: over those of a square of as many sides around.
+#: Number of cells of such a section above which its sides are not divided to count them; and cells of a face filled by
+#: gmsh, relative to those of a square with as many sides around.
 MOST_DIVIDED, FILLED = 1e6, 0.7
 
-#: Names the memory that jobs may take, such as "16 GB", in place of what the system says is free.
+#: Environment variable with the memory that jobs may take, such as "16 GB", in place of the system's free memory.
 CHOICE = "WORKBENCH_MEMORY"
 
-#: Halvings of a band in search of one that fits: its end to a part in so many powers of two.
+#: Number of halvings in the search of a band that fits; each halves the error of its end.
 HALVINGS = 30
 
 
 @dataclass(frozen=True)
 class JobSize:
-    """What a model of one state takes: ``unknowns``, full ``solves`` of its reduced model, ``memory`` in bytes at its
-    peak, ``seconds`` on one core. Estimates: within a third for unknowns, a half for memory, a factor of two for time.
+    """Cost of a model of one state: ``unknowns``, full ``solves`` of its reduced model, peak ``memory`` in bytes,
+    ``seconds`` on one core.
+
+    These are estimates: within a third for unknowns, a half for memory, a factor of two for time.
     """
 
     unknowns: float
@@ -103,7 +105,8 @@ def job_size(
 
 
 def of_unknowns(unknowns: float, order: int, modes: float) -> JobSize:
-    """Memory and time of a model of so many unknowns of fields of an `order`, with `modes` resonances in its band."""
+    """Memory and time of a model with this number of unknowns of fields of an `order`, and `modes` resonances in its
+    band."""
     solves = min(MOST_SOLVES, SOLVES + SOLVES_OF_RESONANCE * modes)
     each = COUPLING * (order + 1) ** 2 + SNAPSHOT * solves + FACTOR * math.log2(max(unknowns, 2.0))
     seconds = solves * (LINEAR * (1.0 + (solves / PROJECTED) ** 2) * unknowns + DISSECTION * unknowns**1.5)
@@ -113,7 +116,7 @@ def of_unknowns(unknowns: float, order: int, modes: float) -> JobSize:
 def resonances(
     section: Section | FreeSection, materials: Mapping[str, Material], band: tuple[float, float]
 ) -> float:
-    """About how many resonances lie in a band (Hz): for every region the area, in squares of its slowest wavelength,
+    """Approximate number of resonances in a band (Hz): for every region the area, in squares of its slowest wavelength,
     times pi (Weyl's law in two dimensions)."""
     return sum(math.pi * section.area(region) * (band[1] ** 2 - band[0] ** 2) / material.slowest_wave_speed() ** 2
                for region, material in materials.items())
@@ -123,10 +126,10 @@ def check_size(
     section: Section | FreeSection, materials: Mapping[str, Material], made: Discretisation, band: tuple[float, float],
     *, source: str, skins: Mapping[str, float] | None = None, radii: Sequence[float] = (),
 ) -> JobSize:
-    """The size of a job that this machine has the memory for.
+    """The size of a job, checked against the memory of this machine.
 
     Raises:
-        InputError: it has not; the error says what would fit.
+        InputError: the memory is too small; the error states the largest job that fits.
     """
     def sized(how: Discretisation, ends: tuple[float, float]) -> JobSize:
         return job_size(section, materials, how, ends, skins=skins, radii=radii)
@@ -141,10 +144,10 @@ def check_size(
 
 
 def check_points(points: int, *, source: str) -> None:
-    """Refuse more frequencies than there is memory for.
+    """Raise if there is no memory for this number of frequencies.
 
     Raises:
-        InputError: too many; the error says how many would fit.
+        InputError: too many; the error states the largest number that fits.
     """
     room = memory_to_use()
     if room is not None and POINT * points > room:
@@ -153,8 +156,8 @@ def check_points(points: int, *, source: str) -> None:
 
 
 def memory_to_use() -> float | None:
-    """Bytes of memory that a job may take: what :data:`CHOICE` states, or :data:`SHARE` of what is free; None where
-    the system does not say.
+    """Bytes of memory that a job may take: the value of :data:`CHOICE`, or :data:`SHARE` of the free memory; None if
+    the system does not state it.
 
     Raises:
         InputError: the environment states no amount of memory.
@@ -170,14 +173,14 @@ def memory_to_use() -> float | None:
 
 
 def free_memory() -> float | None:
-    """Bytes of physical memory that are free for programs: of the machine, or of the container this runs in."""
+    """Bytes of physical memory that are free for programs, of the machine or of the container around this process."""
     found = []
     try:
         with open("/proc/meminfo", encoding="ascii") as lines:
             found += [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
     except OSError:
         names = os.sysconf_names if hasattr(os, "sysconf_names") else {}
-        if {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names):  # no Linux: all there is
+        if {"SC_PHYS_PAGES", "SC_PAGE_SIZE"} <= set(names):  # Without /proc: all memory there is.
             found.append(float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE")))
     for most, used in (("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
                        ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes")):
@@ -188,7 +191,7 @@ def free_memory() -> float | None:
 
 
 def shown_memory(size: float) -> str:
-    """Bytes as messages show them."""
+    """Bytes as text for messages."""
     for unit, factor in (("TB", 1e12), ("GB", 1e9)):
         if size >= factor:
             return f"{size / factor:.3g} {unit}"
@@ -196,7 +199,7 @@ def shown_memory(size: float) -> str:
 
 
 def shown_time(seconds: float) -> str:
-    """A time as messages show it."""
+    """A time (s) as text for messages."""
     for unit, factor in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * factor:
             return f"{seconds / factor:.2g} {unit}"
@@ -204,7 +207,7 @@ def shown_time(seconds: float) -> str:
 
 
 def _rounded(number: float) -> str:
-    """A number of things in three digits, in words from a million on."""
+    """A number of things with three digits, in words from a million on."""
     if number >= 1e9:
         return f"{number / 1e9:.3g} billion"
     if number >= 1e6:
@@ -221,14 +224,15 @@ def _number_in(path: str) -> float | None:
 
 
 def _components(material: Material) -> int:
-    """Unknown fields in a material: pressure, or two displacements, with a potential where it is piezoelectric."""
+    """Number of unknown fields in a material: pressure, or two displacements, with a potential if it is piezoelectric.
+    """
     if isinstance(material, Fluid):
         return 1
     return 3 if isinstance(material, Piezoelectric) else 2
 
 
 def _cells(section: Section | FreeSection, size: MeshSize) -> dict[str, tuple[float, float]]:
-    """Cells of every region, and how many lie along its outline, halved: what nodes there are besides is along that."""
+    """Cells of every region, and half the number along its outline: the remaining nodes lie along the outline."""
     if isinstance(section, FreeSection):
         return _cells_of_faces(section, size)
     along_r, along_z = divided(section, size)
@@ -246,7 +250,8 @@ def _cells(section: Section | FreeSection, size: MeshSize) -> dict[str, tuple[fl
 
 
 def _cells_of_faces(section: FreeSection, size: MeshSize) -> dict[str, tuple[float, float]]:
-    """See :func:`_cells`, of a section of any shape: by how its sides are to be divided, unless there are too many."""
+    """Cells as in :func:`_cells`, for a section of any shape: from the divisions of its sides, unless there are too
+    many."""
     found = {}
     for region in section.regions:
         inside = CURVED * section.area(region) / size.largest_element(region) ** 2
@@ -260,7 +265,7 @@ def _cells_of_faces(section: FreeSection, size: MeshSize) -> dict[str, tuple[flo
         if face in layout.sides:
             across, up = (sum(along[edge] for edge, _ in side) for side in layout.sides[face][:2])
             inside, beside = across * up, across + up
-        else:  # gmsh fills it with cells that its sides pass on
+        else:  # gmsh fills it with cells that its sides pass on.
             around = sum(along[edge] for loop in layout.loops[face] for edge, _ in loop)
             inside, beside = FILLED * around**2 / 16.0, 0.5 * around
         before = counted.get(region, (0.0, 0.0))
@@ -272,7 +277,7 @@ def _what_fits(
     sized: Callable[[Discretisation, tuple[float, float]], JobSize], made: Discretisation, band: tuple[float, float],
     room: float,
 ) -> str:
-    """Which accuracy and which band would fit, in words."""
+    """The accuracy and the band that would fit, in words."""
     words = []
     coarser = [accuracy for accuracy, row in sorted(ROWS.items()) if sized(row, band).memory <= room]
     if coarser and made in ROWS.values():
@@ -289,7 +294,7 @@ def _what_fits(
 
 
 def _lost_point(band: tuple[float, float]) -> tuple[str, ...]:
-    """The band that is meant where the point of one end was lost, or its prefix."""
+    """The band that was meant if the decimal point of one end was lost, or its prefix."""
     low, high = band
     for lost in (10.0, 100.0, 1000.0):
         if low < high / lost <= 3.0 * low:

@@ -10,7 +10,7 @@ than a handful of nodes.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -24,95 +24,15 @@ from geometry.mesh import MeshError, SectionMesh
 from geometry.names import LEVEL, PART, whole
 from geometry.stretch import moving_together
 from workbench.files.errors import InputError, choose
-from workbench.model.moved_parts import TO_ROUNDING, Cells, Interpolation, Metric, interpolation_grid, taken_apart
+from workbench.model.moved_mesh import TO_ROUNDING, Cells, Interpolation, MovedMesh, MovedSize, taken_apart
 from workbench.model.problem import Problem
-from workbench.physics.shaped import Amplitude, MovableLength, Moves, ShapeScale
+from workbench.physics.shaped import Amplitude, Moves, ShapeScale
 from workbench.physics.stretched import Stretched, StretchedPart
 from workbench.physics.term import Term
 
 Real = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Range = tuple[float, float]
-
-#: Displacements below this share of the largest one are rounding.
-STILL = 1e-9
-
-
-@dataclass(frozen=True)
-class Sized:
-    """A dimension of the chip that moves: its name, its size on the mesh and its range (m or rad)."""
-
-    name: str
-    nominal: float
-    range: Range
-
-    @property
-    def scale(self) -> ShapeScale:
-        return ShapeScale.LOGARITHM if self.range[0] > 0.0 else ShapeScale.PROPORTIONAL
-
-    @property
-    def start(self) -> float:
-        """Its size on the mesh, on its scale."""
-        return self.scale.of(self.nominal)
-
-    @property
-    def bounds(self) -> Range:
-        """Its range on its scale."""
-        low, high = map(self.scale.of, self.range)
-        return low, high
-
-
-@dataclass(eq=False)
-class MovedSections:
-    """The mesh of a chip moved by its dimensions, as often as is asked for; ``variants`` holds the coordinates that
-    parts need, by the name they are called."""
-
-    mesh: SectionMesh
-    chip: Chip
-    sizes: tuple[Sized, ...]
-    interpolation: Interpolation = TO_ROUNDING
-    variants: dict[str, Real] = field(default_factory=dict)
-    _known: dict[tuple[tuple[str, float], ...], Real] = field(default_factory=dict)
-
-    def at(self, sizes: Mapping[Sized, float]) -> Real:
-        """Coordinates (2, nodes, cells) for other values of some sizes, on their scales.
-
-        Raises:
-            InputError: layers do not fit each other any more.
-            MeshError: a cell is folded, or the section falls into other faces.
-        """
-        changed = {size.name: size.scale.size(value) for size, value in sizes.items() if value != size.start}
-        key = tuple(sorted(changed.items()))
-        if not key:
-            assert self.mesh.coordinates is not None
-            return self.mesh.coordinates
-        if key not in self._known:
-            together = {other: value for name, value in changed.items() for other in moving_together(self.chip, name)}
-            assert isinstance(self.mesh.section, FreeSection)
-            section = chip_section(self.chip.with_dimensions(together), like=self.mesh.section)
-            assert isinstance(section, FreeSection)
-            found = moved_free(self.mesh, section).coordinates
-            assert found is not None
-            self._known[key] = found
-        return self._known[key]
-
-    def named(self, sizes: Mapping[Sized, float]) -> str:
-        """The name of the coordinates for these values, which are kept under it."""
-        name = ", ".join(f"{size.name} {value!r}" for size, value in sizes.items())
-        self.variants[name] = self.at(sizes)
-        return name
-
-    def touched(self, cells: Cells) -> NDArray[np.bool_]:
-        """Which sizes move which cells, or sides of cells, other than as a whole along z: (sizes, cells)."""
-        found = np.zeros((len(self.sizes), cells.indices.size), dtype=bool)
-        for number, size in enumerate(self.sizes):
-            for end in size.bounds:
-                everywhere = self.at({size: end}) - self.at({})
-                shift = cells.nodes(everywhere)
-                shift[1] -= shift[1].mean(axis=0)
-                found[number] |= np.abs(shift).max(axis=(0, 1)) > STILL * np.abs(everywhere).max()
-        return found
-
 
 def flexible_free(
     problem: Problem, chip: Chip, ranges: Mapping[str, Range], *, interpolation: Interpolation = TO_ROUNDING,
@@ -134,22 +54,41 @@ def flexible_free(
         if not low <= value <= high:
             raise InputError(chip.file, name, f"{low:g} to {high:g}", f"a range that holds its size, {value:g}")
         if low < high:
-            sizes.append(Sized(name, value, (low, high)))
+            scale = ShapeScale.LOGARITHM if low > 0.0 else ShapeScale.PROPORTIONAL
+            sizes.append(MovedSize(name, value, (low, high), scale, value))
     if problem.mesh.section != chip_section(chip):
         raise MeshError(f"the mesh is not of chip {chip.name!r} with its present dimensions")
-    meshes = MovedSections(problem.mesh, chip, tuple(sizes), interpolation)
+    moved = MovedMesh(chip, lambda own: _coordinates(problem.mesh, chip, own), interpolation)
     for corner in product(*(size.bounds for size in sizes)) if len(sizes) < 4 else ():
-        meshes.at(dict(zip(sizes, corner, strict=True)))
+        moved.at(dict(zip(sizes, corner, strict=True)))
     mesh, terms = problem.mesh, dict[Term, Term]()
     for group, each in interpolation.of(problem.terms, asides):
         integrals = {term: term.integrals() for term in group}
         used = dict.fromkeys((i.place, i.facing) for found in integrals.values() for i in found)
-        mesh, parts = _parts(_with_sides(mesh, used), replace(meshes, interpolation=each), list(used))
+        mesh, parts = _parts(_with_sides(mesh, used), replace(moved, interpolation=each), sizes, list(used))
         terms |= {term: Stretched(term, tuple((place, parts[place]) for place in dict.fromkeys(
             place for i in found for place in (i.place, i.facing) if place)), ()) for term, found in integrals.items()}
     values = {**problem.values, **{size.name: complex(size.nominal) for size in sizes}}
-    return replace(problem, mesh=replace(mesh, variants=meshes.variants), values=values,
+    return replace(problem, mesh=replace(mesh, variants=moved.variants), values=values,
                    terms=tuple(terms[term] for term in problem.terms))
+
+
+def _coordinates(mesh: SectionMesh, chip: Chip, sizes: Mapping[str, float]) -> Real:
+    """Coordinates (2, nodes, cells) of the mesh of a chip for other values of some sizes (m or rad) by name.
+
+    Raises:
+        InputError: layers do not fit each other any more.
+        MeshError: a cell is folded, or the section falls into other faces.
+    """
+    found = mesh.coordinates
+    if sizes:
+        together = {other: value for name, value in sizes.items() for other in moving_together(chip, name)}
+        assert isinstance(mesh.section, FreeSection)
+        section = chip_section(chip.with_dimensions(together), like=mesh.section)
+        assert isinstance(section, FreeSection)
+        found = moved_free(mesh, section).coordinates
+    assert found is not None
+    return found
 
 
 def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMesh:
@@ -164,7 +103,7 @@ def _with_sides(mesh: SectionMesh, used: Iterable[tuple[str, str]]) -> SectionMe
 
 
 def _parts(
-    mesh: SectionMesh, meshes: MovedSections, used: Sequence[tuple[str, str]]
+    mesh: SectionMesh, moved: MovedMesh, sizes: Sequence[MovedSize], used: Sequence[tuple[str, str]]
 ) -> tuple[SectionMesh, dict[str, tuple[StretchedPart, ...]]]:
     """The parts of all places that are `used`, and of what faces them, with the sizes that move them; the mesh names
     them."""
@@ -176,21 +115,19 @@ def _parts(
         places = regions if place in regions else boundaries
         indices = np.asarray(places[place])
         cells = Cells(mesh, indices) if place in regions else Cells.of_facets(mesh, indices)
-        touched = meshes.touched(cells)
+        touched = moved.moving(cells, sizes)
         if place in at_once:
             touched[:] = touched.any(axis=1, keepdims=True)
         found = []
-        for name, own, sizes in taken_apart(place, indices, touched, meshes.sizes):
+        for name, own, acting in taken_apart(place, indices, touched, sizes):
             places[name] = own
             cells = Cells(mesh, own) if place in regions else Cells.of_facets(mesh, own)
-            found.append(StretchedPart(name, moves=_moves(meshes, sizes, cells) if sizes else None))
+            found.append(StretchedPart(name, moves=_moves(moved, acting, cells) if acting else None))
         parts[place] = tuple(found)
     named = mesh.mesh.with_subdomains(regions).with_boundaries(boundaries)
     return replace(mesh, mesh=named), parts
 
 
-def _moves(meshes: MovedSections, sizes: Sequence[Sized], cells: Cells) -> Moves:
-    bounds = tuple(size.bounds for size in sizes)
-    grid = interpolation_grid(Metric(meshes, sizes, cells), bounds, [size.start for size in sizes], bounds, meshes.chip)
-    variants = tuple(meshes.named(dict(zip(sizes, node, strict=True))) for node in grid.nodes)
-    return Moves(tuple(Amplitude(MovableLength(size.nominal, size.name), size.scale) for size in sizes), grid, variants)
+def _moves(moved: MovedMesh, sizes: Sequence[MovedSize], cells: Cells) -> Moves:
+    bounds = [size.bounds for size in sizes]
+    return moved.moves(cells, sizes, [Amplitude(size.length, size.scale) for size in sizes], bounds, bounds)

@@ -1,10 +1,11 @@
-"""A particle suspended in a fluid, and how it answers a sound wave: contrast, drag, weight.
+"""A particle suspended in a fluid, and its response to a sound wave: contrast, drag, weight.
 
 A particle is a compressible sphere much smaller than the wavelength, alone and away from walls: a bead, a droplet, a
-cell. Of it the formulas know density and compressibility. They are those of Settnes & Bruus, Phys. Rev. E 85, 016327
-(2012), and of Gor'kov (1962) without viscosity, who is Yosioka & Kawasima (1955) for a sphere of fluid; time factor
-e^{-i w t}. The fluid around is viscous. A droplet's surface is taken for immobile, as that of one with surfactant is:
-what circulates inside a clean droplet is left out, of the dipole and of the drag (which it lowers by a third at most).
+cell. The formulas use its density and compressibility. They are those of Settnes & Bruus, Phys. Rev. E 85, 016327
+(2012), and without viscosity of Gor'kov (1962), which for a sphere of fluid are those of Yosioka & Kawasima (1955);
+time factor e^{-i w t}. The fluid around is viscous. The surface of a droplet counts as immobile, like one with
+surfactant: circulation inside a clean droplet is left out of the dipole and of the drag (which it lowers by a third at
+most).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ GRAVITY = 9.80665
 
 
 class FluidProperties(Protocol):
-    """What a particle has to know of the fluid: density kg/m^3, sound speed m/s, shear viscosity Pa s."""
+    """Interface of a fluid for particles: density kg/m^3, sound speed m/s, shear viscosity Pa s."""
 
     @property
     def density(self) -> float: ...
@@ -28,13 +29,13 @@ class FluidProperties(Protocol):
     def shear_viscosity(self) -> float | None: ...
 
 
-#: Share of the frequency that a sphere breathes at up to which its compression is that of a static pressure: there the
-#: monopole is larger by the square of it, a tenth. Doubled, by two thirds.
+#: Share of the breathing frequency of a sphere up to which its compression is static: at this share the monopole is
+#: larger by its square, a tenth. Doubled, by two thirds.
 STIFF = 0.3
 
 
 class ParticleMaterial(Protocol):
-    """What is asked of the solid or fluid a particle is made of: name, density kg/m^3, compressibility 1/Pa."""
+    """Interface of the solid or fluid a particle is made of: name, density kg/m^3, compressibility 1/Pa."""
 
     @property
     def name(self) -> str: ...
@@ -72,7 +73,7 @@ class Particle:
 
 @dataclass(frozen=True)
 class Scattering:
-    """How a small sphere answers the wave: monopole coefficient f1 (pressure) and dipole coefficient f2 (velocity).
+    """Response of a small sphere to the wave: monopole coefficient f1 (pressure) and dipole coefficient f2 (velocity).
 
     Both are dimensionless. Viscosity makes f2 complex; with e^{-i w t} a passive particle has Im f2 >= 0.
     """
@@ -82,7 +83,7 @@ class Scattering:
 
     @property
     def contrast_factor(self) -> float:
-        """Phi = f1/3 + Re f2/2: positive for particles that gather at pressure nodes."""
+        """Contrast factor Phi = f1/3 + Re f2/2: positive for particles that gather at pressure nodes."""
         return self.monopole / 3.0 + complex(self.dipole).real / 2.0
 
 
@@ -115,12 +116,15 @@ def boundary_layer_thickness(fluid: FluidProperties, frequency: float) -> float:
 
 
 def monopole(particle: Particle, fluid: FluidProperties) -> float:
-    """f1 = 1 - kappa_p / kappa_f (Settnes & Bruus 2012)."""
+    """Monopole coefficient f1 = 1 - kappa_p / kappa_f (Settnes & Bruus 2012)."""
     return 1.0 - particle.compressibility / compressibility(fluid)
 
 
 def viscous_dipole(particle: Particle, fluid: FluidProperties, frequency: float) -> complex:
-    """f2 = 2 (1 - g)(r - 1) / (2 r + 1 - 3 g), g = -(3/2) [1 + i (1 + d)] d, d = delta / a (Settnes & Bruus 2012)."""
+    """Dipole coefficient f2 = 2 (1 - g)(r - 1) / (2 r + 1 - 3 g) (Settnes & Bruus 2012).
+
+    Here g = -(3/2) [1 + i (1 + d)] d, d = delta / a, and r is the ratio of densities.
+    """
     ratio = particle.density / fluid.density
     layer = boundary_layer_thickness(fluid, frequency) / particle.radius
     drag = -1.5 * (1.0 + 1j * (1.0 + layer)) * layer
@@ -133,9 +137,9 @@ def viscous_scattering(particle: Particle, fluid: FluidProperties, frequency: fl
 
 
 def breathing_frequency(particle: Particle, fluid: FluidProperties) -> float:
-    """Frequency (Hz) at which a sphere of fluid pulsates against the one around: sqrt(3 / (rho_f kappa_p)) / (2 pi a).
+    """Frequency (Hz) at which a sphere of fluid pulsates in the fluid around: sqrt(3 / (rho_f kappa_p)) / (2 pi a).
 
-    Minnaert's for a gas bubble; infinite for an incompressible particle.
+    It is Minnaert's frequency for a gas bubble; infinite for an incompressible particle.
     """
     if particle.compressibility == 0.0:
         return math.inf

@@ -1,4 +1,4 @@
-"""Where geometry and materials meet: a chip in one of its states becomes a mesh, a tuple of terms and values."""
+"""From a chip in one of its states to a mesh, a tuple of terms and values: here geometry and materials meet."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class LeftOutWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem(Brief):
-    """All that is needed to predict a spectrum: mesh, terms, and the value of every parameter by name.
+    """All input of a predicted spectrum: mesh, terms, and the value of every parameter by name.
 
-    ``materials`` holds what fills each region (a vacuum is absent); ``values`` the complex parameters
+    ``materials`` holds the material of each region (a vacuum is absent); ``values`` the complex parameters
     ``<material>.<property>`` in SI units, e^{-i w t}; ``band`` the two ends (Hz) of the frequencies the mesh was made
     for, with that ``discretisation`` (None: a mesh of the caller's own).
     """
@@ -49,7 +49,7 @@ class Problem(Brief):
     discretisation: Discretisation | None = None
 
     def with_values(self, values: Mapping[str, complex]) -> Problem:
-        """The same problem with other parameter values.
+        """A copy with other parameter values.
 
         Raises:
             KeyError: a name the problem does not have.
@@ -60,7 +60,7 @@ class Problem(Brief):
         return replace(self, values={**self.values, **values})
 
     def with_terms(self, terms: tuple[Term, ...], values: Mapping[str, complex]) -> Problem:
-        """The same problem with more terms, and the values of the parameters they bring in.
+        """A copy with more terms, and the values of the parameters they bring in.
 
         Raises:
             ValueError: a term the problem has already, or a value it has already (:meth:`with_values` changes one).
@@ -84,8 +84,8 @@ class Problem(Brief):
 
 
 def with_boundary_layers(problem: Problem) -> Problem:
-    """`problem` with the boundary layers that its cavity's fluid has on every solid wall, as far as it states its own
-    constants: a viscous layer, and a thermal one."""
+    """A copy of `problem` with boundary layers of its cavity's fluid on every solid wall: a viscous one if the
+    viscosity is known, and a thermal one if the thermal constants are known too."""
     fluid_there = problem.materials.get(CAVITY)
     if not isinstance(fluid_there, Fluid):
         return problem
@@ -103,9 +103,9 @@ def with_boundary_layers(problem: Problem) -> Problem:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilledChip(Brief):
-    """A chip in one of its states: ``materials`` is what fills each region (a vacuum is absent).
+    """A chip in one of its states: ``materials`` holds the material of each region (a vacuum is absent).
 
-    ``particle`` is what the state names to be moved, if anything; ``findings`` what was assumed of the materials.
+    ``particle`` is the particle that the state names, if any; ``findings`` the assumptions made about the materials.
     """
 
     chip: Chip
@@ -126,10 +126,10 @@ class FilledChip(Brief):
 
 
 def fill(chip: Chip, state: str | None = None, registry: Registry | None = None) -> FilledChip:
-    """The chip in a state, the last one of its file if none is named, with materials of the package by default.
+    """The chip in a state, by default the last one of its file, with materials, by default those of the package.
 
-    A density written in the chip file replaces the material's own. The state's temperature is that of what fills the
-    cavity. A lossless ceramic has an assumed loss where the registry has ``assumed_losses``.
+    A density written in the chip file replaces the material's own. The state's temperature is that of the material in
+    the cavity. A lossless ceramic has an assumed loss if the registry has ``assumed_losses``.
 
     Raises:
         InputError: unknown state or material, a transducer that is not piezoelectric, one material given two densities,
@@ -165,7 +165,7 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
 
 
 def _check_kind(chip: Chip, region: str, name: str, material: Material) -> None:
-    """Refuse a material of a kind that the region cannot be of."""
+    """Raise if the region cannot have a material of this kind."""
     if region == TRANSDUCER and not isinstance(material, Piezoelectric):
         raise InputError(chip.file, f"material of {region}", name,
                          f"a piezoelectric material; this is {_kind(material)}")
@@ -188,7 +188,7 @@ def _kind(material: Material) -> str:
 
 
 def _check_passive_layers(device: FilledChip) -> None:
-    """Refuse a passive piezoelectric layer on the live electrode, which would drive it."""
+    """Raise if a passive piezoelectric layer lies on the live electrode, which would drive it."""
     passive = [region for region, material in device.materials.items()
                if region != TRANSDUCER and isinstance(material, Piezoelectric)]
     if not passive:
@@ -242,7 +242,7 @@ def _particle(
 def _load(
     chip: Chip, state: State, region: str, name: str, registry: Registry, findings: list[str]
 ) -> Material:
-    """The material, with a mistake in its name or temperature reported where it was made: in the chip file."""
+    """The material; a mistake in its name or temperature is reported for the chip file."""
     temperature = state.temperature if region == CAVITY else None
     try:
         return registry.load(name, temperature=temperature, notes=findings)
@@ -302,8 +302,8 @@ def build(
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz; the chip's own by default).
 
-    The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins`
-    and `radii` as in `geometry.mesh_size.MeshSize`.
+    The mesh is made for that relative `accuracy` of Z, or with a discretisation of the caller's own; `skins` and
+    `radii` as in `geometry.mesh_size.MeshSize`.
 
     Raises:
         InputError: see `workbench.model.discretisation.discretisation`; or a model this machine has no memory for

@@ -1,4 +1,4 @@
-"""Absorption of sound in the bulk of a fluid, by viscosity and heat conduction, or by what it holds."""
+"""Absorption of sound in the bulk of a fluid, by viscosity and heat conduction, or by suspended matter."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term, free_of
 
-#: What a liquid can absorb.
+#: Admissible absorption of a liquid.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "diffusivity_of_sound": Admissible(
         0.0, 3e-2, "m^2/s",

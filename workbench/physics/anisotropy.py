@@ -1,8 +1,8 @@
 """Printed polymers that are stiffer or softer along the build direction, z, than across it.
 
-The axial excess moves f0 alike in the empty and the filled chip, 4 % by +2 kHz in a chip of 25 mm; the shear's moves
-Z_min and Q of the empty one and radial modes. In all states with the polymer, the same in every print of one kind, and
-in no free disc.
+The axial excess moves f0 alike in the empty and the filled chip, 4 % by +2 kHz in a chip of 25 mm. The shear excess
+moves radial modes, and Z_min and Q of the empty chip. Both act in all states with the polymer, and alike in every print
+of one kind; neither acts in a free disc.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class TransverseIsotropy(Term):
-    """c33, c44 and c13 of an isotropic solid changed by relative excesses x_33, x_44 and x_13.
+    """Relative excesses x_33, x_44 and x_13 of c33, c44 and c13 of an isotropic solid.
 
         x_33 (K + 4 G / 3) eps_zz eps_zz + x_44 G (2 eps_rz)^2 + 2 x_13 (K - 2 G / 3) (eps_rr + eps_tt) eps_zz
 
     as a quadratic form, next to `solid.IsotropicSolid` on the same region: transverse isotropy about z (Auld, Acoustic
-    Fields and Waves in Solids, 1973, section 3D), c11 and c12 as they are. Speeds along z: longitudinal
-    sqrt(c33 (1 + x_33) / rho), shear sqrt(G (1 + x_44) / rho). Losses keep their share of each constant. The stiffness
-    stays positive where c33 (1 + x_33) (K + G / 3) > c13^2 (1 + x_13)^2. Parameters ``<material>.axial_excess``,
+    Fields and Waves in Solids, 1973, section 3D), with c11 and c12 unchanged. Speeds along z: longitudinal sqrt(c33 (1
+    + x_33) / rho), shear sqrt(G (1 + x_44) / rho). Losses keep their share of each constant. The stiffness is positive
+    definite if c33 (1 + x_33) (K + G / 3) > c13^2 (1 + x_13)^2. Parameters ``<material>.axial_excess``,
     ``.shear_excess`` and ``.lateral_excess`` (see :data:`ADMISSIBLE`), ``.bulk_modulus`` and ``.shear_modulus``.
     """
 

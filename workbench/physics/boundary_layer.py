@@ -1,9 +1,9 @@
 """Viscous and thermal boundary layers of a fluid at solid walls: known constants of the fluid, nothing to fit.
 
 Both follow Bach and Bruus 2018 (J. Acoust. Soc. Am. 144, 766) and Berggren, Bernland and Noreland 2018 (J. Comput.
-Phys. 371, 633): the layer is not meshed, it is a condition on the pressure at the wall. They hold where the layer (half
-a micrometre in water at 1 MHz) is thin against the radius of curvature, the height of the channel and the wavelength,
-and where the wall's own displacement varies along it no faster than the wave does.
+Phys. 371, 633): the layer is not meshed but is a condition on the pressure at the wall. The conditions hold if the
+layer (half a micrometre in water at 1 MHz) is thin against the radius of curvature, the height of the channel and the
+wavelength, and if the displacement of the wall varies along it no faster than the wave does.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from workbench.physics.term import Admissible, Integral, Monomial, Product, Term
 
-#: What the constants can be in a real chip. They are the fluid's own, so they are switched on and not fitted; a
-#: verdict that needs one outside blames the layer for something else.
+#: Admissible constants of the fluid. They are known, so they are switched on and not fitted. A verdict that needs a
+#: constant outside this range blames the layer for something else.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "shear_viscosity": Admissible(0.28e-3, 1.8e-3, "Pa s", "liquid water from 100 to 0 degC, IAPWS SR6-08(2011)"),
     "heat_capacity_ratio": Admissible(1.0, 5.0 / 3.0, "1", "from an incompressible liquid to a monatomic ideal gas"),
@@ -24,7 +24,7 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class ViscousBoundaryLayer(Term):
-    """Dissipation and inertia by the slip between a fluid and a wall that may move.
+    """Dissipation and inertia of the slip between a fluid and a wall that may move.
 
         - beta / (rho w^2) (grad_t p - rho w^2 u_t) . (grad_t q - rho w^2 v_t)        beta = (1 + i) delta / 2
 
@@ -59,13 +59,13 @@ class ViscousBoundaryLayer(Term):
 
 @dataclass(frozen=True)
 class ThermalBoundaryLayer(Term):
-    """Compression without rise of temperature next to a wall that conducts heat well.
+    """Isothermal compression next to a wall that conducts heat well.
 
         - (gamma - 1) (1 + i) (delta_t / 2) / (rho c^2) p q        delta_t = sqrt(2 lambda / (rho c_p w))
 
-    over the contact, e^{-i w t}. In water, gamma - 1 = 0.01, it is under a hundredth of the viscous layer; in a gas it
-    is half of it. Parameters ``<material>.heat_capacity_ratio`` (see :data:`ADMISSIBLE`), ``.thermal_conductivity``
-    (W/(m K)), ``.heat_capacity`` (J/(kg K)), ``.density`` and ``.sound_speed``.
+    over the contact, e^{-i w t}. Its effect is under a hundredth of the viscous layer's in water (gamma - 1 = 0.01) and
+    half of it in a gas. Parameters ``<material>.heat_capacity_ratio`` (see :data:`ADMISSIBLE`),
+    ``.thermal_conductivity`` (W/(m K)), ``.heat_capacity`` (J/(kg K)), ``.density`` and ``.sound_speed``.
     """
 
     boundary: str

@@ -1,4 +1,4 @@
-"""Gas bubbles in a liquid: they add to its compressibility, far below their resonance or through it."""
+"""Gas bubbles in a liquid, which add to its compressibility: far below their resonance, or through it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial
 
 Complex = NDArray[np.complex128]
 
-#: What a liquid in a chip can hold.
+#: Admissible bubbles in the liquid of a chip.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "void_fraction": Admissible(
         0.0, 0.02, "1", "no gas to where bubbles feel each other; Commander and Prosperetti 1989: good up to 1 to 2 %"),
@@ -30,7 +30,8 @@ AIR_IN_WATER: Mapping[str, float] = {
     "surface_tension": 0.07197,  # N/m, IAPWS R1-76(2014)
 }
 
-#: Below this the closed forms of :func:`_heat` lose digits to cancellation, and their series are used.
+#: Value of |y| below which the closed forms of :func:`_heat` lose digits to cancellation and their series are used. At
+#: twice the value the truncated series is in error by 4000 times as much.
 SMALL = 0.3
 
 
@@ -41,7 +42,7 @@ class WoodBubbles(Term):
         - phi (1 / (gamma p_0) - 1 / (rho c^2)) p q
 
     next to `fluid.Fluid` on the same region (Wood 1930, A Textbook of Sound; adiabatic gas). The density stays the
-    liquid's, which it is within phi. Parameters ``<bubbles>.void_fraction`` (see :data:`ADMISSIBLE`),
+    liquid's, with a relative error of phi. Parameters ``<bubbles>.void_fraction`` (see :data:`ADMISSIBLE`),
     ``.ambient_pressure`` (Pa), ``.heat_capacity_ratio``; ``<material>.density`` and ``.sound_speed``.
     """
 
@@ -71,7 +72,7 @@ class ResonantBubbles(Term):
         - (3 phi / S(w)) p q
 
     next to `fluid.Fluid` on the same region; see :class:`BubbleCompressibility`. At the resonance itself the theory
-    holds for far fewer bubbles than :data:`ADMISSIBLE` says. Parameters
+    holds only for far smaller void fractions than the limit of :data:`ADMISSIBLE`. Parameters
     ``<bubbles>.void_fraction``, ``.radius`` (m; see :data:`ADMISSIBLE`), ``.ambient_pressure`` (Pa),
     ``.heat_capacity_ratio``, ``.thermal_diffusivity`` (m^2/s) of the gas, ``.surface_tension`` (N/m); of the liquid
     ``<material>.density``, ``.sound_speed`` and ``.shear_viscosity``.
@@ -93,12 +94,14 @@ class ResonantBubbles(Term):
 
 @dataclass(frozen=True)
 class BubbleCompressibility:
-    """-3 phi / S, with S the pressure in the liquid per relative shrinking of a bubble's radius, e^{-i w t}:
+    """The coefficient -3 phi / S, with S the pressure in the liquid per relative decrease of a bubble's radius.
+
+    With the time factor e^{-i w t},
 
         S = p Phi - 2 sigma / a - rho w^2 a^2 - 4 i w eta - i rho w^3 a^3 / c        p = p_0 + 2 sigma / a
         Phi = 3 gamma / (1 + 3 (gamma - 1) (y coth y - 1) / y^2)                     y = (1 - i) a sqrt(w / (2 D))
 
-    Commander and Prosperetti 1989, there for e^{+i w t} as S = rho a^2 (w_0^2 - w^2 + 2 i b w): heat conduction in the
+    Commander and Prosperetti 1989 give it for e^{+i w t} as S = rho a^2 (w_0^2 - w^2 + 2 i b w): heat conduction in the
     gas, surface tension, inertia, viscosity, radiation.
     """
 
@@ -110,7 +113,7 @@ class BubbleCompressibility:
         return tuple(self._names().values())
 
     def _names(self) -> dict[str, str]:
-        """The parameter behind every symbol of the formula."""
+        """The parameter name of every symbol of the formula."""
         own = {"phi": "void_fraction", "a": "radius", "p0": "ambient_pressure", "gamma": "heat_capacity_ratio",
                "D": "thermal_diffusivity", "sigma": "surface_tension"}
         liquid = {"rho": "density", "c": "sound_speed", "eta": "shear_viscosity"}
@@ -136,7 +139,7 @@ class BubbleCompressibility:
 
 
 def _stiffness(w: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Complex, dict[str, Complex]]:
-    """S (n,) of :class:`BubbleCompressibility` and its derivatives by the symbols, the void fraction left out."""
+    """S (n,) of :class:`BubbleCompressibility` and its derivatives by all symbols but the void fraction."""
     a, rho, c, gamma, sigma = v["a"], v["rho"], v["c"], v["gamma"], v["sigma"]
     pressure = v["p0"] + 2.0 * sigma / a
     heat, heat_slope = _heat((1.0 - 1.0j) * a * np.sqrt(w / (2.0 * v["D"])))
@@ -160,8 +163,8 @@ def _stiffness(w: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Comple
 
 
 def _heat(y: Complex) -> tuple[Complex, Complex]:
-    """L = (y coth y - 1) / y^2 and y dL/dy."""
-    # The Bernoulli numbers of y coth y.
+    """The function L = (y coth y - 1) / y^2 and y dL/dy."""
+    # Coefficients of the series of L, from the Bernoulli numbers.
     series = np.array([1 / 3, -1 / 45, 2 / 945, -1 / 4725, 2 / 93555, -1382 / 638512875])
     order = np.arange(series.size)
     powers = (y**2)[..., None] ** order

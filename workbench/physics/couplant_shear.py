@@ -1,8 +1,8 @@
 """A couplant that transmits shear: viscous, a gel, or both.
 
-In the filled chip it raises Z_min and lowers Q and leaves f0; in the empty one it moves all three either way, and
-radial modes move too. In all states with the couplant, and in no free disc. In a chip of 25 mm with 20 um of gel,
-1 Pa s is +0.3 ohm and -10 in Q filled, and -1 kHz empty.
+It raises Z_min and lowers Q in the filled chip and leaves f0; in the empty chip it moves all three either way. Radial
+modes move too. It acts in all states with the couplant, and in no free disc. In a chip of 25 mm with 20 um of gel, 1 Pa
+s is +0.3 ohm and -10 in Q filled, and -1 kHz empty.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from workbench.physics.term import (
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-#: What a couplant can be at megahertz.
+#: Admissible couplants at megahertz.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "gel_viscosity_root": Admissible(
         0.0, 10.0, "Pa^0.5 s^0.5",
@@ -41,28 +41,30 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class CouplantShear(Term):
-    """A layer of thickness d that transmits shear between two facing walls, all profiles across it resolved.
+    """Shear in a layer of thickness d between two opposite walls, with all profiles across the layer resolved.
 
         S (s_1 . t_1 + s_2 . t_2) - X (s_1 . t_2 + s_2 . t_1)        s = u_t - grad_t p / (rho w^2), t likewise of v, q
         S = G k cot(k d),  X = G k / sin(k d),  k^2 = rho w^2 / G,  G = G' - i w eta          over the walls 1 and 2
         + 2 G (v_t . grad_t u_n + u_t . grad_t v_n)       on both walls, n out of the layer
         - 4/3 i w eta / (rho c^2)^2 p q                   in the layer
 
-    next to `fluid.Fluid` and `fluid.SolidFluidContact` on both, e^{-i w t}. grad_t p / (rho w^2) is the displacement of
-    the inviscid fluid; what the walls' own displacement differs from it, s, is shear, G s'' + rho w^2 s = 0 between
-    s_1 and s_2. Its tractions on the walls are -(S s_1 - X s_2) and -(S s_2 - X s_1), and the flux it carries along the
-    layer follows by symmetry. Walls that tilt shear the layer too: the displacement of the inviscid fluid has no curl,
-    so that its traction is -2 G grad_t u_n, by symmetry a couple on the walls; without it a layer that turns as a whole
-    would resist. Where the layer is squeezed G adds 4/3 of itself to its modulus; of G' the stated speed of sound holds
-    that. A layer much thicker than |1 / k| is `boundary_layer.ViscousBoundaryLayer` on either wall; one much thinner a
-    spring of G / d between them, in G d (|u_2 - u_1| / d + grad_t u_z)^2. It holds where the layer is thin against the
-    wavelength of sound; at its rim, over a width of d, it is as the inviscid one.
+    next to `fluid.Fluid` and `fluid.SolidFluidContact` on both walls, e^{-i w t}. grad_t p / (rho w^2) is the
+    displacement of the inviscid fluid. The difference s between it and the displacement of the walls is shear, G s'' +
+    rho w^2 s = 0 between s_1 and s_2. Its tractions on the walls are -(S s_1 - X s_2) and -(S s_2 - X s_1), and the
+    flux it carries along the layer follows by symmetry. Walls that tilt shear the layer too: the displacement of the
+    inviscid fluid has no curl, so its traction is -2 G grad_t u_n, by symmetry a couple on the walls. Without this term
+    a layer that rotates as a whole would resist. Squeezing adds 4/3 G to the modulus of the layer; the part of G' is
+    already in the stated speed of sound.
 
-    The viscosity is given by its root since thick layers feel that: the term vanishes with a finite slope by
-    ``<material>.gel_viscosity_root`` (Pa^0.5 s^0.5), eta its square. By ``.gel_shear_modulus`` (Pa) the slope is finite
-    where there is some viscosity, and not a number where there is none. See :data:`ADMISSIBLE`; also
-    ``<material>.density``, ``.sound_speed`` and ``<region>.thickness`` (m). The walls are the boundaries `lower` and
-    `upper` of the region, which are horizontal, with the solids `below` and `above`.
+    A layer much thicker than |1 / k| is `boundary_layer.ViscousBoundaryLayer` on either wall; one much thinner is a
+    spring of G / d between them, in G d (|u_2 - u_1| / d + grad_t u_z)^2. The term holds if the layer is thin against
+    the wavelength of sound; at the rim, over a width of d, the layer is treated as inviscid.
+
+    The parameter is the root of the viscosity because the effect of a thick layer is proportional to it: the derivative
+    by ``<material>.gel_viscosity_root`` (Pa^0.5 s^0.5), eta its square, is finite at zero. The derivative by
+    ``.gel_shear_modulus`` (Pa) is finite if there is some viscosity, and not a number otherwise. See
+    :data:`ADMISSIBLE`. Other parameters: ``<material>.density``, ``.sound_speed`` and ``<region>.thickness`` (m). The
+    walls are the horizontal boundaries `lower` and `upper` of the region, with the solids `below` and `above`.
     """
 
     region: str
@@ -89,7 +91,7 @@ class CouplantShear(Term):
         squeezed = ((f"{self.material}.gel_viscosity_root", 2.0), (f"{self.material}.density", -2.0),
                     (f"{self.material}.sound_speed", -4.0))
 
-        # The tangents of facing walls are opposite, which turns the sign of what couples them.
+        # The tangents of opposite walls are opposite, which changes the sign of the coupling.
         return (
             of(_own, Product("u_t", "u_t"), Product("u_t_facing", "u_t_facing")),
             of(_own_once, Product("u_t", "grad_p_t", -2.0), Product("u_t_facing", "grad_p_t_facing", -2.0)),
@@ -97,7 +99,7 @@ class CouplantShear(Term):
             of(_across, Product("u_t", "u_t_facing", 2.0)),
             of(_across_once, Product("u_t", "grad_p_t_facing", -2.0), Product("u_t_facing", "grad_p_t", -2.0)),
             of(_across_twice, Product("grad_p_t", "grad_p_t_facing", 2.0)),
-            # u_n is -u_z below and u_z above.
+            # u_n is -u_z on the lower wall and u_z on the upper one.
             of(_modulus, Product("u_t", "u_z_t", -4.0), Product("u_t_facing", "u_z_t_facing", 4.0)),
             Integral(Monomial(-4j / 3.0, 1, squeezed), self.region, (Product("p", "p"),)),
         )
@@ -144,7 +146,7 @@ def _modulus(omega: Real, v: Mapping[str, complex]) -> tuple[Complex, Mapping[st
 def _of_pressure(
     omega: Real, v: Mapping[str, complex], found: tuple[Complex, Mapping[str, Complex]]
 ) -> tuple[Complex, Mapping[str, Complex]]:
-    """A value divided by rho w^2, and its derivatives."""
+    """A value and its derivatives, divided by rho w^2."""
     value, slopes = found
     inertia = v["rho"] * omega**2
     divided = {symbol: slope / inertia for symbol, slope in slopes.items()}
@@ -161,7 +163,7 @@ def _stiffness(
     nothing = g == 0.0
     safe = np.where(nothing, 1.0, g)
     x = np.where(nothing, 0.0, impedance * d / safe)
-    # Where there is nothing to shear, the limit of a wave that does not reach the other wall.
+    # Without any shear stiffness, the limit of a wave that does not reach the other wall.
     wave = np.where(nothing, 0.0, np.exp(1j * x))
     back = np.where(nothing, -1.0, np.expm1(2j * x))
     sine = 2j * wave / back  # 1 / sin x
@@ -171,7 +173,7 @@ def _stiffness(
     by_g = value / np.where(nothing, 1.0, g) - by_x * x / safe
     by_g = np.where(nothing, 0.0 if across else -1j * impedance, by_g)
     return value, {
-        # g = root sqrt(-i w) where the modulus has no real part.
+        # g = root sqrt(-i w) if the modulus has no real part.
         "root": by_g * np.where(nothing, np.sqrt(-1j * omega), -1j * omega * root / safe),
         "G": np.where(nothing, np.nan, by_g / (2.0 * safe)),
         "rho": (value + by_x * x) / (2.0 * rho),

@@ -1,7 +1,8 @@
 """A rim of the transducer that has lost its poling: heated by a solder joint, or not covered when it was poled.
 
-It lowers the coupling: Z_min rises, f0 and antiresonance draw together, radial modes first; in all states alike, the
-free disc included. Half a millimetre of a chip of 25 mm is +2.7 ohm and -1 kHz filled, +0.2 ohm and +1 kHz empty.
+It lowers the coupling: Z_min rises, and f0 and the antiresonance move closer, radial modes first. It acts in all states
+alike, the free disc included. Half a millimetre of a chip of 25 mm is +2.7 ohm and -1 kHz filled, +0.2 ohm and +1 kHz
+empty.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.physics.rim import SHARE, Rim
 from workbench.physics.term import Admissible, FreeParameter, Integral, Product, Term
 
-#: What the permittivity of a rim without poling can be.
+#: Admissible excess of the permittivity of a rim without poling.
 EXCESS = Admissible(
     -0.2, 0.2, "1", "twice the 10 % that the mean over all directions of the clamped permittivities of PZT-4, 730 and "
     "635, is above that along the poling: Jaffe, Cook and Jaffe 1971, Piezoelectric Ceramics, table 7.1")
@@ -21,12 +22,13 @@ EXCESS = Admissible(
 
 @dataclass(frozen=True)
 class DepoledRim(Term):
-    """Piezoelectric constants of nothing and permittivity (1 + x) eps33 beyond the edge of a rim. Of a ring in which
-    the share f of the area is not poled,
+    """Zero piezoelectric constants and permittivity (1 + x) eps33 outside the edge of a rim.
+
+    In a ring in which the share f of the area is not poled,
 
         - f [eps(v) e^T grad(phi) + grad(psi) e eps(u)] - f x eps33 d_z(psi) d_z(phi)
 
-    next to `piezoelectric.Piezoelectric` on the same region. Rings are integrated over exactly, also where they begin
+    next to `piezoelectric.Piezoelectric` on the same region. Rings are integrated over exactly, even if they begin
     within an element. The stiffness, which poling changes by a few percent, stays. Parameters ``<rim>.width`` (see
     `rim.Rim`) and ``.permittivity_excess`` x (see :data:`EXCESS`), ``<material>.e31``, ``.e33``, ``.e15`` and
     ``.eps33``.
@@ -58,12 +60,12 @@ class DepoledRim(Term):
 
 
 def _lost(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """-f e and its derivatives."""
+    """The law -f e and its derivatives."""
     return -v[SHARE] * v["constant"], {SHARE: -v["constant"], "constant": -v[SHARE]}
 
 
 def _gained(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """-f x eps33 and its derivatives."""
+    """The law -f x eps33 and its derivatives."""
     f, x, permittivity = v[SHARE], v["x"], VACUUM_PERMITTIVITY * v["constant"]
     return -f * x * permittivity, {SHARE: -x * permittivity, "x": -f * permittivity,
                                    "constant": -f * x * VACUUM_PERMITTIVITY}

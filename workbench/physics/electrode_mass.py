@@ -1,4 +1,4 @@
-"""The mass of the metal on the two faces of the transducer, and what it resists being stretched with."""
+"""The mass and the membrane stiffness of the metal on the two faces of the transducer."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial
 SILVER_DENSITY = 10490.0
 
 #: Poisson's ratio of silver (Kaye & Laby, Tables of Physical and Chemical Constants, section 2.2.2; gold 0.42, nickel
-#: 0.31): what little it matters, the stiffness makes up for.
+#: 0.31). Its small influence is absorbed by the stiffness.
 POISSON = 0.37
 
 #: E / ((1 - nu^2) rho) of solid silver, m^2/s^2: 82.7 GPa (ibid.).
 SILVER_STIFFNESS = 82.7e9 / (1.0 - POISSON**2) / SILVER_DENSITY
 
-#: Mass per area of one face, and stiffness of the metal by its density.
+#: Admissible mass per area of one face, and stiffness of the metal divided by its density.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "surface_density": Admissible(
         0.01, 0.19, "kg/m^2",
@@ -38,15 +38,15 @@ class ElectrodeMass(Term):
 
         - m w^2 u.v + m s (e_rr(u) e_rr(v) + e_tt(u) e_tt(v) + nu (e_rr(u) e_tt(v) + e_tt(u) e_rr(v)))
 
-    on both electrodes, m = density times thickness of the metal, s = E / ((1 - nu^2) density) the square of the speed
-    at which a film of it carries extension. A free plate of surface density M loses the share 2 m / M of the frequency
-    of its half-wave thickness resonance (Sauerbrey 1959, Z. Phys. 155, 206; both faces), whatever s. A radial one, of
-    extensional speed c, loses about (m / M) (1 - s / c^2): solid silver gives back most of it. Across its thickness
-    the film is rigid here: one that gives way, 5 um of porous silver of 11 GPa, adds the share of 5 % to the
+    on both electrodes. m is density times thickness of the metal; s = E / ((1 - nu^2) density) is the square of the
+    speed of extensional waves in a film of it. A free plate of surface density M loses the share 2 m / M of the
+    frequency of its half-wave thickness resonance (Sauerbrey 1959, Z. Phys. 155, 206; both faces), for any s. A radial
+    resonance, of extensional speed c, loses about (m / M) (1 - s / c^2): solid silver gives back most of it. The film
+    is rigid across its thickness. A compliant film, such as 5 um of porous silver of 11 GPa, would add 5 % to the
     compliance of 20 um of gel on it, as bubbles in the gel do.
 
-    Parameters ``electrodes.surface_density`` (m, kg/m^2) and ``electrodes.specific_stiffness`` (s, m^2/s^2), the same
-    on both; see :data:`ADMISSIBLE`.
+    Parameters ``electrodes.surface_density`` (m, kg/m^2) and ``electrodes.specific_stiffness`` (s, m^2/s^2), equal on
+    both; see :data:`ADMISSIBLE`.
     """
 
     live: str
@@ -54,7 +54,7 @@ class ElectrodeMass(Term):
     transducer: str
 
     def free(self) -> tuple[FreeParameter, ...]:
-        # Grains of silver between those that hold together and those that do not.
+        # A value between that of grains of silver that hold together and that of loose ones.
         return free_of("electrodes", ADMISSIBLE,
                        {"surface_density": 0.0, "specific_stiffness": 0.4 * SILVER_STIFFNESS})
 

@@ -9,10 +9,10 @@ from workbench.physics.term import Condition, Term
 
 @dataclass(frozen=True)
 class ElectrodePotential(Term):
-    """phi = 0 on the grounded electrode; phi = V, one unknown, on the live one.
+    """Potentials of the electrodes: phi = 0 on the grounded one; phi = V, one unknown, on the live one.
 
-    The charge of the live electrode is the work conjugate of V, that is the flux of the whole
-    D = e eps + epsilon E (the paper's eq. 22 drops e eps).
+    The charge of the live electrode is the work conjugate of V, that is the flux of the whole D = e eps + epsilon E
+    (the paper's eq. 22 drops e eps).
     """
 
     live: str
@@ -24,12 +24,12 @@ class ElectrodePotential(Term):
 
 @dataclass(frozen=True)
 class ShortCircuit(Term):
-    """phi = 0 on a ``boundary`` of a piezoelectric layer that is not driven: all of its surface is one electrode, at
-    ground.
+    """Potential zero on a ``boundary`` of a piezoelectric layer that is not driven: its whole surface is one grounded
+    electrode.
 
-    Inside, the layer is piezoelectric in full: a wave whose field turns its sign across it is stiffened, one that is
-    uniform over its thickness meets the stiffness at constant field. Without piezoelectric constants the potential is
-    zero and the layer a transversely isotropic elastic solid.
+    Inside, the layer is fully piezoelectric: a wave whose field changes its sign across the layer is stiffened, and one
+    that is uniform over the thickness meets the stiffness at constant field. Without piezoelectric constants the
+    potential is zero and the layer is a transversely isotropic elastic solid.
     """
 
     boundary: str

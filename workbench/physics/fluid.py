@@ -9,7 +9,7 @@ from workbench.physics.term import Condition, Integral, Monomial, Product, Term
 
 @dataclass(frozen=True)
 class AcousticFluid(Term):
-    """Compressible fluid at rest in a region: Helmholtz equation divided by rho w^2.
+    """Compressible fluid at rest in a region: the Helmholtz equation divided by rho w^2.
 
         (1 / (rho w^2)) grad(p) . grad(q) - (1 / (rho c^2)) p q
 
@@ -54,7 +54,7 @@ class SolidFluidContact(Term):
 
 @dataclass(frozen=True)
 class PressureRelease(Term):
-    """p = 0 on a free rim of a fluid layer (Acevedo-Espinosa et al. (RP-UEIS), eq. 24)."""
+    """Zero pressure on a free rim of a fluid layer (Acevedo-Espinosa et al. (RP-UEIS), eq. 24)."""
 
     boundary: str
 

@@ -1,4 +1,4 @@
-"""A fluid that is warmer or colder than stated: all states' speeds of sound move, each along its own slope."""
+"""A fluid warmer or colder than stated: the speeds of sound in all states move, each along its own slope."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ ADMISSIBLE: Mapping[str, Admissible] = {
 
 @dataclass(frozen=True)
 class FluidTemperature(Term):
-    """What `fluid.Fluid` on the same region lacks at a temperature T beyond the stated one.
+    """Change of `fluid.Fluid` on the same region at a temperature T above the stated one.
 
         (1/rho' - 1/rho) / w^2 grad(p) . grad(q) - (1/(rho' c'^2) - 1/(rho c^2)) p q
         rho' = rho (1 + a T + b T^2)        c' = c (1 + s T + k T^2)
 
     Viscosities stay. Parameters ``<material>.temperature_offset`` T (K; see :data:`ADMISSIBLE`), ``.density``,
-    ``.sound_speed``, and of the fluid's law ``.density_slope`` a and ``.speed_slope`` s (1/K), ``.density_bend`` b
-    and ``.speed_bend`` k (1/K^2).
+    ``.sound_speed``, and of the fluid's law ``.density_slope`` a and ``.speed_slope`` s (1/K), ``.density_bend`` b and
+    ``.speed_bend`` k (1/K^2).
     """
 
     region: str
@@ -45,7 +45,7 @@ class FluidTemperature(Term):
 
 
 def _lightness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """1/rho' - 1/rho, and its derivatives."""
+    """The difference 1/rho' - 1/rho and its derivatives."""
     offset, rho, a, b = (v[symbol] for symbol in ("offset", "rho", "a", "b"))
     wide = 1.0 + a * offset + b * offset**2
     value = (1.0 / wide - 1.0) / rho
@@ -55,7 +55,7 @@ def _lightness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]
 
 
 def _stiffness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """-(1/(rho' c'^2) - 1/(rho c^2)), and its derivatives."""
+    """The difference -(1/(rho' c'^2) - 1/(rho c^2)) and its derivatives."""
     offset, rho, c, a, b, s, k = (v[symbol] for symbol in ("offset", "rho", "c", "a", "b", "s", "k"))
     wide, fast = 1.0 + a * offset + b * offset**2, 1.0 + s * offset + k * offset**2
     stated = 1.0 / (rho * c**2)

@@ -1,8 +1,8 @@
-"""Losses of a polymer that grow with frequency, and the stiffness that must grow with them.
+"""Losses of a polymer that grow with frequency, and the increase of stiffness that causality demands with them.
 
-They raise Z_min and lower Q where the polymer strains, the filled chip's more, and move overtones against each other;
-in all states with the polymer, and in no free disc. `solid.IsotropicSolid` has moduli that are constant over the band,
-and with them a loss that no causal material has exactly; what these terms add obeys the Kramers-Kronig relations.
+They raise Z_min and lower Q where the polymer strains, more in the filled chip, and move overtones against each other.
+They act in all states with the polymer, and in no free disc. `solid.IsotropicSolid` has moduli that are constant over
+the band, with a loss that no causal material has exactly. The terms here obey the Kramers-Kronig relations.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.physics.term import Admissible, Dispersion, FreeParameter, Integral, Monomial, Product, Term, free_of
+from workbench.physics.term import Admissible, Dispersion, FreeParameter, Integral, Product, Term, free_of
 
 _LOSS = ("from none to the largest loss factor of the polymers of Acevedo-Espinosa et al. (RP-UEIS), 0.26 of their "
          "epoxy in shear, at the moduli of their PLA, 0.93 and 3.57 GPa, and 1 MHz")
 
-#: What the added loss of a glassy polymer can be. `loss_exponent` is bounded by the two laws it lies between.
+#: Admissible added loss of a glassy polymer. `loss_exponent` lies between those of the two limiting laws.
 ADMISSIBLE: Mapping[str, Admissible] = {
-    "shear_kelvin_voigt": Admissible(0.0, 38.0, "Pa s", _LOSS),
-    "bulk_kelvin_voigt": Admissible(0.0, 148.0, "Pa s", _LOSS),
     "shear_fractional_loss": Admissible(0.0, 2.4e8, "Pa", _LOSS),
     "bulk_fractional_loss": Admissible(0.0, 9.3e8, "Pa", _LOSS),
     "loss_exponent": Admissible(
@@ -29,7 +27,7 @@ ADMISSIBLE: Mapping[str, Admissible] = {
         "a dashpot; passive in between (Bagley and Torvik 1986, J. Rheol. 30, 133)"),
 }
 
-#: The quadratic forms of an isotropic solid that its moduli multiply: tr(eps) tr(eps), and 2 dev(eps) : dev(eps).
+#: The quadratic forms of bulk and shear modulus in an isotropic solid: tr(eps) tr(eps), and 2 dev(eps) : dev(eps).
 _FORMS: Mapping[str, tuple[Product, ...]] = {
     "bulk": (Product("dilatation", "dilatation"),),
     "shear": (
@@ -41,41 +39,21 @@ _FORMS: Mapping[str, tuple[Product, ...]] = {
     ),
 }
 
-#: Below this exponent the closed form loses digits to cancellation, and its series is used.
+#: Exponent below which the closed form loses digits to cancellation and its series is used. With twice the value, the
+#: error of the series grows eightfold.
 SMALL = 1e-3
 
 
 @dataclass(frozen=True)
-class KelvinVoigt(Term):
-    """Dashpots beside the springs of an isotropic solid: moduli K - i w eta_b and G - i w eta_s, e^{-i w t}.
-
-        - i w eta_b tr(eps(v)) tr(eps(u)) - 2 i w eta_s dev(eps(v)) : dev(eps(u))
-
-    next to `solid.IsotropicSolid` on the same region (Auld, Acoustic Fields and Waves in Solids, 1973, section 3F). A
-    loss that grows with w in this way asks for no change of the real part. Parameters
-    ``<material>.shear_kelvin_voigt`` and ``.bulk_kelvin_voigt`` (Pa s; see :data:`ADMISSIBLE`).
-    """
-
-    region: str
-    material: str
-
-    def integrals(self) -> tuple[Integral, ...]:
-        return tuple(
-            Integral(Monomial(-1j, 1, ((f"{self.material}.{kind}_kelvin_voigt", 1),)), self.region, form)
-            for kind, form in _FORMS.items()
-        )
-
-
-@dataclass(frozen=True)
 class FractionalLoss(Term):
-    """A spring-pot of exponent a beside each spring: L is its loss modulus at the frequency f_0, e^{-i w t}.
+    """A spring-pot of exponent a beside each spring; L is its loss modulus at the frequency f_0, e^{-i w t}.
 
         L_b F(w) tr(eps(v)) tr(eps(u)) + 2 L_s F(w) dev(eps(v)) : dev(eps(u))
         F = ((-i w / w_0)^a - cos(pi a / 2)) / sin(pi a / 2)        F(w_0) = -i,    w_0 = 2 pi f_0
 
-    next to `solid.IsotropicSolid` on the same region (Bagley and Torvik 1986, J. Rheol. 30, 133). The constant taken
-    away holds the real part at f_0 where the base model has it, and leaves causality alone. a = 1 is a dashpot; a = 0,
-    F = (2 / pi) ln(w / w_0) - i, the loss that does not depend on frequency with the stiffness it asks for. Parameters
+    next to `solid.IsotropicSolid` on the same region (Bagley and Torvik 1986, J. Rheol. 30, 133). The subtracted
+    constant keeps the real part of the base model at f_0 and does not affect causality. a = 1 is a dashpot; a = 0, F =
+    (2 / pi) ln(w / w_0) - i, is a loss independent of frequency, with the stiffness that it demands. Parameters
     ``<material>.shear_fractional_loss``, ``.bulk_fractional_loss`` (Pa), ``.loss_exponent`` (see :data:`ADMISSIBLE`)
     and ``.loss_frequency`` (Hz), which is a choice and not a property.
     """
@@ -101,13 +79,13 @@ class FractionalLoss(Term):
 def _fractional(
     omega: NDArray[np.float64], v: Mapping[str, complex]
 ) -> tuple[NDArray[np.complex128], Mapping[str, NDArray[np.complex128]]]:
-    """L F(w) of :class:`FractionalLoss` and its derivatives."""
+    """The coefficient L F(w) of :class:`FractionalLoss` and its derivatives."""
     loss, a = v["L"], v["a"]
     # (-i w / w_0)^a = e^{a m}.
     m = np.log(omega / (2.0 * np.pi * v["f"])) - 0.5j * np.pi
     half = 0.5 * np.pi
     if abs(a) < SMALL:
-        # To second order in a; the next is 1e-9 (m^3 + ...) / 24.
+        # Second order in a; the next term is 1e-9 (m^3 + ...) / 24.
         shape = (m + a * (m**2 + half**2) / 2.0 + a**2 * (m**3 + half**2 * m) / 6.0) / half
         by_a = ((m**2 + half**2) / 2.0 + a * (m**3 + half**2 * m) / 3.0) / half
     else:

@@ -1,8 +1,8 @@
-"""Fluid that does not reach the rim of its region: a ring with gas in its place.
+"""Fluid that does not reach the rim of its region: a ring of gas in its place.
 
-A couplant: it moves f0 and Z_min by what the loaded area loses, either way; in all states with the couplant, different
-after each mounting, and in no free disc. Half a millimetre of a chip of 25 mm is +0.3 kHz and -0.1 ohm empty. A cavity
-that is not full, with the gas at the side of its ports all around: the liquid ends at a free surface.
+In a couplant it moves f0 and Z_min either way, as the loaded area shrinks. It acts in all states with the couplant,
+differs after each mounting, and acts in no free disc. Half a millimetre of a chip of 25 mm is +0.3 kHz and -0.1 ohm
+empty. In a cavity that is not full, with the gas beside its ports all around, the liquid ends at a free surface.
 """
 
 from __future__ import annotations
@@ -13,25 +13,27 @@ from dataclasses import dataclass
 from workbench.physics.rim import SHARE, Rim, hindered
 from workbench.physics.term import FreeParameter, Integral, Product, Term
 
-#: A layer with so much of its stiffness and mass holds a ring about half as well as the whole layer does: on rings of
-#: 0.1 to 0.3 mm this finds the edge to 0.005 of the radius; with one (patches that are wide beside the layer) it comes
-#: out 0.003 to 0.015 too far in.
+#: Share s of the layer's stiffness and mass with which a ring is held about half as well as by the whole layer. On
+#: rings of 0.1 to 0.3 mm it finds the edge to 0.005 of the radius. With s = 1 (patches that are wide beside the layer)
+#: the edge comes out 0.003 to 0.015 too far inwards.
 HALFWAY = 0.3
 
 
 @dataclass(frozen=True)
 class MissingFluid(Term):
-    """Gas in the place of the fluid beyond the edge of a rim. Of a ring in which the share f of the area is gas,
+    """Gas in the place of the fluid outside the edge of a rim.
+
+    In a ring in which the share f of the area is gas,
 
         (1 / rho_f - 1 / rho) / w^2 grad(p) . grad(q) - (1 / K_f - 1 / K) p q,
         rho_f = h rho + (1 - h) rho_g,  K_f = h K + (1 - h) K_g,  K = rho c^2,
         h = s c / (1 - (1 - s) c),  c = 1 - f,  s = HALFWAY,
 
-    next to `fluid.Fluid` on the same region. f = 1 is the gas itself, and exact where the mesh has a line of nodes at
-    the edge; between two edges the law is one between. With s = 1 it is that of patches that are wide beside the
-    layer's thickness: the walls move each patch alike, so that stiffnesses and masses of unit area add, and p is the
-    mean stress. A fluid missing elsewhere than at the rim is another geometry. Parameters ``<rim>.width`` (see
-    `rim.Rim`), ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
+    next to `fluid.Fluid` on the same region. f = 1 is the gas itself, and exact if the mesh has a line of nodes at the
+    edge; between two edges the law is an interpolation. s = 1 is the law of patches that are wide beside the layer's
+    thickness: the walls move each patch alike, so stiffnesses and masses of unit area add, and p is the mean stress. A
+    fluid missing elsewhere than at the rim is another geometry. Parameters ``<rim>.width`` (see `rim.Rim`),
+    ``<material>.density`` and ``.sound_speed``, ``<gas>.density`` and ``.sound_speed``.
     """
 
     region: str
@@ -54,13 +56,13 @@ class MissingFluid(Term):
 
 
 def _lightness(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """1 / rho_f - 1 / rho and its derivatives."""
+    """The difference 1 / rho_f - 1 / rho and its derivatives."""
     value, by_f, by_whole, by_gas = _mixed(v[SHARE], v["rho"], v["rho_g"])
     return value, {SHARE: by_f, "rho": by_whole, "rho_g": by_gas}
 
 
 def _squeezed(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
-    """-(1 / K_f - 1 / K) and its derivatives."""
+    """The difference -(1 / K_f - 1 / K) and its derivatives."""
     stiff, soft = v["rho"] * v["c"] ** 2, v["rho_g"] * v["c_g"] ** 2
     value, by_f, by_whole, by_gas = _mixed(v[SHARE], stiff, soft)
     return -value, {SHARE: -by_f, "rho": -by_whole * v["c"] ** 2, "c": -by_whole * 2.0 * v["rho"] * v["c"],
@@ -68,7 +70,7 @@ def _squeezed(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]
 
 
 def _mixed(f: complex, whole: complex, gas: complex) -> tuple[complex, complex, complex, complex]:
-    """1 / (h whole + (1 - h) gas) - 1 / whole, and its derivatives by all three."""
+    """The difference 1 / (h whole + (1 - h) gas) - 1 / whole and its derivatives by f, `whole` and `gas`."""
     lacks, slope = hindered(f, HALFWAY)
     mixed = (1.0 - lacks) * whole + lacks * gas
     return (1.0 / mixed - 1.0 / whole, slope * (whole - gas) / mixed**2,

@@ -1,7 +1,7 @@
 """An electrode that ends before the rim of the transducer: etched back, worn off, or never printed there.
 
-It lowers the clamped capacitance by the share of the area that is bare, and stiffens the ring below, which is open; in
-all states alike, the free disc included.
+It lowers the clamped capacitance by the bare share of the area, and stiffens the ring below, which is in open circuit.
+It acts in all states alike, the free disc included.
 """
 
 from __future__ import annotations
@@ -13,24 +13,27 @@ from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.physics.rim import SHARE, Rim, hindered
 from workbench.physics.term import FreeParameter, Integral, Product, Term
 
-#: Share of the transducer's thickness, below the electrode, that cuts it off: thin beside a ring that shows.
+#: Thickness of the insulating skin below the electrode, as a share of the transducer's: thin beside any ring that
+#: shows.
 SKIN = 0.01
 
-#: A skin with so much of its permittivity hinders the field of a ring about half as much as one with none.
+#: Share of the skin's permittivity with which it hinders the field of a ring about half as much as a skin with none.
 HALFWAY = 0.1
 
 
 @dataclass(frozen=True)
 class PartialElectrode(Term):
-    """A face of the transducer that is bare beyond the edge of a rim. Of a ring of which the share f is bare,
+    """A face of the transducer that is bare outside the edge of a rim.
+
+    In a ring of which the share f is bare,
 
         - q [eps(v) (e31, e33)^T d_z(phi) + d_z(psi) (e31, e33) eps(u)] + q eps33 d_z(psi) d_z(phi),
         1 - q = s c / (1 - (1 - s) c),  c = 1 - f,  s = HALFWAY,
 
     over a skin of the region that takes the share :data:`SKIN` of its thickness, next to `piezoelectric.Piezoelectric`
-    on the same region. The electrode stays where it is, and what lies below it in the skin is taken away: all of it,
-    f = 1, leaves D_z = 0 there, as air does beside a ceramic. An electrode that ends further in by 1.2 thicknesses of
-    the skin does the same: field leaves its edge at an angle. The mesh must have the skin
+    on the same region. The electrode stays, and the coupling and permittivity of the skin below it are removed.
+    Complete removal, f = 1, leaves D_z = 0 there, as air beside a ceramic does. Since the field leaves its edge at an
+    angle, an electrode that ends 1.2 skin thicknesses further in has the same effect. The mesh must have the skin
     (`geometry.mesh_size.MeshSize.skins`): the upper one or the lower one. Parameters ``<rim>.width`` (see `rim.Rim`),
     ``<material>.e31``, ``.e33`` and ``.eps33``.
     """
@@ -64,6 +67,6 @@ def _insulating(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex
 
 
 def _taken(v: Mapping[str, complex], scale: float) -> tuple[complex, Mapping[str, complex]]:
-    """q of a constant, and its derivatives."""
+    """The product of q and a constant, times `scale`, and its derivatives."""
     taken, slope = hindered(v[SHARE], HALFWAY)
     return scale * taken * v["constant"], {SHARE: scale * slope * v["constant"], "constant": scale * taken}

@@ -1,9 +1,9 @@
-"""Ports of a cavity as short necks: plugs of liquid in openings of its side wall, which swing with its pressure.
+"""Ports of a cavity as short necks: plugs of liquid in openings of its side wall, driven by its pressure.
 
-They let the cavity's pressure out and take energy; in the filled state alone. A neck is stiff by its inertia, so that
-the more of the wall is open and the shorter the necks, the more they do. Where the chip's own mode stands across the
-cavity they hardly show: in a chip of 25 mm, 5 % of the wall open in necks of 0.5 mm are -0.1 % of Z_min, 20 % in necks
-of 0.2 mm -1 %.
+They release the cavity's pressure and take energy, in the filled state alone. A neck is stiff by its inertia, so the
+effect grows with the open share of the wall and with shorter necks. Where the chip's own mode stands across the cavity
+they hardly show: in a chip of 25 mm, 5 % of the wall open in necks of 0.5 mm is -0.1 % of Z_min, 20 % in necks of 0.2
+mm is -1 %.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from workbench.physics.term import Admissible, Dispersion, FreeParameter, Integr
 
 Complex = NDArray[np.complex128]
 
-#: What the openings of a side wall can be.
+#: Admissible openings of a side wall.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "share": Admissible(
         0.0, 0.25, "1", "of the wall's area: from none to four bores of 1 mm in a cavity of 1 mm by 2 mm of radius"),
@@ -38,10 +38,10 @@ class PortNecks(Term):
         - s / (K - w^2 rho l - i w R) p q        over the wall
 
     next to `fluid.Fluid`: the displacement into the wall per pressure (Kinsler et al., Fundamentals of Acoustics, 2000,
-    section 10.8, the neck of a Helmholtz resonator). l is the length with both end corrections, R the resistance of
-    friction and of what the neck feeds, K the stiffness of what is behind, V / A of a volume V behind an area A being
-    rho c^2 A / V. It holds for necks that are short and narrow against the wavelength; the kept rotational symmetry
-    spreads them around the axis. What a solid wall does there by itself remains. `name` tells walls apart: parameters
+    section 10.8, the neck of a Helmholtz resonator). l is the length with both end corrections. R is the resistance of
+    friction and of the line behind the neck. K is the stiffness of the volume behind: rho c^2 A / V for a volume V
+    behind an area A. The term holds for necks that are short and narrow against the wavelength. Rotational symmetry
+    spreads them around the axis. The effect of the solid wall itself remains. `name` tells walls apart: parameters
     ``<name>.share`` s, ``.length`` l (m), ``.resistance`` R (Pa s/m; see :data:`ADMISSIBLE`), ``.stiffness`` K (Pa/m)
     and ``<material>.density``.
     """
@@ -56,7 +56,7 @@ class PortNecks(Term):
         return free_of(self.name, ADMISSIBLE, {"share": 0.0, "length": 5e-4, "resistance": 3e5})
 
     def fixed(self) -> Mapping[str, float]:
-        # Open tubing, as full of liquid as the cavity.
+        # Open tubing, full of liquid like the cavity.
         return {f"{self.name}.stiffness": 0.0}
 
     def integrals(self) -> tuple[Integral, ...]:
@@ -67,7 +67,7 @@ class PortNecks(Term):
 
 
 def _yielding(omega: NDArray[np.float64], v: Mapping[str, complex]) -> tuple[Complex, Mapping[str, Complex]]:
-    """-s / (K - w^2 rho l - i w R) and its derivatives."""
+    """The coefficient -s / (K - w^2 rho l - i w R) and its derivatives."""
     moving = np.asarray(v["K"] - omega**2 * v["rho"] * v["l"] - 1j * omega * v["R"], dtype=np.complex128)
     by_moving = v["s"] / moving**2
     inertia = -by_moving * omega**2

@@ -1,7 +1,7 @@
-"""How far an effect reaches over the radius of a layer: from its rim inwards, or from a hole outwards, to an edge.
+"""Effects that reach from the rim of a layer inwards, or from a hole outwards, to an edge that one number places.
 
-One number says where the edge is. Integrals are taken over fixed rings, each affected as a whole, in part or not at
-all, so that a model stays one sum of fixed matrices: exact where the edge is that of a ring, and an area between two.
+Integrals are taken over fixed rings, each affected as a whole, in part or not at all, so that a model stays one sum of
+fixed matrices. The result is exact if the edge is that of a ring; between two edges it is an interpolation by area.
 """
 
 from __future__ import annotations
@@ -13,34 +13,35 @@ from typing import Protocol, runtime_checkable
 
 from workbench.physics.term import Admissible, ConstantLaw, Formula, FreeParameter
 
-#: Widths up to the edges of the rings, relative to the layer's radius: rings are narrow beside what they add to. Meshes
-#: have a line of nodes at each (`geometry.mesh_size.MeshSize.radii`): where the gel of a chip of 3 mm ends within an
-#: element, 3 to 22 % are wrong in Z, with lines there 0.1 %.
+#: Widths up to the edges of the rings, relative to the layer's radius; each ring is narrow beside the width it adds to.
+#: Meshes have a line of nodes at each (`geometry.mesh_size.MeshSize.radii`): if the gel of a chip of 3 mm ends within
+#: an element, Z is wrong by 3 to 22 %, with lines there by 0.1 %.
 WIDTHS = (0.02, 0.05, 0.09, 0.14, 0.2, 0.28)
 
-#: Up to this width a rim has edges of its own where another one has some nearby.
+#: Largest width, relative to the radius, up to which a rim keeps edges of its own when another rim has edges nearby.
 NEAR = 0.05
 
-#: A ring beside an edge that was found is so wide, and an edge that moves by less than the second has been found. The
-#: law between edges draws it a hundredth of the width outwards: 0.158 for 0.160, also with a half and a tenth of these.
+#: Width of a ring beside an edge that was found, and the largest step at which an edge counts as found, both relative
+#: to the radius. Interpolation between edges draws the edge outwards by a hundredth of the width: 0.158 for 0.160, and
+#: no more or less with half and a tenth of these numbers.
 ASIDE, FOUND = 0.01, 0.002
 
-#: How far an effect may reach from a rim.
+#: Largest width of a rim, relative to the radius.
 LIMIT = 0.38
 
-#: The symbol of a law for the share of a ring that is affected.
+#: The symbol of a law for the affected share of a ring.
 SHARE = "share"
 
 
 @dataclass(frozen=True)
 class Rim:
-    """The rings of a layer that are affected, up to an edge that the number ``<name>.width`` places.
+    """The affected rings of a layer, up to an edge that the number ``<name>.width`` places.
 
-    They begin at the share ``begin`` of the layer's outer radius, and go inwards, or ``outwards``, by the width, in
-    shares of that radius, at most ``limit``; rings are up to the ``widths``.
+    They begin at the share ``begin`` of the layer's outer radius and go inwards, or ``outwards``, by the width. All
+    widths are relative to that radius, at most ``limit``; ``widths`` are those of the edges of the rings.
 
     Raises:
-        ValueError: it goes beyond the layer.
+        ValueError: it extends beyond the layer.
     """
 
     name: str
@@ -61,43 +62,44 @@ class Rim:
         return f"{self.name}.width"
 
     def free(self) -> tuple[FreeParameter, ...]:
-        """The width, zero where nothing is affected."""
+        """The width as a free parameter; it is zero if nothing is affected."""
         return (FreeParameter(self.number, 0.0,
                               Admissible(0.0, self.limit, "1", "of the radius: from nowhere to what would be "
                                                            "seen at once")),)
 
     @cached_property
     def edges(self) -> tuple[float, ...]:
-        """Of the rings, in shares of the layer's radius, rising."""
+        """Radii of the edges of the rings, relative to the layer's radius, ascending."""
         widths = (0.0, *(width for width in self.widths if width < self.limit), self.limit)
         return tuple(sorted(self.begin + (width if self.outwards else -width) for width in widths))
 
     def widths_from(self, begin: float) -> tuple[float, ...]:
-        """The widths of a rim that goes outwards from `begin` and further away has the edges of this one."""
+        """Widths for a rim that goes outwards from `begin`: its own nearby, and the edges of this rim further away."""
         near = [width for width in WIDTHS if width <= NEAR]
         return (*near, *(edge - begin for edge in self.edges if edge - begin > near[-1] + near[0]))
 
     def about(self, width: float) -> Rim:
-        """The same with an edge at `width`, and rings of :data:`ASIDE` beside it in place of all others."""
+        """A copy with an edge at `width` and rings of :data:`ASIDE` beside it, without other edges."""
         near = (width - ASIDE, width, width + ASIDE)
         return replace(self, widths=tuple(each for each in near if 0.0 < each < self.limit))
 
     def affected(self, ring: int, width: float) -> tuple[float, float]:
-        """The share of the area of a ring that lies within the `width`, and its derivative."""
+        """The share of a ring's area that lies within the `width`, and its derivative by the width."""
         inner, outer = self.edges[ring], self.edges[ring + 1]
         edge = self.begin + (width if self.outwards else -width)
         area = outer**2 - inner**2
         share = ((edge**2 - inner**2) if self.outwards else (outer**2 - edge**2)) / area
-        # Where two rings meet, the one that a larger width goes on in.
+        # At the edge between two rings, the derivative is that in the ring into which a larger width grows.
         moves = inner <= edge < outer if self.outwards else inner < edge <= outer
         return min(max(share, 0.0), 1.0), 2.0 * edge / area if moves else 0.0
 
     def coefficients(
         self, law: ConstantLaw, symbols: tuple[tuple[str, str], ...], omega_power: int = 0
     ) -> Iterator[tuple[float, Formula]]:
-        """What to integrate beyond which share of the radius, for a `law` of the share of a ring that is affected.
+        """Pairs (radius fraction, coefficient): integrals to add from each fraction outwards, for a `law` of the
+        affected share.
 
-        The law is zero at a share of zero; `symbols` as of `Formula`, without the share.
+        The law is zero at a share of zero; `symbols` are those of `Formula`, without the share.
         """
         for at, edge in enumerate(self.edges):
             if edge < 1.0:
@@ -106,16 +108,18 @@ class Rim:
 
 @runtime_checkable
 class OfRim(Protocol):
-    """What has the rings of a rim."""
+    """A term whose effect is confined to the rings of a rim."""
 
     @property
     def rim(self) -> Rim: ...
 
 
 def hindered(share: complex, halfway: float) -> tuple[complex, complex]:
-    """What a thin layer lacks where a share f of a ring is without it, and its derivative: 1 - s c / (1 - (1 - s) c).
+    """The share a thin layer loses if it is missing over a share f of a ring, and its derivative: 1 - s c / (1 - (1 -
+    s) c).
 
-    c = 1 - f is what is left of it, and s = `halfway` so much of the layer as does half of what all of it does.
+    c = 1 - f is the remaining share of area; s = `halfway` is the share of the layer that has half the effect of all of
+    it.
     """
     below = 1.0 - (1.0 - halfway) * (1.0 - share)
     return share / below, halfway / below**2
@@ -126,8 +130,8 @@ _WIDTH = "width"
 
 @dataclass(frozen=True)
 class Step:
-    """A law just beyond the edge of that index less the law just within it: what is integrated beyond an edge adds up
-    over the edges."""
+    """A law just outside an edge less the law just inside it. Integrals from each edge outwards then add up to the law
+    in every ring; ``at`` is the index of the edge."""
 
     law: ConstantLaw
     rim: Rim

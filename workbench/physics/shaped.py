@@ -1,17 +1,17 @@
 """Sizes of shapes (`geometry.shapes`) as parameters of the model: no remeshing, no new matrices when they change.
 
-A shape moves points x0 of the section to x0 + a d(x0), a its size. What a part of the section contributes is a smooth
-function of the sizes of the shapes that move it, and is interpolated in them: matrices at the nodes of a
+A shape moves points x0 of the section to x0 + a d(x0), with a its size. The contribution of a part of the section is a
+smooth function of the sizes of the shapes that move it, and is interpolated in them: matrices at the nodes of an
 :class:`InterpolationGrid`, coefficients its Lagrange polynomials.
 
-Thicknesses and radii stay exact. In a part that is stretched by s along r and by l along z, the points have got to
+Thicknesses and radii stay exact. In a part that is stretched by s along r and by l along z, the points move to
 
     r = s (r0 + (a / s) d) + const,      z = l (z0 + (b / l) e) + const,
 
-which is the stretched image of the part moved by the sizes a / s and b / l: forms are those of
-`workbench.physics.stretched` at these, the :class:`Amplitude` of each shape. A side that stands is stretched by l in
-both directions (all its shapes by a / l), one that lies by s: then every length along it scales alike, the normals
-stay, and of the radius R = l (r - r0) + R0 there are two matrices, of the measures r ds and ds, with r0 and R0 the
+which is the stretched image of the part moved by the sizes a / s and b / l: its forms are those of
+`workbench.physics.stretched` at these sizes, the :class:`Amplitude` of each shape. A vertical side is stretched by l in
+both directions (all its shapes by a / l), a horizontal one by s: then every length along it scales alike and the
+normals stay. For the radius R = l (r - r0) + R0 there are two matrices, of the measures r ds and ds, with r0 and R0 the
 radius of the straight side on the mesh and now.
 """
 
@@ -32,17 +32,17 @@ from workbench.physics.term import ModelError, Values, WithoutFrequency
 
 Real = NDArray[np.float64]
 
-#: Share of its range by which a variable may leave it. At the end of that, the error of the interpolation is a hundred
-#: to a thousand times as large.
+#: Share of its range by which a variable may leave it. At that distance, the error of the interpolation is a hundred to
+#: a thousand times as large as within the range.
 BEYOND = 0.25
 
-#: What rounding leaves of the sum of shares that make one.
+#: Largest difference from one that counts as rounding in a sum of shares.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class MovableLength:
-    """A length of the chip: what it is on the mesh (m) and the parameter that moves it, "" if none does."""
+    """A length of the chip: its value on the mesh (m) and the parameter that moves it, "" if none does."""
 
     nominal: float
     parameter: str = ""
@@ -53,7 +53,7 @@ class MovableLength:
 
 @dataclass(frozen=True)
 class Ratio:
-    """What is between two lengths of the chip, relative to what it is on the mesh."""
+    """The distance between two lengths of the chip, relative to its value on the mesh."""
 
     outer: MovableLength
     inner: MovableLength = MovableLength(0.0)
@@ -67,24 +67,24 @@ class Ratio:
 
 
 class ShapeScale(Enum):
-    """What of a size forms are polynomials in, or nearly so."""
+    """A scale on which the size of a shape enters the forms as a polynomial, or nearly so."""
 
     #: Points move in proportion to the size itself.
     PROPORTIONAL = "size"
-    #: An angle does by its tangent.
+    #: Points move in proportion to the tangent of an angle.
     TANGENT = "tan size"
-    #: What cells between two faces add goes with the distance of these and with one over it: both are smooth in its
-    #: logarithm, over whatever range.
+    #: The contribution of cells between two faces goes with their distance and with its inverse: both are smooth
+    #: functions of the logarithm, over any range.
     LOGARITHM = "ln size"
 
     def of(self, size: float) -> float:
-        """What a size (m or rad) is on this scale."""
+        """A size (m or rad) on this scale."""
         if self is ShapeScale.LOGARITHM:
             return math.log(size)
         return math.tan(size) if self is ShapeScale.TANGENT else size
 
     def size(self, value: float) -> float:
-        """The size (m or rad) that is `value` on this scale."""
+        """The size (m or rad) whose value on this scale is `value`."""
         if self is ShapeScale.LOGARITHM:
             return math.exp(value)
         return math.atan(value) if self is ShapeScale.TANGENT else value
@@ -98,8 +98,8 @@ class ShapeScale(Enum):
 
 @dataclass(frozen=True)
 class Amplitude:
-    """The size of a shape as a part of the section sees it: ``size`` (m or rad) on its ``scale``, times the ratio
-    ``grown`` and over the ratio ``stretched``."""
+    """The size of a shape in the coordinates of a part of the section: ``size`` (m or rad) on its ``scale``, times the
+    ratio ``grown`` and over the ratio ``stretched``."""
 
     size: MovableLength
     scale: ShapeScale = ShapeScale.PROPORTIONAL
@@ -132,10 +132,10 @@ class InterpolationGrid:
 
     The polynomials are the products of powers b of the variables with sum(b / degrees) <= 1; variables of degree 0 stay
     at the start. Nodes are those of a Leja sequence in each variable, which make the interpolation unique on any such
-    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). Where a variable is at its start, nodes at which it
-    is not have exactly no part. ``limits`` are those that a value may have, further apart where it is no chip any more
-    with lengths at the ends of their ranges as well: there, all stays as it is a little (:data:`BEYOND`) outside the
-    bounds.
+    set (Chkifa, Cohen, Schwab 2014, doi:10.1007/s10208-013-9154-z). Nodes at which a variable is not at its start have
+    weight exactly zero while it is. ``limits`` are the admissible values of each variable. They are wider than the
+    bounds if only lengths at the ends of their own ranges lead there; polynomials are then constant from a little
+    (:data:`BEYOND`) outside the bounds.
     """
 
     bounds: tuple[tuple[float, float], ...]
@@ -162,7 +162,7 @@ class InterpolationGrid:
         return (value - 0.5 * (low + high)) / (0.5 * (high - low)) if self.degrees[variable] else 0.0
 
     def outside(self, point: tuple[float, ...]) -> int | None:
-        """The first variable that is further outside its limits than it may be."""
+        """The index of the first variable that is further outside its limits than allowed, or None."""
         for variable, (value, (low, high)) in enumerate(zip(point, self.limits, strict=True)):
             further = BEYOND * (high - low) + ROUNDING * max(abs(low), abs(high))
             if not low - further <= value <= high + further:
@@ -202,14 +202,14 @@ def _newton(sequence: tuple[float, ...], x: float) -> tuple[Real, Real]:
 
 @cache
 def _powers(degrees: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """The powers of every polynomial; with each also those of all lower ones."""
+    """The powers of every polynomial of the set; with each polynomial, all lower ones are in it."""
     return tuple(powers for powers in product(*(range(degree + 1) for degree in degrees))
                  if sum(b / degree for b, degree in zip(powers, degrees, strict=True) if degree) <= 1.0 + ROUNDING)
 
 
 @lru_cache(maxsize=1024)
 def _from_nodes(grid: InterpolationGrid) -> Real:
-    """What brings products of Newton's polynomials (n,) into the Lagrange polynomials of the nodes: (n, n)."""
+    """The matrix (n, n) from products of Newton's polynomials to the Lagrange polynomials of the nodes."""
     powers = np.array(_powers(grid.degrees))
     values = np.ones((len(powers), len(powers)))
     for k, sequence in enumerate(grid.sequences):
@@ -231,7 +231,7 @@ def _leja(start: float, count: int) -> tuple[float, ...]:
 
 
 class _OfLengths(WithoutFrequency):
-    """A coefficient without frequency that knows its value and all its derivatives at once."""
+    """A coefficient without frequency that gives its value and all its derivatives at once."""
 
     def at(self, values: Values) -> tuple[float, Mapping[str, float]]:
         """Its value, and its derivatives by parameters."""
@@ -280,7 +280,8 @@ class GridPolynomial(_OfLengths):
 
 @dataclass(frozen=True)
 class Receding(_OfLengths):
-    """R0 - l r0 (m): what the radius of a side that stands is beyond its image stretched by the ratio l."""
+    """The difference R0 - l r0 (m) between the radius of a vertical side and that of its image stretched by the ratio
+    l."""
 
     radius: MovableLength
     stretched: Ratio
@@ -299,9 +300,10 @@ class Receding(_OfLengths):
 
 @dataclass(frozen=True)
 class Moves:
-    """How shapes move a part of a place: the names of the mesh's coordinates at the nodes of a grid in amplitudes.
+    """The motion of a part of a place by shapes: the names of the mesh's coordinates at the nodes of a grid in
+    amplitudes.
 
-    ``side`` is the radius of facets along z; None for cells and for facets that lie.
+    ``side`` is the radius of vertical facets; None for cells and for horizontal facets.
     """
 
     amplitudes: tuple[Amplitude, ...]
@@ -310,6 +312,6 @@ class Moves:
     side: MovableLength | None = None
 
     def nodes(self) -> Iterator[tuple[str, GridPolynomial | None]]:
-        """The coordinates and the coefficient of every node; no coefficient where there is one node."""
+        """The coordinates and the coefficient of every node; the coefficient of a single node is None."""
         for number, variant in enumerate(self.variants):
             yield variant, GridPolynomial(self.grid, self.amplitudes, number) if len(self.variants) > 1 else None

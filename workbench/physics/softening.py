@@ -1,4 +1,4 @@
-"""A ceramic that softens and loses more as it is driven harder: quadratic in the drive, f0 and Q fall in every state.
+"""A ceramic that softens and loses more at stronger drive: quadratic in the drive, f0 and Q fall in every state.
 
 The Rayleigh law of a ferroelectric is linear in the strain's amplitude for the loss and for the stiffness; heating is
 quadratic in it. Over the few drive levels of a campaign a quadratic law stands for both (PZT below 1 MV/m: Hall 2001,
@@ -25,7 +25,7 @@ DRIVE_SQUARED = "drive.squared"
 
 @dataclass(frozen=True)
 class Softening(Term):
-    """c33 times 1 - (a + i b) V^2, e^{-i w t}; V the amplitude at the electrodes.
+    """Softening of c33 by the factor 1 - (a + i b) V^2, e^{-i w t}, with V the amplitude at the electrodes.
 
     Parameters ``<material>.softening`` a and ``<material>.drive_loss`` b (1/V^2; see :data:`ADMISSIBLE`),
     ``<material>.c33`` and :data:`DRIVE_SQUARED`.

@@ -4,16 +4,16 @@ A layer that grows from t0 to t stretches its elements along z by s = t / t0. In
 along z is then divided by s and the measure multiplied by s, so that the parts of a form with no, one and two such
 derivatives scale with s, 1 and 1 / s: three matrices with coefficients that are powers of t.
 
-A column of the section between the radii a and b, moved to A and B, stretches along r by s = (B - A) / (b - a), to
-R = A + s (r - a). Derivatives along r are divided by s, the measure r dr becomes R s dr, and u_r / r becomes u_r / R:
+A column of the section between the radii a and b, moved to A and B, stretches along r by s = (B - A) / (b - a), to R =
+A + s (r - a). Derivatives along r are divided by s, the measure r dr becomes R s dr, and u_r / r becomes u_r / R:
 
     no u_r / r       R s = s^2 r + s (A - s a)         two matrices, of the measures r dr and dr, by s^-(derivatives)
     one              s                                 one matrix
     u_r^2 / r^2      s r / R = r / (r + d)             d = (b - a) / k - a,  k = B / A - 1
 
 The last is no finite sum; it is interpolated in k between Chebyshev's nodes, with an error below :data:`INTERPOLATION`
-(Trefethen 2013, Approximation Theory and Approximation Practice, theorem 8.2). On a boundary the same holds for its
-facets along r and along z each, those at a radius that moves having R / r for the measure.
+(Trefethen 2013, Approximation Theory and Approximation Practice, theorem 8.2). On a boundary the same relations hold
+for facets along r and along z; facets at a radius that moves have R / r for the measure.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ Sorted = Iterator[tuple[Kind, Product]]
 
 @dataclass(frozen=True)
 class RadialInterval:
-    """What lies between two radii, `ratios` the nodes of k = outer / inner - 1; none where it begins at the axis."""
+    """A column of the section between two radii, with `ratios` the nodes of k = outer / inner - 1; none if it begins at
+    the axis."""
 
     inner: MovableLength
     outer: MovableLength
@@ -68,7 +69,8 @@ class RadialInterval:
         return cls(inner, outer, nodes(high[0] / low[1] - 1.0, high[1] / low[0] - 1.0))
 
     def radial(self, kind: tuple[int, int]) -> Iterator[tuple[Radial | None, Constant]]:
-        """The measures that a form of so many derivatives along r and divisions by r falls into, with coefficients."""
+        """Pairs of measure and coefficient that a form splits into, by its kind: derivatives along r and divisions by
+        r."""
         slopes, divided = kind
         if not self.ratios:
             power = 2 - slopes - divided
@@ -133,7 +135,7 @@ class _OfColumn(WithoutFrequency):
 
 @dataclass(frozen=True)
 class Stretch(_OfColumn):
-    """s to some power."""
+    """The stretch s to a power."""
 
     column: RadialInterval
     power: int
@@ -147,7 +149,7 @@ class Stretch(_OfColumn):
 
 @dataclass(frozen=True)
 class Shift(_OfColumn):
-    """(A - s a) s to some power."""
+    """The shift (A - s a) times s to a power."""
 
     column: RadialInterval
     power: int
@@ -187,10 +189,10 @@ def _lagrange(nodes: tuple[float, ...], x: float) -> tuple[tuple[float, ...], tu
 
 @dataclass(frozen=True)
 class StretchedPart:
-    """A part of a place: its name on the mesh, the layer whose thickness and the column whose radii it follows, and how
-    shapes move it.
+    """A part of a place: its name on the mesh, the layer whose thickness and the column whose radii it follows, and its
+    motion by shapes.
 
-    "" and None for what follows none.
+    "" and None stand for no layer, no column and no motion.
     """
 
     name: str
@@ -201,11 +203,11 @@ class StretchedPart:
 
 @dataclass(frozen=True)
 class Stretched(Term):
-    """A term whose integrals know how they change with the lengths of the layers and columns they lie in.
+    """A term with its integrals as functions of the lengths of the layers and columns they lie in.
 
     ``parts`` holds, for every place of the term, its parts on the mesh (`geometry.stretch.split`); ``nominal`` the
-    thickness (m) that the mesh has of each layer. Brings in the parameters ``<layer>.thickness`` (m) and those of the
-    radii of its columns (m).
+    thickness (m) that the mesh has of each layer. The term depends on the parameters ``<layer>.thickness`` (m) and on
+    those of the radii of its columns (m).
     """
 
     term: Term
@@ -232,7 +234,7 @@ class Stretched(Term):
 
 
 def _stretched(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> list[Integral]:
-    """The integrals that one becomes on a part of its place."""
+    """The integrals that replace one integral on a part of its place."""
     found: dict[tuple[Radial | None, tuple[Constant, ...]], list[Product]] = {}
     for radial, factors, product in (_moved_facets if part.moves and integral.on_boundary else _scaled)(
             integral, part, nominal):
@@ -253,7 +255,7 @@ Measured = Iterator[tuple[Radial | None, tuple[Constant, ...], Product]]
 
 
 def _scaled(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> Measured:
-    """What an integral over cells, or over facets that only stretch, falls into."""
+    """Measures, coefficients and products of an integral over cells, or over facets that only stretch."""
     for (along_z, along_r, divided), product in _by_kinds(integral.products, radially=part.across is not None):
         high = _power(part.layer, 1 - along_z, nominal)
         if part.across is None:
@@ -264,7 +266,8 @@ def _scaled(integral: Integral, part: StretchedPart, nominal: Mapping[str, float
 
 
 def _moved_facets(integral: Integral, part: StretchedPart, nominal: Mapping[str, float]) -> Measured:
-    """The same over facets that shapes move: all lengths along them scale alike, and operators are not taken apart."""
+    """Measures, coefficients and products over facets that shapes move: all lengths along them scale alike, and
+    operators are not split."""
     assert part.moves is not None
     side = part.moves.side
     for product in integral.products:
@@ -282,14 +285,14 @@ def _moved_facets(integral: Integral, part: StretchedPart, nominal: Mapping[str,
 
 
 def _power(layer: str, power: int, nominal: Mapping[str, float]) -> tuple[Constant, ...]:
-    """By what a stretch of a layer multiplies what has that power of it."""
+    """Factor by which a stretched layer scales an integral proportional to its thickness to the given power."""
     if not layer or not power:
         return ()
     return (Monomial(nominal[layer] ** -power, 0, ((f"{layer}.thickness", power),)),)
 
 
 def _by_kinds(products: tuple[Product, ...], *, radially: bool) -> Sorted:
-    """The parts of the products, with how many derivatives and divisions both operators hold together."""
+    """The products split by kind: numbers of derivatives and divisions of both operators together."""
     for product in products:
         for one, row in parts_by_stretch(product.row, radially=radially).items():
             for other, column in parts_by_stretch(product.column, radially=radially).items():

@@ -1,4 +1,5 @@
-"""What pushes back on the outside of a solid: a backing, a holder, the air, as an impedance of its surface."""
+"""The load of the surroundings on the outside of a solid (a backing, a holder, the air) as an impedance of its surface.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from workbench.physics.term import Admissible, FreeParameter, Integral, Monomial, Product, Term
 
-#: Real part of a passive load, along the normal and along the surface. From dry air at 25 degC, 1.184 kg/m^3 times
-#: 346.1 m/s, to a heavily loaded backing; an imaginary part may be anything of that size.
+#: Admissible real part of a passive load, along the normal and along the surface. From dry air at 25 degC, 1.184 kg/m^3
+#: times 346.1 m/s, to a heavily loaded backing; an imaginary part may be anything of that size.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "normal_impedance": Admissible(
         409.8, 15e6, "Pa s/m",
@@ -27,9 +28,9 @@ class SurfaceLoad(Term):
         - i w Z_n u_n v_n - i w Z_t u_t v_t        over the boundary
 
     A positive real part takes energy away; a mass m per area is Z = -i w m, a stiffness K per area Z = i K / w. Z is
-    constant over the band: a wave that goes out and does not come back (Z = rho c of what is outside; Kinsler et al.,
-    Fundamentals of Acoustics, 2000, section 5.10), or a narrow band. `name` tells loads apart: parameters
-    ``<name>.normal_impedance`` and ``<name>.tangential_impedance`` (Pa s/m; see :data:`ADMISSIBLE`).
+    constant over the band, which suits a wave that leaves and does not come back (Z = rho c of the surroundings;
+    Kinsler et al., Fundamentals of Acoustics, 2000, section 5.10), or a narrow band. `name` tells loads apart:
+    parameters ``<name>.normal_impedance`` and ``<name>.tangential_impedance`` (Pa s/m; see :data:`ADMISSIBLE`).
     """
 
     boundary: str

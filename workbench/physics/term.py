@@ -1,4 +1,4 @@
-"""What a term of the model is: symmetric integrals with coefficients, and conditions on its unknowns.
+"""Terms of the model: symmetric integrals with coefficients, and conditions on their unknowns.
 
 The whole model is one complex-symmetric system that is affine in its coefficients,
 
@@ -6,8 +6,8 @@ The whole model is one complex-symmetric system that is affine in its coefficien
 
 written for the time factor e^{-i w t} with the weight 2 pi r dr dz. A term states each A_q by its quadratic form, as a
 sum of products of two operators of the unknowns, ``weight * integral(row(x) * column(x))``: the formula in the
-docstring and the declaration in the code are the same thing. From that one declaration the solver takes the matrix,
-the projection on a reduced basis, the derivative of the spectrum, and the map of where on the chip it acts.
+docstring and the declaration in the code are the same thing. From that one declaration the solver takes the matrix, the
+projection on a reduced basis, the derivative of the spectrum, and the map of its effect over the chip.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class ModelError(ValueError):
 #: The scalar unknowns: displacement (m), electric potential (V), pressure (Pa).
 COMPONENTS = ("u_r", "u_z", "phi", "p")
 
-#: One part of an operator: (component, what is taken of it, factor). What is taken: ``value``, ``d_r``, ``d_z`` or
-#: ``over_r`` (value / r). Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent
-#: in the section, ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_facing``
-#: after both it is taken on the boundary across a thin layer, at the same radius and with that boundary's own tangent.
+#: One part of an operator: (component, operation, factor). Operation: ``value``, ``d_r``, ``d_z`` or ``over_r`` (value
+#: / r). Factor: "" or, on a boundary, a component of its normal ``n_r``, ``n_z`` or of its tangent in the section,
+#: ``t_r``, ``t_z`` = -n_z, n_r. There, only derivatives along the tangent are defined. With ``_facing`` after both, the
+#: part is taken on the opposite boundary of a thin layer, at the same radius and with that boundary's own tangent.
 Part = tuple[str, str, str]
 
 #: Every operator a term may write, by name: the sum of its parts. Axisymmetric strain (rr, tt, zz, 2rz).
@@ -58,11 +58,11 @@ _WRITTEN: Mapping[str, tuple[Part, ...]] = {
     "grad_p_t_facing": (("p", "d_r_facing", "t_r_facing"), ("p", "d_z_facing", "t_z_facing")),
 }
 
-#: How the parts of an operator that is taken across a layer end.
+#: Suffix of the parts of an operator that is taken on the opposite boundary.
 FACING = "_facing"
 
 
-#: How often a part of an operator is differentiated along z and along r, and divided by r: each 0 or 1.
+#: Numbers of derivatives along z, derivatives along r and divisions by r in a part of an operator: each 0 or 1.
 Kind = tuple[int, int, int]
 
 
@@ -72,9 +72,9 @@ def _kind(part: Part, *, radially: bool) -> Kind:
 
 
 def parts_by_stretch(operator: str, *, radially: bool) -> Mapping[Kind, str]:
-    """Names of what `operator` holds of every kind of derivative; its own name where that is all of it.
+    """Names of the parts of `operator` by kind of derivative; its own name if it has one kind only.
 
-    What a stretch along z alone tells apart, or one along r too.
+    Kinds are those that a stretch along z tells apart, or if `radially` a stretch along r too.
     """
     parts = _WRITTEN[operator]
     kinds = {_kind(part, radially=radially): [each for each in parts if _kind(each, radially=radially)
@@ -84,7 +84,7 @@ def parts_by_stretch(operator: str, *, radially: bool) -> Mapping[Kind, str]:
     return {kind: f"{operator}, {'+'.join(sorted({part[1] for part in own}))}" for kind, own in kinds.items()}
 
 
-#: Every operator, those of :func:`parts_by_stretch` included.
+#: Every operator, with those of :func:`parts_by_stretch`.
 OPERATORS: Mapping[str, tuple[Part, ...]] = {
     **_WRITTEN,
     **{name: tuple(part for part in parts if _kind(part, radially=radially) == kind)
@@ -111,7 +111,8 @@ class Coefficient(Protocol):
 
 @dataclass(frozen=True)
 class Monomial:
-    """scale * omega**power * product(theta_i ** n_i): what almost every coefficient of the model is.
+    """The coefficient scale * omega**power * product(theta_i ** n_i), the form of almost every coefficient of the
+    model.
 
     Args:
         scale: a constant.
@@ -151,10 +152,10 @@ class Monomial:
         return np.asarray(self.constant_derivative(values, name) * powers, dtype=np.complex128)
 
 
-#: A value and its derivatives by the symbols it depends on, from the values of these symbols.
+#: A function from the values of symbols to a value and its derivatives by these symbols.
 ConstantLaw = Callable[[Mapping[str, complex]], tuple[complex, Mapping[str, complex]]]
 
-#: The same of the angular frequencies (n,) too: every result is (n,).
+#: A function from angular frequencies (n,) and the values of symbols to values and derivatives, all (n,).
 DispersiveLaw = Callable[
     [NDArray[np.float64], Mapping[str, complex]],
     tuple[NDArray[np.complex128], Mapping[str, NDArray[np.complex128]]],
@@ -163,7 +164,7 @@ DispersiveLaw = Callable[
 
 @dataclass(frozen=True)
 class Formula:
-    """omega**power * law(theta): a coefficient that is a power of the frequency and no product of its parameters.
+    """The coefficient omega**power * law(theta): a power of the frequency, but no product of its parameters.
 
     Args:
         law: a function of the symbols; a module's own function, so that models can be compared, stored and sent.
@@ -199,7 +200,8 @@ class Formula:
 
 @dataclass(frozen=True)
 class Dispersion:
-    """law(omega, theta): a coefficient that is no power of the frequency. Arguments as those of :class:`Formula`."""
+    """The coefficient law(omega, theta), which is no power of the frequency. Arguments are those of :class:`Formula`.
+    """
 
     law: DispersiveLaw
     symbols: tuple[tuple[str, str], ...]
@@ -236,7 +238,7 @@ class Constant(Coefficient, Protocol):
 
 
 class WithoutFrequency:
-    """What a :class:`Constant` answers as a coefficient, from its value and its derivatives."""
+    """Base of a :class:`Constant`: it answers as a coefficient from its value and its derivatives."""
 
     def constant(self, values: Values) -> complex:
         """Its value."""
@@ -277,7 +279,7 @@ class Times:
 
 
 def times(first: Coefficient, second: Constant) -> Coefficient:
-    """The product of a coefficient and one without frequency: a monomial where both are."""
+    """The product of a coefficient and one without frequency: a monomial if both are."""
     if not isinstance(first, Monomial) or not isinstance(second, Monomial):
         return Times(first, second)
     factors: dict[str, float] = dict(first.factors)
@@ -289,7 +291,7 @@ def times(first: Coefficient, second: Constant) -> Coefficient:
 
 @dataclass(frozen=True)
 class Admissible:
-    """What a parameter of an effect can be in a real device: from `lowest` to `highest` in `unit`, and who says so."""
+    """The range of a parameter of an effect in real devices: from `lowest` to `highest` in `unit`, and the source."""
 
     lowest: float
     highest: float
@@ -299,10 +301,10 @@ class Admissible:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A number that a term brings in and a recording may determine, by its full name, and what it can be.
+    """A number of a term that a recording may determine, by its full name, and its admissible range.
 
-    ``neutral`` is its value in a model without the effect. Of several numbers of a term it is enough that one makes it
-    vanish; what is neutral of the others is a usual value.
+    ``neutral`` is its value in a model without the effect. If a term has several numbers, one of them makes it vanish;
+    the neutral values of the others are usual ones.
     """
 
     name: str
@@ -311,7 +313,7 @@ class FreeParameter:
 
 
 def free_of(owner: str, limits: Mapping[str, Admissible], neutral: Mapping[str, float]) -> tuple[FreeParameter, ...]:
-    """The numbers ``<owner>.<key>`` for the keys of `neutral`, each within what `limits` has under its key."""
+    """The numbers ``<owner>.<key>`` for the keys of `neutral`, each with its range from `limits`."""
     return tuple(FreeParameter(f"{owner}.{key}", value, limits[key]) for key, value in neutral.items())
 
 
@@ -326,7 +328,8 @@ class Product:
 
 @dataclass(frozen=True)
 class Radial:
-    """The factor r**power / (r + shift) of the measure, r (m) the radius on the mesh: what a stretch along r leaves."""
+    """The factor r**power / (r + shift) of the measure, r (m) the radius on the mesh; it comes from a stretch along r.
+    """
 
     power: int
     shift: float
@@ -340,13 +343,12 @@ class Integral:
     """One g_q A_q: a coefficient, the region or boundary integrated over, and the quadratic form of A_q.
 
     ``solid`` and ``fluid`` name the regions on the two sides of a boundary; the normal points out of ``solid``.
-    ``facing`` names the boundary across a thin layer and ``facing_solid`` the solid there, for the operators that are
-    taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` restricts a region to
-    radii larger than that share of its outer one, also within an element. ``skin`` restricts it to the row of elements
-    that takes so much of its thickness at its upper face, or, where it is negative, at its lower one; the mesh must
-    have that row (`geometry.mesh_size.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz.
-    ``variant`` names the coordinates of the mesh that are integrated over (`geometry.mesh.SectionMesh.variants`), where
-    these are not its own.
+    ``facing`` names the opposite boundary of a thin layer and ``facing_solid`` the solid there, for the operators that
+    are taken on it; the two boundaries are horizontal and have the same radii. ``beyond`` restricts a region to radii
+    above that fraction of its outer radius, also within an element. ``skin`` restricts it to the row of elements that
+    takes this share of its thickness, at its upper face or, if negative, at its lower one; the mesh must have that row
+    (`geometry.mesh_size.MeshSize.skins`). ``radial`` is a further factor of the measure 2 pi r dr dz. ``variant`` names
+    the moved coordinates of the mesh that are integrated over (`geometry.mesh.SectionMesh.variants`), "" for its own.
     """
 
     coefficient: Coefficient
@@ -367,7 +369,7 @@ class Integral:
 
     @property
     def domain(self) -> str:
-        """The name of what is integrated over: the place, with what faces or restricts it, and how it is moved."""
+        """The name of the domain: the place, its opposite boundary or restriction, and its variant."""
         name = f"{self.place} facing {self.facing}" if self.facing else self.place
         name = name if not self.beyond else f"{name} beyond {self.beyond!r}"
         name = name if not self.skin else f"{name} skin {self.skin!r}"
@@ -376,7 +378,8 @@ class Integral:
 
 @dataclass(frozen=True)
 class Condition:
-    """An essential condition: `component` is zero on `boundary`, or tied there to the voltage of the live electrode."""
+    """A condition on an unknown: `component` is zero on `boundary`, or equal there to the voltage of the live
+    electrode."""
 
     component: str
     boundary: str
@@ -384,9 +387,9 @@ class Condition:
 
 
 class Term:
-    """One effect, as a frozen value: where it lives, its parameters by name, its integrals and conditions.
+    """One effect, as a frozen value: its regions or boundaries, its parameters by name, its integrals and conditions.
 
-    A term overrides what it has; by default it brings in nothing.
+    A term overrides the methods it needs; by default it brings in nothing.
     """
 
     @property
@@ -395,7 +398,7 @@ class Term:
         return ()
 
     def integrals(self) -> tuple[Integral, ...]:
-        """The g_q A_q of this term."""
+        """The integrals g_q A_q of this term."""
         return ()
 
     def conditions(self) -> tuple[Condition, ...]:
@@ -403,11 +406,11 @@ class Term:
         return ()
 
     def free(self) -> tuple[FreeParameter, ...]:
-        """What a recording may determine of it, where it stands for something that may be missing from a model."""
+        """Numbers that a recording may determine, for a term that stands for an effect a model may lack."""
         return ()
 
     def fixed(self) -> Mapping[str, float]:
-        """Values of what else it needs, by name, that belongs to no material and no dimension and stays as it is."""
+        """Constant values, by name, of further parameters that belong to no material and no dimension."""
         return {}
 
 

@@ -1,8 +1,8 @@
-"""An imperfect bond: a thin solid layer that gives way more than its material does.
+"""An imperfect bond: a thin solid layer that is more compliant than its material.
 
-Along the normal it lowers f0, the empty chip's more, and moves Z_min either way; along the layer it raises Z_min and
-lowers Q, the filled chip's more. In all states with the bond, and in no free disc. In a chip of 25 mm with 0.1 mm of
-epoxy, 2e-14 m/Pa along the normal are -11 kHz empty and -6 kHz filled.
+Compliance along the normal lowers f0, more in the empty chip, and moves Z_min either way. Compliance along the layer
+raises Z_min and lowers Q, more in the filled chip. Both act in all states with the bond, and in no free disc. In a chip
+of 25 mm with 0.1 mm of epoxy, 2e-14 m/Pa along the normal is -11 kHz empty and -6 kHz filled.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _SPRING = (
     "(RP-UEIS), where the two sides hardly hold each other; springs for bonds: Baik and Thompson 1984, J. Nondestr. "
     "Eval. 4, 177")
 
-#: Share of the layer's thickness, at one of its faces, that gives way: thin beside the layer, and no sliver to mesh.
+#: Thickness of the compliant skin at one face, as a share of the layer's: thin beside the layer, thick enough to mesh.
 SKIN = 0.05
 
-#: What the springs of a bond can be.
+#: Admissible springs of a bond.
 ADMISSIBLE: Mapping[str, Admissible] = {
     "normal_compliance": Admissible(0.0, 1.7e-12, "m/Pa", _SPRING),
     "tangential_compliance": Admissible(0.0, 11e-12, "m/Pa", _SPRING),
@@ -35,13 +35,13 @@ class ImperfectBond(Term):
         - s_n / (d + c33 s_n) sigma_zz(v) sigma_zz(u) - s_t / (d + G s_t) sigma_rz(v) sigma_rz(u)
 
     over a skin of the layer that takes the share :data:`SKIN` of its thickness and is d thick, next to
-    `solid.IsotropicSolid` on the same region, with its own sigma_zz = c33 eps_zz + c13 (eps_rr + eps_tt) and
-    sigma_rz = 2 G eps_rz, c33 = K + 4 G / 3, c13 = K - 2 G / 3. Together they are a skin of c33 / (1 + c33 s_n / d),
-    c13 / (1 + c33 s_n / d) and G / (1 + G s_t / d): stress is the same in skin and springs, strains add up (Backus
-    1962, J. Geophys. Res. 67, 4427; springs for bonds: Baik and Thompson 1984). The springs lose: s is the compliance
-    stated times 1 + i eta, e^{-i w t}. The mesh must have the skin (`geometry.mesh_size.MeshSize.skins`). `name` tells
-    bonds apart: parameters ``<name>.normal_compliance``, ``.tangential_compliance`` (m/Pa) and ``.loss_factor`` eta
-    (see :data:`ADMISSIBLE`), ``<region>.thickness`` (m); ``<material>.bulk_modulus`` and ``.shear_modulus``.
+    `solid.IsotropicSolid` on the same region, with its own sigma_zz = c33 eps_zz + c13 (eps_rr + eps_tt) and sigma_rz =
+    2 G eps_rz, c33 = K + 4 G / 3, c13 = K - 2 G / 3. Together they are a skin of c33 / (1 + c33 s_n / d), c13 / (1 +
+    c33 s_n / d) and G / (1 + G s_t / d): stress is the same in skin and springs, strains add up (Backus 1962, J.
+    Geophys. Res. 67, 4427; springs for bonds: Baik and Thompson 1984). The springs have a loss: s is the stated
+    compliance times 1 + i eta, e^{-i w t}. The mesh must have the skin (`geometry.mesh_size.MeshSize.skins`). `name`
+    tells bonds apart: parameters ``<name>.normal_compliance``, ``.tangential_compliance`` (m/Pa) and ``.loss_factor``
+    eta (see :data:`ADMISSIBLE`), ``<region>.thickness`` (m); ``<material>.bulk_modulus`` and ``.shear_modulus``.
     """
 
     region: str
@@ -69,7 +69,7 @@ class ImperfectBond(Term):
         )
 
 
-#: How c33, c13 and G follow from K and G: the factors.
+#: Factors of K and G in c33, c13 and G.
 _C33, _C13, _SHEAR = {"K": 1.0, "G": 4.0 / 3.0}, {"K": 1.0, "G": -2.0 / 3.0}, {"G": 1.0}
 
 
@@ -92,7 +92,7 @@ def _shear(v: Mapping[str, complex]) -> tuple[complex, Mapping[str, complex]]:
 def _given(
     v: Mapping[str, complex], own: Mapping[str, float], first: Mapping[str, float], second: Mapping[str, float]
 ) -> tuple[complex, Mapping[str, complex]]:
-    """-s / (d + m s) a b of a skin whose own modulus is m, for two moduli a and b, and its derivatives."""
+    """The coefficient -s / (d + m s) a b of a skin of modulus m, for two moduli a and b, and its derivatives."""
     m, a, b = (sum(factor * v[name] for name, factor in factors.items()) for factors in (own, first, second))
     lossy = 1.0 + 1j * v["eta"]
     d, s = SKIN * v["t"], v["s"] * lossy

@@ -41,6 +41,14 @@ MARGIN = 0.03
 _PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A PNG file and what it shows."""
+
+    path: Path
+    caption: str
+
+
 @dataclass(frozen=True, eq=False)
 class DrawnShape:
     """Something to photograph: ``points`` (N, 3) m; ``cells`` (M, k) point numbers of polygons, of lines where k is 2.

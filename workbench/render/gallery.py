@@ -11,7 +11,7 @@ from geometry.chip import Chip
 from geometry.names import CAVITY
 from materials.kinds import Fluid
 from workbench.files.errors import InputError
-from workbench.report.page import Picture
+from workbench.render.canvas import Picture
 from workbench.simulation.gathering import GAS
 from workbench.simulation.run import Snapshot
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.tolerance_report import amount, change_unit
-from workbench.render.canvas import new_figure, save_figure
+from workbench.design.figures import change_unit
+from workbench.design.uncertainty import amount
+from workbench.render.canvas import Picture, new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
-from workbench.report.page import Picture
 
 if TYPE_CHECKING:
     from workbench.design.tolerance import Tolerance

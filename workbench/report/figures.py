@@ -1,25 +1,17 @@
-"""Figures of merit as rows of a table and as records."""
+"""Spectra as rows of tables and as records: figures of merit, and where a recording comes from."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from workbench.fem.capacitance import Capacitance
-from workbench.report.page import number_text
-from workbench.results.merit import Figures, FittedNumber, NoResonance, ResonanceFit, figures, fit_resonance
-from workbench.results.spectrum import Spectrum
+from workbench.report.page import TextTable, number_text
+from workbench.results.merit import Figures, FittedNumber, NoResonance, ResonanceFit, fit_resonance
+from workbench.results.spectrum import Origin, Spectrum
 
 FIGURE_COLUMNS = ("", "f0 (MHz)", "Z_min (ohm)", "Q", "kt")
 #: Of a model, which has a capacitance besides.
 MODEL_COLUMNS = (*FIGURE_COLUMNS, "C0 (pF)", "C at 1 kHz (pF)")
-
-
-def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
-    """Figures of a recording, or why there are none."""
-    try:
-        return figures(spectrum), ""
-    except NoResonance as missing:
-        return None, missing.reason
 
 
 def figures_row(label: str, merit: Figures | None) -> tuple[str, ...]:
@@ -68,3 +60,10 @@ def resonance_record(fit: ResonanceFit) -> dict[str, Any]:
 
     return {"frequency_hz": pair(fit.frequency), "q": pair(fit.q), "rms_residual": fit.rms_residual,
             **{name: pair(value) for name, value in fit.parameters.items()}}
+
+
+def origin_table(origin: Origin) -> TextTable:
+    """Where a recording comes from."""
+    rows = [("kind", origin.kind), ("file", origin.source), ("SHA-256", origin.sha256),
+            ("instrument", origin.instrument), ("date", origin.date), *origin.settings.items()]
+    return TextTable(("recording", "value"), tuple((name, value) for name, value in rows if value))

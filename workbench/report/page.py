@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from workbench.files.writing import write_atomic
+from workbench.render.canvas import Picture
 from workbench.report.definitions import defined, definition
 
 _STYLE = """
@@ -56,14 +57,6 @@ class TextTable:
         wrong = [row for row in self.rows if len(row) != len(self.columns)]
         if wrong:
             raise ValueError(f"the row {wrong[0]} does not have the {len(self.columns)} cells of {self.columns}")
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A PNG file and what it shows."""
-
-    path: Path
-    caption: str
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,13 @@ import numpy as np
 
 #: Lines and columns of the text of a result. Doubled, a few results in a row fill a terminal.
 LINES, COLUMNS = 10, 100
-#: Names of a mapping or elements of a sequence that are shown.
+#: Number of names of a mapping, or elements of a sequence, that are shown.
 _FEW = 4
 
 
 class Brief:
-    """A dataclass (with ``repr=False``) whose text names its fields, with the shapes of arrays for their numbers."""
+    """Base of a dataclass (with ``repr=False``) whose text names its fields, and gives the shapes of arrays, not
+    numbers."""
 
     def __repr__(self) -> str:
         assert dataclasses.is_dataclass(self)

@@ -26,28 +26,23 @@ class MetricRow:
 
     @property
     def difference_percent(self) -> float:
-        """100 (simulated - measured) / measured: positive if the simulation is too high."""
+        """Difference 100 (simulated - measured) / measured in per cent: positive if the simulation is too high."""
         return 100.0 * (self.simulated - self.measured) / self.measured
-
-    @property
-    def error_percent(self) -> float:
-        """|simulated - measured| / measured in per cent, the paper's "Error (%)"."""
-        return abs(self.difference_percent)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Shown):
-    """How far `simulated` is from `measured` over their common band, (n,) points of the measured grid.
+    """Differences between `simulated` and `measured` over their common band, (n,) points of the measured grid.
 
     ``measured`` and ``simulated`` are both on that grid; ``fraction_used`` is n over the measured points.
     ``log_residual`` (n,) is ln(Z_sim / Z_meas): its real part the relative error of magnitude, its imaginary part the
     error of phase in radian, principal value. (Passive impedances differ by at most 180 degrees of phase, so nothing
     has to be unwrapped.) ``mape_percent`` is the mean of | |Z_sim| - |Z_meas| | / |Z_meas|; ``rms_log_residual`` the
     root mean square of |ln(Z_sim / Z_meas)|; ``worst_percent``, at ``worst_frequency``, the largest relative error of
-    |Z|, which a mean over the band hides: it is usually on a peak.
-    ``reduced_chi_square`` (2 n real data, no parameter discounted; the uncertainties of both spectra added in
-    squares) is None if neither is known. ``rows`` compare f0, Z_min and Q; where a resonance is missing they are
-    empty and ``rows_missing`` says why.
+    Z|, which a mean over the band hides: it is usually on a peak.
+    ``reduced_chi_square`` (2 n real data, no parameter discounted; the uncertainties of both spectra added in squares)
+    is None if neither is known. ``rows`` compare f0, Z_min and Q; if a resonance is missing they are empty and
+    ``rows_missing`` gives the reason.
     """
 
     measured: Spectrum

@@ -1,9 +1,9 @@
 """Figures of merit of a spectrum: resonance, quality factor, coupling, equivalent circuit.
 
-Definitions (docs/conventions.md): f0 is the frequency of the smallest |Z|, Z_min = |Z(f0)|, and
-Q = f0 / (f2 - f1) with f1 and f2 the half-power frequencies about f0, where |Y| = |Y|max / sqrt(2). All are taken on
+Definitions (docs/conventions.md): f0 is the frequency of the smallest |Z|, Z_min = |Z(f0)|, and Q = f0 / (f2 - f1) with
+f1 and f2 the half-power frequencies about f0, where |Y| = |Y|max / sqrt(2). All are taken on
 :meth:`workbench.results.spectrum.Spectrum.interpolant`, not on the recorded points. The fits of :func:`fit_resonance`
-answer a different question (the pole, or the circuit, behind the curve), so they carry their method's name.
+estimate other quantities (the pole, or the circuit, behind the curve), so they carry their method's name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
 
 Interpolant = Callable[..., NDArray[np.complex128]]
 
-#: Points of the search grid per recorded interval; it only has to bracket, the roots are then refined.
+#: Points of the search grid per recorded interval. It only has to bracket the extrema, which are then refined; more
+#: points find narrower resonances.
 _FINE = 32
 
 
@@ -49,11 +50,12 @@ def _no_resonance(reason: str, frequency: float, impedance: float, candidates: t
 
 @dataclass(frozen=True)
 class Antiresonance:
-    """What the maximum of |Z| above f0 adds.
+    """The maximum of |Z| above f0 and the coupling factors that follow from it.
 
     ``frequency`` Hz and ``z_max`` ohm; ``kt`` the thickness coupling factor; ``k_effective`` the effective coupling
-    factor; ``circuit_capacitance`` (farad) the parallel one of a circuit of this mode alone: where a fit may start, not
-    the static capacitance, which the modes outside the window hide (`workbench.fem.capacitance` has that of a model).
+    factor; ``circuit_capacitance`` (farad) the parallel one of a circuit of this mode alone. It is a start for a fit,
+    not the static capacitance, which the modes outside the window hide (`workbench.fem.capacitance` has that of a
+    model).
     """
 
     frequency: float
@@ -67,8 +69,8 @@ class Antiresonance:
 class Figures:
     """Figures of merit of one resonance: frequencies in hertz, impedance in ohm.
 
-    ``q_step_change`` is the relative change of Q when every second point is left out: small means that the step does
-    not show in Q; infinite means that the resonance is lost at twice the step. ``antiresonance`` is None where |Z|
+    ``q_step_change`` is the relative change of Q if every second point is left out: a small value means that the step
+    does not affect Q, an infinite one that the resonance is lost at twice the step. ``antiresonance`` is None if |Z|
     has no maximum above f0 inside the band.
     """
 
@@ -88,14 +90,15 @@ class Figures:
 def figures(
     spectrum: Spectrum | WithSpectrum, *, near: float | None = None, band: tuple[float, float] | None = None
 ) -> Figures:
-    """The figures of merit of the deepest resonance of a spectrum or of what has one, or that nearest to `near` (Hz).
+    """Figures of merit of the deepest resonance of a spectrum, or of the one nearest to `near` (Hz).
 
-    `band` (low, high) in hertz leaves everything else out of sight, the half-power points included. A minimum counts
-    as a resonance if |Z| rises by sqrt(2) on both sides before it falls below that minimum again.
+    `spectrum` may be a result that has one. `band` (low, high) in hertz excludes all other points, those at half power
+    included. A minimum counts as a resonance if |Z| rises by sqrt(2) on both sides before it falls below that minimum
+    again.
 
     Raises:
         NoResonance: the smallest |Z| lies at an edge of the band, or a half-power point lies outside it; it carries
-            what is known.
+            the known part.
         ValueError: the band holds fewer than two points.
     """
     whole = spectrum_of(spectrum)
@@ -110,6 +113,14 @@ def figures(
     return Figures(f0, z_min, f0 / (f2 - f1), f1, f2, change, _antiresonance(seen, f0, f2 - f1))
 
 
+def measured_figures(spectrum: Spectrum) -> tuple[Figures | None, str]:
+    """Figures of a recording, or why there are none."""
+    try:
+        return figures(spectrum), ""
+    except NoResonance as missing:
+        return None, missing.reason
+
+
 def _fine_grid(spectrum: Spectrum) -> NDArray[np.float64]:
     """The recorded frequencies with `_FINE` - 1 more between each two."""
     points = np.arange(len(spectrum.frequency))
@@ -118,13 +129,13 @@ def _fine_grid(spectrum: Spectrum) -> NDArray[np.float64]:
 
 
 def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, float, float]:
-    """f0, Z_min, f1, f2 of the deepest resonance or of the one nearest to `near`."""
+    """Numbers f0, Z_min, f1, f2 of the deepest resonance or of the one nearest to `near`."""
     from scipy.signal import find_peaks  # a second to import, for one function
 
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     magnitude = np.abs(at(grid))
-    # The prominence of a peak of -ln|Z| is how far |Z| rises on the lesser side before it falls below the minimum.
+    # The prominence of a peak of -ln|Z| is the rise of |Z| on the lesser side before it falls below the minimum.
     minima, _ = find_peaks(-np.log(magnitude), prominence=0.5 * math.log(2.0))
     candidates = tuple(float(frequency) for frequency in grid[minima])
     lowest = int(np.argmin(magnitude))
@@ -152,7 +163,7 @@ def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, fl
         return float(np.abs(at(frequency))) - math.sqrt(2.0) * z_min
 
     half = math.sqrt(2.0) * z_min
-    # A resonance narrower than the grid has both points next to f0, which then closes the bracket.
+    # If a resonance is narrower than the grid, both points are next to f0, which then closes the bracket.
     below = int(np.flatnonzero((magnitude >= half) & (grid < f0))[-1])
     above = int(np.flatnonzero((magnitude >= half) & (grid > f0))[0])
     f1 = float(brentq(excess, grid[below], min(grid[below + 1], f0), xtol=1e-12 * f0))
@@ -170,7 +181,7 @@ def _extremum(at: Interpolant, grid: NDArray[np.float64], index: int, *, sign: f
 
 
 def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antiresonance | None:
-    """The largest |Z| above `f0`, and what it says; None if it is at the edge of the band."""
+    """The largest |Z| above `f0` and its coupling factors; None if it is at the edge of the band."""
     at = spectrum.interpolant()
     grid = _fine_grid(spectrum)
     grid = grid[grid >= f0]
@@ -185,10 +196,10 @@ def _antiresonance(spectrum: Spectrum, f0: float, bandwidth: float) -> Antireson
 
 
 def thickness_coupling(resonance: float, antiresonance: float) -> float:
-    """kt of a plate's thickness mode from its resonance and antiresonance (hertz).
+    """Coupling factor kt of a plate's thickness mode from its resonance and antiresonance (hertz).
 
-    kt^2 = (pi / 2) (fr / fa) tan((pi / 2) (fa - fr) / fa), IEEE Std 176-1987. Written for the lossless
-    series and parallel frequencies; the extrema of |Z| stand for them to order 1 / (k Q)^2.
+    kt^2 = (pi / 2) (fr / fa) tan((pi / 2) (fa - fr) / fa), IEEE Std 176-1987. Written for the lossless series and
+    parallel frequencies; the extrema of |Z| stand for them to order 1 / (k Q)^2.
     """
     ratio = _ratio(resonance, antiresonance)
     return math.sqrt(0.5 * math.pi * ratio * math.tan(0.5 * math.pi * (1.0 - ratio)))
@@ -206,11 +217,11 @@ def _ratio(resonance: float, antiresonance: float) -> float:
 
 
 def _circuit_capacitance(spectrum: Spectrum, f0: float, fa: float, bandwidth: float) -> float:
-    """C0 of a one-mode circuit from the points away from the resonance.
+    """Capacitance C0 of a one-mode circuit from the points away from the resonance.
 
     A lossless one-mode circuit has Im Y / w = C0 (1 + r / (1 - (f / f0)^2)) with r = C1 / C0 = (fa / f0)^2 - 1. The
-    median over the points more than five half-power widths from f0 shrugs off narrow overtones; points near fa, where
-    the bracket vanishes and the loss decides, are left out.
+    median over the points more than five half-power widths from f0 is insensitive to narrow overtones. Points near fa,
+    where the bracket vanishes and the loss dominates, are left out.
     """
     away = np.abs(spectrum.frequency - f0) > 5.0 * bandwidth
     with np.errstate(divide="ignore"):
@@ -234,12 +245,12 @@ class FittedNumber:
 class ResonanceFit(Brief):
     """A resonance fitted to a spectrum.
 
-    ``method`` "bvd" or "pole"; ``frequency`` (Hz) and ``q`` of the motional branch's series resonance, or of the
-    pole; ``parameters`` the circuit in SI (ohm, henry, farad), empty for the pole; ``model`` the fitted spectrum on
-    the points used; ``rms_residual`` the root mean square of |Z_model / Z - 1|, and ``reduced_chi_square`` where the
+    ``method`` "bvd" or "pole"; ``frequency`` (Hz) and ``q`` of the motional branch's series resonance, or of the pole;
+    ``parameters`` the circuit in SI (ohm, henry, farad), empty for the pole; ``model`` the fitted spectrum on the
+    points used; ``rms_residual`` the root mean square of |Z_model / Z - 1|, and ``reduced_chi_square`` if the
     spectrum's uncertainty is known. Standard errors hold for independent noise of the stated uncertainty or, without
-    one, for noise of the same relative size in Z ("bvd"), of the same size in Y ("pole"), at every point, judged from
-    the residual: a model that does not fit gives errors that mean little.
+    one, for noise of equal relative size in Z ("bvd"), of equal size in Y ("pole"), at every point, estimated from the
+    residual: a model that does not fit gives errors that mean little.
     """
 
     method: str
@@ -263,8 +274,8 @@ def fit_resonance(
 
     "bvd": the Butterworth-Van Dyke circuit, R1 L1 C1 in series, C0 across them and, if `series_resistance`, Rs before
     them, over the whole of `band`. "pole": Y = A / (f - fp) + a straight complex background, over `band` or, without
-    one, five half-power widths either side; Q = Re fp / (2 Im fp). The pole asks nothing of the other modes but that
-    they vary slowly.
+    one, five half-power widths either side; Q = Re fp / (2 Im fp). The pole only requires that the other modes vary
+    slowly.
 
     Raises:
         NoResonance: there is none to start from.
@@ -293,7 +304,7 @@ def bvd_impedance(
     static_capacitance: float,
     series_resistance: float = 0.0,
 ) -> NDArray[np.complex128]:
-    """Z (n,) ohm, e^{+j w t}, of the Butterworth-Van Dyke circuit at `frequency` (n,) Hz; values in SI."""
+    """Impedance Z (n,) ohm, e^{+j w t}, of the Butterworth-Van Dyke circuit at `frequency` (n,) Hz; values in SI."""
     omega = 2.0 * np.pi * frequency
     motional = motional_resistance + 1j * (omega * motional_inductance - 1.0 / (omega * motional_capacitance))
     return np.asarray(series_resistance + 1.0 / (1j * omega * static_capacitance + 1.0 / motional))
@@ -359,7 +370,7 @@ def _fit_pole(spectrum: Spectrum, start: Figures) -> ResonanceFit:
     x = (spectrum.frequency - start.f0) / half
     measured = spectrum.admittance
     # Without an uncertainty every point of Y counts alike, so that the peak decides; a relative residual would be
-    # ruled by the points of least admittance, where the neighbouring modes are.
+    # dominated by the points of least admittance, where the neighbouring modes are.
     if spectrum.uncertainty is None:
         scale = np.full(len(x), start.z_min)
     else:
@@ -402,7 +413,7 @@ def _fit_pole(spectrum: Spectrum, start: Figures) -> ResonanceFit:
 
 
 def _weights(spectrum: Spectrum) -> NDArray[np.float64]:
-    """(n,) weights of a relative residual: |Z| / uncertainty, or one everywhere."""
+    """Weights (n,) of a relative residual: |Z| / uncertainty, or one everywhere."""
     if spectrum.uncertainty is None:
         return np.ones(len(spectrum.frequency))
     return spectrum.magnitude / spectrum.uncertainty
@@ -430,7 +441,7 @@ def _least_squares(
 def _covariance(
     solution: tuple[NDArray[np.float64], NDArray[np.float64], float], spectrum: Spectrum
 ) -> NDArray[np.float64]:
-    """Covariance of the fitted vector; scaled by the residual where the uncertainty is not known."""
+    """Covariance of the fitted vector, scaled by the residual if the uncertainty is not known."""
     vector, jacobian, squares = solution
     # Scaled columns keep the inverse well conditioned when parameters differ by orders of magnitude.
     norm = np.linalg.norm(jacobian, axis=0)

@@ -1,4 +1,4 @@
-"""What a notebook shows of a result, a table and a figure of its spectra, and a prompt the table in words."""
+"""Views of a result: a table and a figure of its spectra in a notebook, the table in words at a prompt."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """A result in short: a title, rows of a table, and spectra by label, of which those in ``measured`` are dots."""
+    """A result in short: a title, rows of a table, and spectra by label; those in ``measured`` are drawn as dots."""
 
     title: str
     rows: tuple[tuple[str, ...], ...]
@@ -27,7 +27,7 @@ class Summary:
 
 
 class Shown(Brief):
-    """A result that a notebook shows by its :meth:`summary`, and a prompt by that in words.
+    """Base of a result that a notebook shows by its :meth:`summary`, and a prompt by the summary in words.
 
     Its dataclass has ``repr=False``.
     """
@@ -50,7 +50,7 @@ def _line(row: tuple[str, ...]) -> str:
 
 
 def page(summary: Summary) -> str:
-    """HTML of a summary, its figure inside it."""
+    """HTML of a summary with its figure."""
     rows = "".join("<tr>" + "".join(f"<td style='text-align:left'>{html.escape(cell)}</td>" for cell in row) + "</tr>"
                    for row in summary.rows)
     parts = [f"<b>{html.escape(summary.title)}</b><table>{rows}</table>"]

@@ -1,7 +1,7 @@
-"""A spectrum of electrical impedance, whether it came from the bench or from the solver.
+"""A spectrum of electrical impedance, measured or simulated.
 
-Convention: the electrical engineer's e^{+j w t}, so a capacitor stands at -90 degrees. The solver works with
-e^{-i w t}; :meth:`Spectrum.from_solver` is the one place where its impedance is conjugated.
+Convention: the electrical engineer's e^{+j w t}, so a capacitor stands at -90 degrees. The solver works with e^{-i w
+t}; :meth:`Spectrum.from_solver` is the one place where its impedance is conjugated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 ORIGIN_KINDS = ("measured", "simulated", "unknown")
 
-#: The columns of the workbench's own file, the last one only when the uncertainty is known.
+#: The columns of the workbench's own file; the last one is present only if the uncertainty is known.
 COLUMNS = ("frequency_hz", "z_real_ohm", "z_imag_ohm")
 UNCERTAINTY_COLUMN = "uncertainty_ohm"
 
@@ -33,10 +33,10 @@ SHARED_UNCERTAINTY = "shared uncertainty"
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a spectrum comes from.
+    """The source of a spectrum.
 
     ``kind`` is "measured", "simulated" or "unknown"; ``source`` the path of the recording as text and ``sha256`` the
-    digest of its bytes; ``settings`` whatever else the source says (oscillator level, adapter, corrections applied).
+    digest of its bytes; ``settings`` further statements of the source (oscillator level, adapter, corrections applied).
     Every text is one line without surrounding blanks, so that an origin survives being written to a file.
 
     Raises:
@@ -69,12 +69,11 @@ class Spectrum(Shown):
 
     ``frequency`` (n,) Hz, strictly increasing and positive; ``impedance`` (n,) complex ohm, nowhere zero;
     ``uncertainty`` (n,) ohm or None, the standard uncertainty of the real part and of the imaginary part, each.
-    ``shared_uncertainty`` is the part of it that all points share, relative to Z: they are all too large, or all too
-    small, by the same factor, that of a standard's tolerance or of a gain. The arrays are copied and read-only. At
-    least two points.
+    ``shared_uncertainty`` is its part that all points share, relative to Z: one factor, of a standard's tolerance or of
+    a gain, makes them all too large or all too small. The arrays are copied and read-only. At least two points.
 
     Raises:
-        ValueError: any of the above is not so; the message gives the index and the value.
+        ValueError: a condition above is violated; the message gives the index and the value.
     """
 
     frequency: NDArray[np.float64]
@@ -130,14 +129,14 @@ class Spectrum(Shown):
 
     @property
     def admittance(self) -> NDArray[np.complex128]:
-        """1 / Z, (n,) complex siemens."""
+        """Admittance 1 / Z, (n,) complex siemens."""
         return 1.0 / self.impedance
 
     @property
     def noise(self) -> NDArray[np.float64] | None:
-        """What each point adds to the uncertainty by itself, (n,) ohm: the rest beside what all points share.
+        """Uncertainty of each point by itself, (n,) ohm, without the part that all points share.
 
-        At least a thousandth of the whole, since it is a difference of rounded numbers.
+        It is at least a thousandth of the whole, since it is a difference of rounded numbers.
         """
         if self.uncertainty is None or self.shared_uncertainty == 0.0:
             return self.uncertainty
@@ -146,12 +145,12 @@ class Spectrum(Shown):
 
     @property
     def magnitude(self) -> NDArray[np.float64]:
-        """|Z|, (n,) ohm."""
+        """Magnitude |Z|, (n,) ohm."""
         return np.abs(self.impedance)
 
     @property
     def phase_deg(self) -> NDArray[np.float64]:
-        """The argument of Z, (n,) degrees in (-180, 180]."""
+        """Phase of Z, (n,) degrees in (-180, 180]."""
         return np.angle(self.impedance, deg=True)
 
     def summary(self) -> Summary:
@@ -194,14 +193,15 @@ class Spectrum(Shown):
     def interpolant(self) -> Callable[[ArrayLike], NDArray[np.complex128]]:
         """A smooth Z(f) through every point; its argument must lie within the band.
 
-        A cubic spline through the reflection coefficient G = (Z - Z0) / (Z + Z0), with Z0 the geometric mean of |Z|.
-        A spline of Z is poor at an antiresonance and one of Y at a resonance, because each has a pole half a line
-        width away; G is bounded for anything passive and its poles lie where the loop is loaded by Z0, many line
-        widths away. For a resonator of Q = 600 at 1 MHz sampled every 500 Hz the error is 1e-8 in Z, where a
-        spline of Y is several per cent off.
+        A cubic spline through the reflection coefficient G = (Z - Z0) / (Z + Z0), with Z0 the geometric mean of |Z|. A
+        spline of Z is poor at an antiresonance and one of Y at a resonance, because each has a pole half a line width
+        away; G is bounded for anything passive and its poles lie where the loop is loaded by Z0, many line widths away.
+        For a resonator of Q = 600 at 1 MHz sampled every 500 Hz the error is 1e-8 in Z, while a spline of Y is several
+        per cent off.
         """
         z0 = float(np.exp(np.mean(np.log(np.abs(self.impedance)))))
-        # Never so for a passive spectrum; one of reversed polarity may pass by -Z0, and its mirror image is bounded.
+        # It never happens for a passive spectrum. One of reversed polarity may pass by -Z0, and its mirror image is
+        # bounded.
         if np.min(np.abs(self.impedance - z0)) > np.min(np.abs(self.impedance + z0)):
             z0 = -z0
         spline = CubicSpline(self.frequency, (self.impedance - z0) / (self.impedance + z0))
@@ -245,7 +245,7 @@ def spectrum_of(given: Spectrum | WithSpectrum) -> Spectrum:
     """The spectrum itself, or that of a result.
 
     Raises:
-        TypeError: what is given is neither.
+        TypeError: the argument is neither.
     """
     found = given if isinstance(given, Spectrum) else getattr(given, "spectrum", None)
     if not isinstance(found, Spectrum):
@@ -264,7 +264,7 @@ def _refuse(
 
 
 def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
-    """A spectrum whose sign was recorded wrongly, put right; the correction is noted in its origin's settings.
+    """Correct a spectrum whose sign was recorded wrongly; the settings of its origin note the correction.
 
     `correction` is "negate" (phase off by 180 degrees) or "conjugate" (phase of the wrong sign).
 

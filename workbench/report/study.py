@@ -1,8 +1,10 @@
-"""Tables of a study: statistics of its figures, the points where they are extreme, and what full solves say."""
+"""A study as tables (statistics of its figures, the points where they are extreme, full solves beside the reduced
+model), as pictures and as a page."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +12,23 @@ from workbench.design.figures import figure_named
 from workbench.design.study_result import MISSING, STATE, StudyResult
 from workbench.design.variables import VariedNumber
 from workbench.files.quantities import shown_factor, shown_unit
-from workbench.report.page import TextTable, number_text
+from workbench.render.studies import (
+    MOST_IN_PAIRS,
+    MOST_LINES,
+    StudyColumn,
+    draw_maps,
+    draw_parallel,
+    draw_slices,
+    most_telling,
+)
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
+
+#: Reasons that a report lists.
+MOST_REASONS = 12
+
+#: A figure whose range is no more than this of itself is the same everywhere, such as the power of a drive that states
+#: it: ten times this would hide what a tolerance of a ten thousandth does.
+CONSTANT = 1e-6
 
 
 def statistics_table(result: StudyResult) -> TextTable:
@@ -85,17 +103,66 @@ def missing_table(result: StudyResult) -> TextTable | None:
     return TextTable(("missing figures and why", "points"), (*shown, *([("other reasons", str(rest))] if rest else [])))
 
 
-#: Reasons that a report lists.
-MOST_REASONS = 12
-
-#: A figure whose range is no more than this of itself is the same everywhere, such as the power of a drive that states
-#: it: ten times this would hide what a tolerance of a ten thousandth does.
-CONSTANT = 1e-6
-
-
 def _headed(name: str, unit: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
 def _told(value: float, factor: float) -> str:
     return "" if math.isnan(value) else number_text(value / factor, 5)
+
+
+def draw_study(found: StudyResult, folder: Path) -> list[Picture]:
+    """Pictures of every state: parallel coordinates, and every figure over what varies."""
+    pictures: list[Picture] = []
+    for state in found.study.states:
+        parameters, figures = study_columns(found, state)
+        known = [column for column in figures if np.isfinite(column.values).any()]
+        if known:
+            path = draw_parallel([*parameters, *known], known[0], folder / f"parallel_{state}.png", title=state)
+            thinned = f", {MOST_LINES} of them" if len(found.study.sample) > MOST_LINES else ""
+            pictures.append(Picture(path, f"{state}: every point a line{thinned}"))
+        for name, column in zip(found.study.figures, figures, strict=True):
+            if not np.isfinite(column.values).any():
+                continue
+            path = draw_slices(parameters, column, folder / f"slices_{state}_{name}.png", title=f"{name}, {state}")
+            pictures.append(Picture(path, f"{state}: {name} over each parameter; line and band are the median and the "
+                                    "range of 5 to 95 % over all others"))
+            chosen = most_telling(parameters, column)
+            if len(chosen) > 1:
+                path = draw_maps(chosen, column, folder / f"maps_{state}_{name}.png", title=f"{name}, {state}")
+                which = f", the {MOST_IN_PAIRS} it follows most" if len(chosen) < len(parameters) else ""
+                pictures.append(Picture(path, f"{state}: {name} over pairs of parameters{which}, mean over all others"))
+    return pictures
+
+
+def study_columns(found: StudyResult, state: str) -> tuple[list[StudyColumn], list[StudyColumn]]:
+    """What varies, and the figures, at the points of one state in the units they are shown in."""
+    plan, there = found.study, found.columns[STATE] == state
+    parameters = [
+        StudyColumn(_headed(axis.name, shown_unit(axis.unit)), plan.sample[:, at] * shown_factor(axis.unit))
+        if isinstance(axis, VariedNumber) else StudyColumn(axis.name, plan.sample[:, at], axis.materials)
+        for at, axis in enumerate(plan.axes)]
+    figures = [StudyColumn(_headed(name, figure_named(name).shown),
+                           found.columns[name][there] / figure_named(name).factor)
+               for name in plan.figures]
+    return parameters, figures
+
+
+def write_study_report(found: StudyResult, pictures: list[Picture], folder: Path) -> Path:
+    """``report.html`` of a study with its :func:`draw_study` pictures."""
+    plan = found.study
+    missing = missing_table(found)
+    words = TextTable(("figure", "meaning"), tuple((name, figure_named(name).words) for name in plan.figures))
+    asked: list[Block] = [
+        f"{plan.size} points of {plan.chip.name} ({plan.sampling.method}), driven by {plan.operation.drive}.", words]
+    confirmed: list[Block] = ["Points solved in full, on a mesh of their own, against the reduced model:",
+                              confirmed_table(found)]
+    if not found.confirmations:
+        confirmed = [Note("No point was solved in full.")]
+    return write_report(folder / "report.html", plan.name, [
+        ("Figures", [*asked, statistics_table(found), *([missing] if missing else [])]),
+        ("Extremes", [extremes_table(found)]),
+        ("Full solves", confirmed),
+        ("Pictures", list(pictures)),
+        ("Files", ["study.parquet and study.nc hold the table (SI units), study.json what was asked and the rest."]),
+    ])

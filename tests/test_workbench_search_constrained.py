@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from workbench.fitting.constrained import Inequality, Minimum, interior, minimise
+from workbench.search.constrained import Inequality, Minimum, interior, minimise
 
 Real = NDArray[np.float64]
 

@@ -1,20 +1,29 @@
-"""The outcome of a goal as tables and as a record."""
+"""The outcome of a goal as tables, as pictures, as a page and as a record."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from geometry.chip import Chip
 from workbench.design.candidate import Confirmed, RoundedDesign
 from workbench.design.choice import Searched
 from workbench.design.evaluation import Evaluation
 from workbench.design.figures import Figure
 from workbench.design.figures import figure_named as catalogued
 from workbench.design.goal import TOLERANCE, DesignObjective, Goal
+from workbench.design.modelling import ChipSolver
 from workbench.design.optimisation import Design
+from workbench.design.programme import KEPT
 from workbench.design.search import Optimum
-from workbench.report.page import TextTable, number_text
+from workbench.render.designs import Course, draw_descents, draw_front
+from workbench.render.gallery import draw_chip, draw_state
+from workbench.render.plots import draw_spectra
+from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_report
 
 #: Optima of one choice that a report lists.
 LISTED = 8
@@ -176,6 +185,122 @@ def starts_text(searched: Searched) -> str:
             f"have {ends} distinct {'end' if ends == 1 else 'ends'}")
 
 
+def summary_lines(design: Design) -> Sequence[str]:
+    """What a command says at the end, a sentence a line."""
+    chosen = design.chosen
+    lines = [design.best.statement if design.best else design.why_not, starts_text(chosen)]
+    if chosen.open_sides:
+        lines.append(f"the optimum lies at the side of the last model in {', '.join(chosen.open_sides)}: allow more "
+                     "moves in [search], or a wider reach")
+    return lines
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Page and record.
+
+
+def draw_design(found: Design, solver: ChipSolver, folder: Path, *, with_cad: bool) -> dict[str, list[Picture]]:
+    """Pictures by section; the solids of the best chip are written on the way."""
+    pictures: dict[str, list[Picture]] = {"spectra": [], "fields": [], "search": [], "front": [], "solids": []}
+    if found.best is not None:
+        spectra = {"before": solver.spectrum(found.goal.chip), "after": solver.spectrum(found.best.chip)}
+        path = draw_spectra(spectra, folder / "impedance.png", title=found.goal.chip.name)
+        pictures["spectra"].append(Picture(path, "impedance before and after"))
+        for label, chip, evaluation in (("before", found.goal.chip, found.before),
+                                        ("after", found.best.chip, found.best.after)):
+            pictures["fields"] += _fields(label, chip, evaluation.frequency, solver, folder)
+        if with_cad:
+            pictures["solids"].append(_solids(found.best.chip, folder))
+    if found.chosen.attempts:
+        pictures["search"].append(_convergence(found, folder))
+    if found.front:
+        pictures["front"].append(_front(found, folder))
+    return pictures
+
+
+def _fields(label: str, chip: Chip, frequency: float, solver: ChipSolver, folder: Path) -> list[Picture]:
+    """The potential of the particles in the cavity, or else the pressure there, at the frequency of the chip's figures.
+
+    None without a fluid in it, or without a frequency.
+    """
+    shot = solver.snapshot(chip, frequency) if math.isfinite(frequency) else None
+    if shot is None:
+        return []
+    drawn = draw_state(shot, folder / label, only=("pressure",) if shot.traps is None else ("gorkov",))
+    return [Picture(drawn[0].path, f"{label}, {drawn[0].caption}")]
+
+
+def _solids(chip: Chip, folder: Path) -> Picture:
+    from geometry.export import export_step, export_stl
+
+    export_step(chip, folder / "chip.step")
+    return draw_chip(chip, export_stl(chip, folder), folder / "cad.png")
+
+
+def _convergence(found: Design, folder: Path) -> Picture:
+    objective, chosen = found.goal.objectives[0], found.chosen
+    factor = reported_figure(objective.figure).factor
+    courses = []
+    for attempt in chosen.attempts:
+        path = np.array(attempt.best.path)
+        values = np.exp(-path[:, 0] if objective.maximise else path[:, 0]) / factor
+        number = next((k for k, one in enumerate(chosen.optima) if attempt.number in one.starts), len(chosen.optima))
+        courses.append(Course(np.where(path[:, 1] <= KEPT, values, np.nan), number))
+    drawn = draw_descents(courses, folder / "convergence.png", label=_label(objective), maximise=objective.maximise,
+                          title=starts_text(chosen))
+    return Picture(drawn, "the best descent of every start: the best chip so far that keeps all constraints")
+
+
+def _front(found: Design, folder: Path) -> Picture:
+    objectives = found.goal.objectives
+    factors = np.array([reported_figure(each.figure).factor for each in objectives])
+
+    def figures(each: Confirmed | RoundedDesign) -> list[float]:
+        candidate = each.candidate if isinstance(each, Confirmed) else each
+        return [programme_figure(o, v) for o, v in zip(objectives, candidate.objectives, strict=True)]
+
+    confirmed = [[each.after.figures[o.figure] for o in objectives] for each in found.front
+                 if isinstance(each, Confirmed)]
+    present = np.array([found.before.figures[each.figure] for each in objectives])
+    path = draw_front(np.array([figures(each) for each in found.front]) / factors, np.array(confirmed) / factors,
+                      present / factors, folder / "front.png", labels=(_label(objectives[0]), _label(objectives[1])),
+                      title=found.goal.chip.name)
+    return Picture(path, "chips of which none is better in both")
+
+
+def _label(objective: DesignObjective) -> str:
+    shown = reported_figure(objective.figure).shown
+    return f"{objective.figure} ({shown})" if shown else objective.figure
+
+
+def write_design_report(found: Design, pictures: dict[str, list[Picture]], folder: Path) -> Path:
+    """``report.html`` of an outcome with its :func:`draw_design` pictures."""
+    goal, chosen, best = found.goal, found.chosen, found.best
+    objectives = " and ".join(str(each) for each in goal.objectives)
+    outcome: list[Block] = [f"Asked for: {objectives} at {goal.operation.drive}, state {goal.state}."]
+    outcome += [Note(line) if found.best is None else line for line in summary_lines(found)]
+    outcome += [Note(each.statement) for each in found.rejected]
+    outcome.append(before_after_table(found))
+    if best is not None:
+        outcome.append(lengths_table(found, best))
+    outcome += [*pictures["spectra"], *pictures["fields"]]
+    sections: list[tuple[str, list[Block]]] = [("Before and after", outcome)]
+    if best is not None and best.candidate.optimum is not None:
+        held = active_table(best.candidate, goal.objectives[0])
+        sections.append(("What holds the optimum", [
+            "At the optimum between the steps that lengths come in; by the multipliers of the bounds, to first order.",
+            held if held.rows else "Nothing: it lies within all bounds."]))
+    if found.front:
+        sections.append(("Between the objectives", [*pictures["front"], front_table(found)]))
+    if chosen.optima:
+        sections.append(("Starts and runners-up", [starts_text(chosen) + ".", *pictures["search"],
+                                                   optima_table(found, chosen)]))
+    if len(found.searched) > 1:
+        sections.append(("Stock and materials", [choices_table(found)]))
+    sections += [("The chip", list(pictures["solids"])), ("The models", [models_table(found)])]
+    return write_report(folder / "report.html", f"Design: {goal.chip.name}", [each for each in sections if each[1]])
+
+
 def design_record(design: Design) -> dict[str, Any]:
     """Everything of an outcome, for a JSON file: SI, by name; None for figures that do not exist."""
     goal, best = design.goal, design.best
@@ -223,13 +348,3 @@ def _choice(one: Searched) -> dict[str, Any]:
                     "keeps_constraints": each.descent.feasible} for each in one.optima],
         "candidates": [_candidate(each) for each in one.candidates],
     }
-
-
-def summary_lines(design: Design) -> Sequence[str]:
-    """What a command says at the end, a sentence a line."""
-    chosen = design.chosen
-    lines = [design.best.statement if design.best else design.why_not, starts_text(chosen)]
-    if chosen.open_sides:
-        lines.append(f"the optimum lies at the side of the last model in {', '.join(chosen.open_sides)}: allow more "
-                     "moves in [search], or a wider reach")
-    return lines

@@ -1,4 +1,4 @@
-"""Tolerances of a chip as tables, records and files."""
+"""The tolerances of a chip as tables, as a record, as samples in a file, and as a page."""
 
 from __future__ import annotations
 
@@ -9,35 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.design.figures import Figure
+from workbench.design.figures import Figure, change_unit
 from workbench.design.sensitivity import SHARE
 from workbench.design.tolerance import Tolerance
+from workbench.design.uncertainty import amount
 from workbench.design.yields import CONFIDENCE, RequirementYield, Share
-from workbench.files.quantities import shown_factor, shown_unit
+from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.files.writing import replacing
-from workbench.model.numbers import CUT, Number, ParameterName
-from workbench.report.page import TextTable, number_text
-
-#: Units in which changes are told where those of the figure itself are too large, and what one is in SI.
-OF_CHANGES = {"MHz": ("kHz", 1e3)}
-
-
-def change_unit(figure: Figure) -> tuple[str, float]:
-    """The unit in which changes of a figure are told, and what one of it is in SI."""
-    return OF_CHANGES.get(figure.shown, (figure.shown, figure.factor))
+from workbench.model.numbers import CUT, Number
+from workbench.render.tolerances import draw_tolerance
+from workbench.report.page import Block, Note, TextTable, number_text, write_report
 
 
 def figure_with_unit(figure: Figure, value: float, digits: int = 4) -> str:
     """A figure (SI) with its unit."""
     return f"{number_text(value / figure.factor, digits)} {figure.shown}".strip()
-
-
-def amount(name: str, value: float) -> str:
-    """A change of a number (SI) with its unit: of lengths in micrometres."""
-    unit = ParameterName.parse(name).unit
-    if unit == "m":
-        return f"{value * 1e6:.3g} um"
-    return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()
 
 
 def law_in_words(each: Number) -> str:
@@ -149,6 +135,56 @@ def sobol_table(found: Tolerance) -> TextTable:
 # Files.
 
 
+def drive_in_words(found: Tolerance) -> str:
+    """Whether the drive follows the resonance, or its frequency."""
+    return "drive follows f0" if found.frequency is None else f"driven at {found.frequency / 1e6:.4f} MHz"
+
+
+def write_tolerance_report(found: Tolerance, folder: Path) -> Path:
+    """``report.html`` with its pictures."""
+    pictures = draw_tolerance(found, folder)
+    blocks: list[tuple[str, list[Block]]] = []
+    first: list[Block] = []
+    first.append(f"{drive_in_words(found)}; {found.drive}" + ("" if found.outcomes is None else
+                 f"; {len(found.outcomes.points)} samples, seed {found.seed}"))
+    first.append(figures_table(found))
+    if found.yields is not None:
+        first += [yields_table(found), pictures["yield"], pictures["samples"]]
+        first.append(
+            "The linear estimate takes every figure as linear in the uncertain numbers, with the exact derivatives of "
+            "full solves at their means. Beside it is what the samples' yield has more, on the same samples.")
+        blocks.append(("Yield", first))
+        blocks.append(("What to make more exactly", [
+            *([tightening_table(found)] if any(each.is_clear for each in found.yields.tightenings) else []),
+            unclear_tightenings(found),
+            "Found by weighing the samples as if they were of the narrower law (importance sampling), with the linear "
+            "estimate on many more samples as control variate. A normal number is taken to be measured once more, so "
+            "well that half of its uncertainty is left; what a fit correlates with it becomes narrower too."]))
+    else:
+        blocks.append(("Figures", first))
+    first += [Note(text) for text in found.findings]
+    matters: list[Block] = [pictures["tornado"]] if "tornado" in pictures else []
+    blocks.append(("What matters", [*matters, sensitivities_table(found)]))
+    if found.sobol is not None:
+        blocks.append(("Shares of the variance", [
+            sobol_table(found), f"Sobol indices by {found.sobol.evaluations} evaluations, with bootstrap intervals of "
+            "95 %: the share of the figure's variance that a number causes alone, and together with all others."]))
+    blocks.append(("What is uncertain", [inputs_table(found)] if found.uncertainty.inputs else ["Nothing is stated."]))
+    if found.model is not None:
+        blocks.append(("The model", [_model_table(found)]))
+    return write_report(folder / "report.html", f"{found.chip.name}, {found.state}: tolerances", blocks)
+
+
+def _model_table(found: Tolerance) -> TextTable:
+    assert found.model is not None
+    rows = [("unknowns", str(found.model.rank)),
+            ("largest relative error found by full solves", f"{100.0 * found.model.error:.2g} %"),
+            ("seconds", f"{found.model.seconds:.0f} of {found.seconds:.0f}")]
+    rows += [(f"{label} at the mean numbers, against full solves", f"{100.0 * off:+.2g} %")
+             for label, off in found.model.off.items()]
+    return TextTable(("of the model", "value"), tuple(rows))
+
+
 def tolerance_record(found: Tolerance) -> dict[str, Any]:
     """Everything but the samples, for a JSON file; SI."""
     known = found.sensitivities
@@ -161,22 +197,22 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
                         "standard_uncertainty": each.deviation, "law": each.law, "low": each.low, "high": each.high,
                         "origin": each.origin} for each in found.uncertainty.inputs],
             "correlation": found.uncertainty.correlation.tolist(), "notes": list(found.uncertainty.notes)},
-        "figures": {each.label: {"nominal": _finite(known.figures[each.label]), "unit": each.figure.unit,
-                                 "standard_uncertainty": _finite(known.deviation(each.label, found.uncertainty))
+        "figures": {each.label: {"nominal": finite(known.figures[each.label]), "unit": each.figure.unit,
+                                 "standard_uncertainty": finite(known.deviation(each.label, found.uncertainty))
                                  if found.uncertainty.inputs else None,
                                  "drive": str(each.drive)} for each in found.asked},
         "sensitivities": {
             "names": list(known.names), "steps": known.steps.tolist(), "stated": list(known.stated),
-            "gradient": {label: [_finite(x) for x in slopes] for label, slopes in known.gradient.items()}},
+            "gradient": {label: [finite(x) for x in slopes] for label, slopes in known.gradient.items()}},
         "findings": list(found.findings), "wall_seconds": found.seconds,
     }
     if found.model is not None:
         record["model"] = {"unknowns": found.model.rank, "largest_relative_error": found.model.error,
                            "wall_seconds": found.model.seconds,
-                           "relative_difference_from_full_solves": {k: _finite(v) for k, v in found.model.off.items()}}
+                           "relative_difference_from_full_solves": {k: finite(v) for k, v in found.model.off.items()}}
     if found.outcomes is not None and found.yields is not None:
         record["samples"] = {"count": len(found.outcomes.points), "redrawn": found.redrawn,
-                             "largest_estimated_error": _finite(found.outcomes.error),
+                             "largest_estimated_error": finite(found.outcomes.error),
                              "missing": {label: dict(why) for label, why in found.outcomes.missing.items()}}
         record["yield"] = {
             "confidence": CONFIDENCE, "interval": "Clopper-Pearson",
@@ -188,18 +224,14 @@ def tolerance_record(found: Tolerance) -> dict[str, Any]:
         record["sobol"] = {
             "evaluations": found.sobol.evaluations, "figures": list(found.sobol.figures),
             "names": list(found.sobol.names),
-            **{name: [[_finite(x) for x in row] for row in getattr(found.sobol, name)]
+            **{name: [[finite(x) for x in row] for row in getattr(found.sobol, name)]
                for name in ("first", "first_low", "first_high", "total", "total_low", "total_high")}}
     return record
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
 def _yield_record(each: RequirementYield) -> dict[str, Any]:
     limits = {} if each.bound is None else {
-        "figure": each.bound.label, "low": _finite(each.bound.low), "high": _finite(each.bound.high),
+        "figure": each.bound.label, "low": finite(each.bound.low), "high": finite(each.bound.high),
         "nominal": each.bound.nominal}
     return {"requirement": each.name, **limits, **_share_record(each.sampled), "linear": each.linear,
             "sampled_less_linear": each.difference, "standard_error_of_that": each.difference_error,

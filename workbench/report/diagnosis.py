@@ -1,45 +1,38 @@
-"""What ``workbench diagnose`` shows of a diagnosis: one page, and a few lines for the terminal."""
+"""A diagnosis as tables, as the record of ``diagnosis.json``, and as a page."""
 
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from geometry.names import whole
 from workbench.acoustics.fields import section_nodes
-from workbench.commands.tables import known_physics_table, merit_cells, origin_table
-from workbench.commands.terminal import print_line, print_table
 from workbench.diagnosis.campaign import Campaign
+from workbench.diagnosis.decision import NOT_FINISHED
+from workbench.diagnosis.known_physics import Contribution
 from workbench.diagnosis.outcome import Diagnosis, FoundNumber
-from workbench.diagnosis.record import Contribution, stopped_record
-from workbench.diagnosis.state import fitted_spectrum
+from workbench.diagnosis.state import DeviceState, StateFit, fitted_spectrum
 from workbench.files.quantities import shown_factor, shown_unit
 from workbench.model.numbers import plain_words
-from workbench.report.figures import measured_figures
+from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
+from workbench.render.sections import draw_marked
+from workbench.report.figures import origin_table
 from workbench.report.page import Block, Note, Picture, TextTable, number_text, write_json, write_report
+from workbench.results.comparison import compare
+from workbench.results.merit import Figures, measured_figures
 
 #: What the table of what is left shows.
 LEFT = "what is left of Z, rms of both parts (%)"
 
-#: Rows of a table of hypotheses, and columns of a terminal whose width is not known.
-LISTED, COLUMNS = 12, 80
+#: Rows of a table of hypotheses.
+LISTED = 12
 
-
-def print_diagnosis(found: Diagnosis) -> None:
-    """Headline, what is established, what each state leaves, and what to measure next, to standard output."""
-    print_line(_wrapped(found.headline))
-    if found.established:
-        print_table("", established_table(found))
-    print_table(LEFT, left_table(found))
-    for text in (*found.findings, found.next_measurement):
-        if text:
-            print_line(_wrapped(text))
-
-
-def _wrapped(text: str) -> str:
-    return textwrap.fill(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
+#: A hypothesis is detected from this many standard deviations on.
+DETECTED = 5.0
 
 
 def established_table(found: Diagnosis) -> TextTable:
@@ -100,7 +93,7 @@ def write_diagnosis_report(found: Diagnosis, known: Sequence[Contribution], fold
         ("Figures of merit", [_merit(found)]),
         ("Effects with known constants", [
             "They are part of the model and never fitted; this is what each changes.",
-            known_physics_table(known)]),
+            _known_physics(known)]),
         ("The recordings", [block for state in found.states
                             for block in (f"State {state.name}:", origin_table(state.measured.origin))])]
     title = "Diagnosis" if so_far is None else "Diagnosis, not finished"
@@ -124,9 +117,6 @@ def write_stopped(campaign: Campaign, folder: Path, seconds: float) -> None:
 
 def _pictures(found: Diagnosis, folder: Path) -> list[Block]:
     """Every state before and after, a bar of shares, and the section with what is marked on it."""
-    from workbench.render.diagnoses import StatePicture, draw_shares, draw_states
-    from workbench.render.sections import draw_marked
-
     first, last = ((found.base, found.best) if found.established else (found.stated, found.base))
     labels = (("known parameters alone", "with what was found") if found.established
               else ("as stated", "known parameters fitted"))
@@ -205,14 +195,118 @@ def _known(known: Sequence[FoundNumber]) -> TextTable:
          f"{each.sigmas or 0.0:+.2f}") for each in sorted(known, key=lambda each: -abs(each.sigmas or 0.0))))
 
 
+def _known_physics(known: Sequence[Contribution]) -> TextTable:
+    """What every effect with known constants changes."""
+    return TextTable(("effect", "state", "f0 (Hz)", "Q", "ln Z, rms (%)"), tuple(
+        (row.effect, row.state, *("none" if value is None else f"{value:+.3g}"
+                                  for value in (row.f0_change, row.q_change)),
+         f"{100.0 * row.rms_log_change:.3g}") for row in known))
+
+
 def _merit(found: Diagnosis) -> TextTable:
     rows = []
     for state, stated, base, best in zip(found.states, found.stated, found.base, found.best, strict=True):
-        rows.append((state.name, "measured", *merit_cells(measured_figures(state.measured)[0]), ""))
+        rows.append((state.name, "measured", *_merit_cells(measured_figures(state.measured)[0]), ""))
         fits = {"as stated": stated, "known parameters": base}
         if found.established:
             fits["with what was found"] = best
-        rows += [(state.name, label, *merit_cells(measured_figures(fitted_spectrum(fit, state))[0]),
+        rows += [(state.name, label, *_merit_cells(measured_figures(fitted_spectrum(fit, state))[0]),
                   number_text(fit.reduced, 3))
                  for label, fit in fits.items()]
     return TextTable(("state", "spectrum", "f0 (kHz)", "Z_min (ohm)", "Q", "chi-square"), tuple(rows))
+
+def _merit_cells(merit: Figures | None) -> tuple[str, str, str]:
+    """f0 (kHz), Z_min (ohm) and Q."""
+    if merit is None:
+        return "none", "none", "none"
+    return f"{merit.f0 / 1e3:.3f}", number_text(merit.z_min), number_text(merit.q)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# diagnosis.json. Evidences and odds are natural logarithms.
+
+
+def detection_limits(found: Diagnosis) -> dict[str, float]:
+    """The smallest value (SI, from its start) of every hypothesis' first parameter that this campaign would detect."""
+    return {s.effect.name: float(DETECTED * s.error[0]) for s in found.scores
+            if s.error.size and np.isfinite(s.error[0])}
+
+
+def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
+    """The content of ``diagnosis.json``, but for what effects with known constants contribute."""
+    decision, states, count = found.conclusion.decision, found.states, len(found.campaign.fitted)
+
+    def fits(of: Sequence[StateFit]) -> dict[str, Any]:
+        return {fit.name: _state_record(fit, state) for fit, state in zip(of, states, strict=True)}
+
+    before, base, after = fits(found.stated), fits(found.base), fits(found.best)
+    fitted, held = [s.name for s in states[:count]], [s.name for s in states[count:]]
+    rivals = zip(decision.rivals, found.conclusion.rivals, strict=True)
+    return {
+        "campaign": found.campaign.name, "verdict": found.verdict, "headline": found.headline,
+        "effects": _effects(found),
+        "left": vars(found.left), "accuracy": found.left.accuracy,
+        "moved_parameters": [{"name": p.name, "from": p.stated, "to": p.value, "unit": p.unit, "sigmas": p.sigmas}
+                             for p in found.known],
+        "rivals": [{"effects": list(e.effects), "name": e.name,
+                    "behind": decision.log_odds[decision.chosen.name] - decision.log_odds[e.name],
+                    "parameters": {p.name: [p.value, p.low, p.high] for p in found.estimates_of(settled)}}
+                   for e, settled in rivals],
+        "location": [place._asdict() for place in found.location],
+        **{key: {name: of[name] for name in fitted}
+           for key, of in (("before", before), ("known_parameters_only", base), ("after", after))},
+        "held_out": {name: {"before": base[name], "after": after[name]} for name in held},
+        "next_measurement": found.next_measurement, "next_options": [vars(option) for option in found.next_options],
+        "detection_limits": detection_limits(found),
+        "scores": [{"effect": s.effect.name, "region": s.effect.region, "gain": s.gain,
+                    "sigmas": math.sqrt(max(s.gain, 0.0)), "evidence": s.evidence} for s in found.scores],
+        "refits": [{"name": e.hypothesis.name, "effects": [effect.name for effect in e.hypothesis.effects],
+                    "evidence": e.log_evidence - found.found.base.explanation.log_evidence,
+                    "held_out": settled.held_out - found.found.base.held_out,
+                    "log_odds": decision.log_odds[e.hypothesis.name], "accuracy": e.accuracy,
+                    "reduced_chi_square": float(np.mean(e.residual.vector**2))}
+                   for settled in found.found.final for e in [settled.explanation]],
+        "taken": _taken_record(found.campaign), "undone": list(found.found.undone),
+        "not_tried": [vars(each) for each in found.found.not_tried],
+        # Of a search that was cut short: what explains best of what it looked at.
+        "provisional": None if found.provisional is None else {"effects": _effects(found.provisional)},
+        "findings": list(found.findings), "seconds": found.seconds, "full_solves": found.model.whole.solves,
+    }
+
+
+def _state_record(fit: StateFit, state: DeviceState) -> dict[str, Any]:
+    """What is written of a state as it was fitted."""
+    spectrum = fitted_spectrum(fit, state)
+    figures, _ = measured_figures(spectrum)
+    return {"f0": None if figures is None else figures.f0, "z_min": None if figures is None else figures.z_min,
+            "q": None if figures is None else figures.q, "mape_percent": compare(state.measured, spectrum).mape_percent,
+            "rms_log_residual": fit.rms, "reduced_chi_square": fit.reduced, "correlation": fit.correlation}
+
+
+def stopped_record(campaign: Campaign, seconds: float) -> dict[str, Any]:
+    """The content of ``diagnosis.json`` where a diagnosis was stopped after so many `seconds`, before its first result.
+    """
+    return {
+        "campaign": campaign.name, "verdict": NOT_FINISHED,
+        "headline": "Not finished: it was stopped before its first result, and nothing can be said of any hypothesis.",
+        "effects": [], "rivals": [], "provisional": None, "undone": ["everything"], "not_tried": [], "findings": [],
+        "read": {state.name: {"recording": state.measured.origin.source,
+                              "points": int(state.measured.frequency.size), "held_out": state.held_out}
+                 for state in campaign.states},
+        "taken": _taken_record(campaign), "seconds": seconds,
+    }
+
+
+def _effects(found: Diagnosis) -> list[dict[str, Any]]:
+    return [{"name": e.effect.name, "region": e.effect.region, "kind": e.effect.kind, "admissible": e.admissible,
+             "share": e.share, "parameters": {p.name: _estimate(p) for p in e.estimates}} for e in found.established]
+
+
+def _estimate(found: FoundNumber) -> dict[str, Any]:
+    return {"value": found.value, "low": found.low, "high": found.high, "unit": found.unit}
+
+
+def _taken_record(campaign: Campaign) -> list[dict[str, object]]:
+    """The numbers that were taken as known: how exactly, and who says so."""
+    return [{"name": each.name, "uncertainty": each.deviation, "unit": each.unit, "source": each.origin}
+            for each in campaign.taken]

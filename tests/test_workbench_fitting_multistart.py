@@ -1,0 +1,86 @@
+"""Further starts of a fit, on a film with several optima of which the mesh of the search does not see the right one."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from workbench.fitting.multistart import FitMultistart, Refined, listed_starts
+from workbench.fitting.search import FitDescent
+from workbench.fitting.uncertainty import Noise
+
+Real = NDArray[np.float64]
+
+#: Thicknesses (m) of the film at which there is an optimum, and the noise that it leaves, as many times as is stated.
+VALLEYS = {20e-6: 8.0, 23e-6: 4.0, 26.45e-6: 1.0}
+FILM = SimpleNamespace(name="couplant.thickness", is_film=True, is_loss=False,
+                       parsed=SimpleNamespace(coefficient="thickness"))
+
+
+def optimum(x: Real, noise: float) -> Any:
+    """An optimum at x (1,) that leaves so much noise."""
+    residual = SimpleNamespace(data=SimpleNamespace(log_ratio=[np.full(3, 0.01 * noise + 0j)]))
+    return FitDescent(x, residual, noise, True, 3, "", (), x, {0: noise}, True)  # type: ignore[arg-type]
+
+
+class Search:
+    """A search on a mesh that shows the first valley alone."""
+
+    parameters, low, high, scale = (FILM,), np.array([1e-6]), np.array([1e-4]), np.array([20e-6])
+
+    def inside(self, x: Real) -> Real:
+        return x
+
+    def descend(self, _x: Real, **_options: object) -> Any:
+        return optimum(np.array([20e-6]), 8.0)
+
+    def errors(self, _optimum: object) -> Real:
+        return np.array([0.1e-6])
+
+
+def refine(x: Real) -> Refined:
+    """The nearest valley, on the mesh asked for."""
+    valley = min(VALLEYS, key=lambda each: abs(each - float(x[0])))
+    ratio = VALLEYS[valley]
+    noise = Noise(0.01 * ratio, 1.0 if ratio == 1.0 else 4.0, True, ratio)
+    return Refined(optimum(np.array([valley]), ratio), (noise,))
+
+
+@pytest.fixture
+def further() -> FitMultistart:
+    search: Any = Search()
+    return FitMultistart(search, refine, search.descend(np.array([20e-6])), 32, lambda _text, _share: None)
+
+
+def test_a_film_goes_on_from_valley_to_valley_on_the_mesh_asked_for(further: FitMultistart) -> None:
+    further.run([])
+    assert further.reached.descent is None
+    assert further.refined.minimum.x == pytest.approx([26.45e-6])
+    labels = [trial.start.label for trial in further.trials]
+    # What helped is tried again first, and nothing once all is explained.
+    assert labels[-1] == "film couplant.thickness x 1.15, on the mesh asked for"
+    assert labels.count(labels[-1]) == 2
+
+
+def test_starts_are_judged_by_the_answer_even_where_the_mesh_of_the_search_did_not_lead_to_it(
+    further: FitMultistart
+) -> None:
+    further.run([])
+    search: Any = Search()
+    listed = listed_starts(further.trials, further.reached, search, search)
+    outcomes = {start.label: start.outcome for start in listed}
+    elsewhere = "another optimum: couplant.thickness differs most"
+    assert outcomes["film couplant.thickness x 1.15"] == elsewhere
+    assert outcomes["film couplant.thickness x 1.15, on the mesh asked for"] == "same optimum"
+    assert [start.outcome for start in listed].count("same optimum") == 1
+
+
+def test_without_tries_nothing_further_is_begun(further: FitMultistart) -> None:
+    further.tries = 0
+    further.run([])
+    assert further.trials == []
+    assert further.refined.minimum.x == pytest.approx([20e-6])

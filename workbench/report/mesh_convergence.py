@@ -1,0 +1,75 @@
+"""Meshes of several accuracies beside one finer than all, as a table, as a record and as a page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.render.plots import draw_convergence
+from workbench.report.page import Picture, TextTable, number_text, write_report
+from workbench.simulation.run import Simulation
+
+#: The columns of ``convergence.json``.
+RECORDED = ("accuracy", "unknowns", "f0_hz", "z_min_ohm", "q", "estimated_rms_error", "rms_error")
+
+
+@dataclass(frozen=True)
+class MeshRow:
+    """One mesh: the ``accuracy`` it was made for (None: the finest), its ``unknowns``, figures of merit (Hz, ohm, 1),
+    the rms error of ln Z as ``estimated`` on it (NaN: not) and against the finest, and the ``size`` of its elements
+    (root of their mean area, m)."""
+
+    accuracy: float | None
+    unknowns: int
+    f0: float
+    z_min: float
+    q: float
+    estimated: float
+    error: float
+    size: float
+
+    @classmethod
+    def of(cls, accuracy: float | None, run: Simulation, finest: Simulation) -> MeshRow:
+        """From a run that has figures of merit, and that of the finest mesh at the same frequencies."""
+        mesh = run.problem.mesh
+        area = sum(mesh.section.area(region) for region in mesh.section.regions)
+        ratio = run.spectrum.impedance / finest.spectrum.impedance
+        merit = run.figures
+        assert merit is not None
+        return cls(accuracy, run.unknowns, merit.f0, merit.z_min, merit.q,
+                   run.mesh_error.rms if run.mesh_error else math.nan,
+                   float(np.sqrt(np.mean(np.abs(np.log(ratio)) ** 2))), math.sqrt(area / mesh.mesh.t.shape[1]))
+
+
+def convergence_table(rows: Sequence[MeshRow]) -> TextTable:
+    """Every mesh with its figures of merit, its error against the finest, and that estimated on it."""
+    return TextTable(("accuracy", "unknowns", "f0 (MHz)", "Z_min (ohm)", "Q", "error (%)", "estimate"), tuple(
+        ("finer" if row.accuracy is None else f"{100.0 * row.accuracy:g} %", str(row.unknowns), f"{row.f0 / 1e6:.5f}",
+         number_text(row.z_min), number_text(row.q), "" if row.accuracy is None else f"{100.0 * row.error:.4f}",
+         f"{100.0 * row.estimated:.4f}") for row in rows))
+
+
+def convergence_record(rows: Sequence[MeshRow]) -> dict[str, Any]:
+    """The content of ``convergence.json``."""
+    return {"columns": list(RECORDED), "rows": [
+        [row.accuracy, row.unknowns, row.f0, row.z_min, row.q, row.estimated, row.error] for row in rows]}
+
+
+def write_convergence_report(title: str, rows: Sequence[MeshRow], folder: Path) -> Path:
+    """``report.html``: the table, and the differences from the finest mesh, the last of the rows, over the size."""
+    *others, finest = rows
+    errors = {"f0": [abs(row.f0 / finest.f0 - 1.0) for row in others],
+              "Z_min": [abs(row.z_min / finest.z_min - 1.0) for row in others],
+              "Z, rms": [row.error for row in others], "Z, rms, estimated": [row.estimated for row in others]}
+    path = draw_convergence(np.array([row.size for row in others]),
+                            {label: np.array(values) for label, values in errors.items()}, folder / "convergence.png",
+                            title=f"{title}: difference from the finest mesh")
+    return write_report(folder / "report.html", f"{title}: accuracy of meshes", [("Accuracy", [
+        convergence_table(rows),
+        Picture(path, "difference from the finest mesh against the mean size of the elements, whose order is not the "
+                      "same everywhere")])])

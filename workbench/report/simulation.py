@@ -1,0 +1,187 @@
+"""Simulated states of a chip as tables, as a page and as records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.chip import Chip
+from workbench.acoustics.traps import Trap, TrapReport, focus_time, time_to
+from workbench.model.numbers import ParameterName
+from workbench.model.particles import net_weight
+from workbench.render.plots import draw_spectra
+from workbench.report.figures import (
+    MODEL_COLUMNS,
+    capacitance_cells,
+    figures_record,
+    figures_row,
+    resonance_fits,
+    resonance_record,
+)
+from workbench.report.page import Answer, Block, Note, Picture, TextTable, number_text, write_report
+from workbench.simulation.gathering import Gathering
+from workbench.simulation.run import Simulation
+
+
+def field_table(report: TrapReport) -> TextTable:
+    """The field a particle is in, and what it does to the particle anywhere."""
+    forces, excitation = report.forces, report.excitation
+    largest = float(np.nanmax(np.linalg.norm(forces.force, axis=1)))
+    return TextTable(
+        ("particle", "contrast factor", "net weight (pN)", "largest force (pN)", "p0 (kPa)", "E_ac (J/m^3)",
+         "mean E_ac (J/m^3)"),
+        ((f"{forces.particle.name}, {2e6 * forces.particle.radius:.3g} um",
+          number_text(forces.scattering.contrast_factor, 3),
+          number_text(1e12 * net_weight(forces.particle, forces.fluid), 3),
+          number_text(1e12 * largest, 3), number_text(1e-3 * excitation.pressure_amplitude),
+          number_text(excitation.energy_density, 3), number_text(excitation.mean_energy_density, 3)),))
+
+
+def traps_table(report: TrapReport) -> TextTable:
+    """Every trap: where, how strong, how much of the cavity drains to it and how fast."""
+    weight = abs(net_weight(report.forces.particle, report.forces.fluid))
+    rows = []
+    for trap in report.traps:
+        seconds = time_to(report, trap)
+        rows.append((
+            f"r {1e3 * trap.radius:.3f}, z {1e3 * trap.height:.3f}{', on a wall' if trap.on_wall else ''}",
+            f"{1e3 * trap.above_floor:.3f}", *(_femtojoules(each) for each in (
+                trap.barrier, trap.axial_barrier, trap.radial_barrier)),
+            "" if trap.lift is None or not weight else number_text(trap.lift / weight, 3), f"{100.0 * trap.share:.0f}",
+            f"{1e9 * trap.radial_stiffness:.3g}, {1e9 * trap.axial_stiffness:.3g}",
+            "" if seconds is None else number_text(seconds, 3)))
+    return TextTable(("trap (mm)", "above the floor (mm)", "barrier (fJ)", "axial barrier (fJ)", "radial barrier (fJ)",
+                      "lift / weight", "share (%)", "stiffness (pN/mm)", "focusing time (s)"), tuple(rows))
+
+
+def _femtojoules(barrier: float | None) -> str:
+    return "no way out" if barrier is None else number_text(1e15 * barrier, 3)
+
+
+def model_table(runs: Sequence[Simulation]) -> TextTable:
+    """Size, error and time of every run."""
+    columns = ("state", "unknowns", "order", "error of Z by the mesh, rms", "by the reduced model", "full solves",
+               "residual", "energy closure", "time (s)")
+    return TextTable(columns, tuple(
+        (run.state, str(run.unknowns), str(run.problem.mesh.order),
+         f"{run.mesh_error.rms:.1e}" if run.mesh_error else "", f"{run.error:.1e}", str(run.solves),
+         f"{run.residual:.1e}", f"{run.closure:.1e}", f"{sum(run.seconds.values()):.1f}") for run in runs))
+
+
+def simulated_figures_table(chip: Chip, runs: Sequence[Simulation]) -> TextTable:
+    """Figures of merit of every state as simulated, and as the chip file reports them."""
+    rows = []
+    for run in runs:
+        rows.append((*figures_row(f"{run.state}, simulated", run.figures), *capacitance_cells(run.capacitance)))
+        rows += [(f"{run.state}, {r.label}", f"{r.f0 / 1e6:.4f}", number_text(r.z_min), number_text(r.q), "", "", "")
+                 for r in chip.state(run.state).reported]
+    return TextTable(MODEL_COLUMNS, tuple(rows))
+
+
+def without_resonance(runs: Sequence[Simulation]) -> list[str]:
+    """Why states have no figures of merit, a sentence each."""
+    return [f"{run.state}: {run.no_resonance}" for run in runs if run.figures is None]
+
+
+def _findings(runs: Sequence[Simulation]) -> list[Note]:
+    """Findings of all runs, each once with the states that it holds in."""
+    found: dict[str, list[str]] = {}
+    for run in runs:
+        for text in run.findings:
+            found.setdefault(text, []).append(run.state)
+    return [Note(f"{', '.join(states)}: {text}") for text, states in found.items()]
+
+
+def _millimetres(name: str, value: float, factor: float) -> str:
+    """A dimension (m or rad) times a factor; an angle with its unit."""
+    if ParameterName.parse(name).quantity == "angle":
+        return f"{math.degrees(value):.3g} deg"
+    return f"{factor * value:.4g}"
+
+
+def write_simulation_report(
+    chip: Chip, runs: Sequence[Simulation], answers: Sequence[Gathering], pictures: Mapping[str, Sequence[Picture]],
+    solid_view: Sequence[Picture], folder: Path,
+) -> Path:
+    """``report.html``: what it is for first, then figures of merit, every state with its pictures, chip and model."""
+    spectra = draw_spectra({run.state: run.spectrum for run in runs}, folder / "impedance.png", title=chip.name)
+    dimensions = TextTable(("dimension", "value (mm)", "tolerance (um)", "where it comes from"), tuple(
+        (name, _millimetres(name, d.value, 1e3), "" if d.tolerance is None else _millimetres(name, d.tolerance, 1e6),
+         ": ".join(filter(None, ("assumed" if d.assumed else "", d.note)))) for name, d in chip.dimensions().items()))
+    sections: list[tuple[str, list[Block]]] = []
+    if answers:
+        # That of the last state first: it is the one the device works in.
+        sections.append(("Do particles gather?", [Answer(str(answer)) for answer in reversed(answers)]))
+    sections.append(("Figures of merit", [
+        chip.description, f"Source: {chip.source}" if chip.source else "", simulated_figures_table(chip, runs),
+        *map(Note, without_resonance(runs)), *_findings(runs), Picture(spectra, _resolution(runs))]))
+    for run in runs:
+        blocks: list[Block] = []
+        if run.traps is not None:
+            blocks += [field_table(run.traps), traps_table(run.traps)]
+        sections.append((f"State {run.state} at {run.fields.frequency / 1e6:.4f} MHz, {run.fields.drive}",
+                         [*blocks, *pictures[run.state]]))
+    used = TextTable(("state", "region", "material", "source"), tuple(
+        (run.state, region, m.name, m.source) for run in runs for region, m in run.problem.materials.items()))
+    sections += [("The chip", [*solid_view, dimensions, used]), ("The model", [model_table(runs)])]
+    return write_report(folder / "report.html", chip.name, sections)
+
+
+def _resolution(runs: Sequence[Simulation]) -> str:
+    """The caption of the spectra: how many points lie on each resonance, and what is drawn between them."""
+    resolved = [f"{run.figures.count_within(run.spectrum.frequency)} of {run.state}" for run in runs
+                if run.figures is not None]
+    words = "impedance; between the points that were computed the curve is their interpolant, from which f0 and Q are"
+    if not resolved:
+        return words
+    return f"{words}. Points within the half-power width of the resonance: {', '.join(resolved)}"
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# merit.json.
+
+
+def gathering_record(answers: Sequence[Gathering]) -> dict[str, Any]:
+    """Whether particles gather, by state."""
+    return {answer.state: {"gathers": answer.gathers, "sentences": list(answer.sentences)} for answer in answers}
+
+
+def simulation_record(run: Simulation) -> dict[str, Any]:
+    """Everything of a simulated state that merit.json holds."""
+    record = figures_record(run.figures, run.no_resonance)
+    record["static_capacitance_f"] = {"clamped": run.capacitance.clamped,
+                                      "at_1_khz": run.capacitance.low_frequency}
+    record["resonance_fits"] = {name: resonance_record(fit) for name, fit in resonance_fits(run.spectrum).items()}
+    record["model"] = {
+        "unknowns": run.unknowns, "cells": int(run.problem.mesh.mesh.t.shape[1]), "full_solves": run.solves,
+        "order": run.problem.mesh.order, "estimated_mesh_error_rms": run.mesh_error.rms if run.mesh_error else None,
+        "estimated_relative_error": run.error, "largest_residual": run.residual, "energy_closure": run.closure,
+    }
+    record["fields"] = {"frequency_hz": run.fields.frequency, "drive": run.fields.drive,
+                        "voltage_amplitude_v": abs(run.fields.voltage), "power_w": run.fields.power}
+    record["losses_w"] = dict(run.losses)
+    if run.traps is not None:
+        excitation = run.traps.excitation
+        record["particles"] = {
+            "particle": run.traps.forces.particle.name, "radius_m": run.traps.forces.particle.radius,
+            "contrast_factor": run.traps.forces.scattering.contrast_factor,
+            "pressure_amplitude_pa": excitation.pressure_amplitude, "energy_density_j_m3": excitation.energy_density,
+            "drive": excitation.description, "focus_time_s": focus_time(run.traps),
+            "net_weight_n": net_weight(run.traps.forces.particle, run.traps.forces.fluid),
+            "share_settled": run.traps.settled,
+            "traps": [_trap_record(trap) for trap in run.traps.traps],
+        }
+    record["findings"], record["left_out_hz"] = list(run.findings), list(run.left_out)
+    record["seconds"] = dict(run.seconds)
+    return record
+
+
+def _trap_record(trap: Trap) -> dict[str, Any]:
+    return {"r_m": trap.radius, "z_m": trap.height, "above_floor_m": trap.above_floor, "barrier_j": trap.barrier,
+            "axial_barrier_j": trap.axial_barrier, "radial_barrier_j": trap.radial_barrier, "depth_j": trap.depth,
+            "lift_n": trap.lift, "share_of_cavity": trap.share, "radial_stiffness_n_m": trap.radial_stiffness,
+            "axial_stiffness_n_m": trap.axial_stiffness, "on_wall": trap.on_wall}

@@ -1,0 +1,100 @@
+"""Tempered search: a problem with many optima is approached through easier ones, each begun where the last one ended.
+
+Spectra have an optimum for every way to lay the overtones of a model on those of a recording. Where admittances are
+smoothed, or where points weigh little, there are few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.search.constrained import Minimum, Residuals
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ContinuationStage:
+    """One problem of a tempered search.
+
+    ``deviation`` is the relative deviation that points are given beside their noise, and ``smoothing`` the half width
+    of the Lorentzian that admittances are smoothed with, relative to the middle of the band. The stage ends after
+    ``limit`` steps, or where no step promises to lower the cost by the share ``tolerance``. Parameters of the indices
+    ``held`` do not move.
+    """
+
+    deviation: float
+    smoothing: float = 0.0
+    limit: int = 20
+    tolerance: float = 1e-4
+    held: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The stages of a tempered search, from the easiest problem to the hardest."""
+
+    stages: tuple[ContinuationStage, ...]
+
+    def resolved(self, spacing: float) -> Schedule:
+        """The stages whose smoothing points of that relative `spacing` can show, and those without smoothing."""
+        return Schedule(tuple(each for each in self.stages if each.smoothing == 0.0 or each.smoothing > spacing))
+
+    def holding(self, indices: tuple[int, ...]) -> Schedule:
+        """A copy whose first stage holds the parameters of these `indices`."""
+        first, *rest = self.stages
+        return Schedule((replace(first, held=indices), *rest))
+
+
+@dataclass(frozen=True, eq=False)
+class TemperedMinimum(Minimum[Residuals]):
+    """The end of a tempered search.
+
+    ``begin`` (p,) is where it began. ``costs`` holds the cost at the end of every stage, by the stage's number, as far
+    as the search went; ``ended`` is whether it went through all stages; ``iterations`` and ``refusals`` are those of
+    all stages, the rest is that of the last one.
+    """
+
+    begin: Real
+    costs: Mapping[int, float]
+    ended: bool
+
+
+#: Told what is being done, and which share of it is done.
+Progress = Callable[[str, float], None]
+
+#: Solves one stage from a point (p,).
+SolveStage = Callable[[ContinuationStage, Real], Minimum[Residuals]]
+
+
+def tempered(
+    schedule: Schedule,
+    solve: SolveStage[Residuals],
+    begin: Real,
+    *,
+    first: int = 0,
+    rival: TemperedMinimum[Residuals] | None = None,
+    worse: float = np.inf,
+    progress: Progress = lambda _text, _share: None,
+) -> TemperedMinimum[Residuals]:
+    """Solve the stages of `schedule` in their order, each from the end of the last one, the first from `begin` (p,).
+
+    Stages before number `first` are left out, but not the last stage. The search is given up once a stage costs more
+    than `worse` times what it cost `rival`; the last stage is never given up. `progress` is called after each stage.
+    """
+    x, iterations, refusals, costs = begin, 0, list[str](), dict[int, float]()
+    last = len(schedule.stages) - 1
+    for number in range(min(first, last), last + 1):
+        found = solve(schedule.stages[number], x)
+        x, iterations = found.x, iterations + found.iterations
+        refusals += found.refusals
+        costs[number] = found.cost
+        progress("searching", (number + 1) / (last + 1))
+        if number < last and rival is not None and found.cost > worse * rival.costs.get(number, np.inf):
+            break
+    return TemperedMinimum(x, found.residual, found.cost, found.converged, iterations, found.reason, tuple(refusals),
+                           begin, costs, number == last)

@@ -1,0 +1,69 @@
+"""One idea of "the same optimum", for the ends of descents.
+
+Two points are one optimum where every parameter agrees within :data:`ERRORS` of its standard errors, or within
+:data:`SHARE` of its scale, whichever is more. Standard errors are those of the problem that the ends are optima of: its
+data as they weigh there, and its priors. A direction that the data say nothing of ends anywhere along it. The scale is
+what is known of a parameter beforehand: its prior, or the range of an unknown of a design.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+End = TypeVar("End")
+
+#: Standard errors that ends of one optimum differ by at most.
+ERRORS = 3.0
+
+#: Share of its scale that a parameter differs by at most. It holds for descents that end well before the optimum where
+#: the data determine a parameter far better than its scale.
+SHARE = 0.05
+
+#: Information about a direction, relative to that about the one seen best, below which nothing is known of it.
+UNSEEN = 1e-12
+
+
+def separation(one: Real, other: Real, errors: Real, scale: Real | float) -> Real:
+    """The distances (p,) of two points (p,), relative to the most by which points of one optimum differ.
+
+    `errors` (p,) are standard errors, zero of what has none, and `scale` (p,) what is known beforehand, zero where
+    nothing is. What cannot move at all is at no distance.
+    """
+    most = np.maximum(ERRORS * errors, SHARE * np.asarray(scale))
+    off = np.abs(one - other)
+    return np.divide(off, most, out=np.where(off > 0.0, np.inf, 0.0), where=most > 0.0)
+
+
+def is_same_optimum(one: Real, other: Real, errors: Real, scale: Real | float) -> bool:
+    """Whether two points (p,) are one optimum; `errors` and `scale` as of :func:`separation`."""
+    return bool((separation(one, other, errors, scale) <= 1.0).all())
+
+
+def standard_errors(jacobian: Real, scale: Real) -> Real:
+    """Standard errors (p,) of least squares with that `jacobian` (m, p), rows of priors included.
+
+    They are worked out in units of `scale` (p,), all above zero: in SI the columns span forty orders of magnitude.
+    """
+    by_scale = jacobian * scale
+    information, directions = np.linalg.eigh(by_scale.T @ by_scale)
+    information = np.maximum(information, UNSEEN * information.max(initial=np.finfo(float).tiny))
+    return np.asarray(scale * np.linalg.norm(directions / np.sqrt(information), axis=1))
+
+
+def distinct(ends: Iterable[End], is_same: Callable[[End, End], bool], rank: Callable[[End], Any]) -> list[list[End]]:
+    """The `ends` of each optimum, the best first, and the optima by their best ends.
+
+    `rank` sorts ends, least first; `is_same` is asked of an end and the best one of an optimum.
+    """
+    optima: list[list[End]] = []
+    for end in sorted(ends, key=rank):
+        optimum = next((each for each in optima if is_same(end, each[0])), None)
+        if optimum is None:
+            optima.append(optimum := [])
+        optimum.append(end)
+    return optima
