@@ -29,7 +29,8 @@ from workbench.design.variables import MATERIAL, MaterialChoice, Variable, Varie
 from workbench.files.errors import InputError, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-from workbench.model.numbers import ParameterName
+from workbench.model.device_numbers import device_numbers, full_names
+from workbench.model.numbers import Number, ParameterName
 from workbench.model.problem import fill
 
 Real = NDArray[np.float64]
@@ -100,26 +101,22 @@ class Numbers:
     @classmethod
     def of(cls, chip: Chip, states: Sequence[str], choices: Sequence[MaterialChoice], registry: Registry) -> Numbers:
         """Those of a chip in its states with all choices of materials."""
-        lengths = {name: each for name, each in chip.dimensions().items() if not name.startswith("ports.")}
-        found: list[dict[str, float]] = []
+        found: list[dict[str, Number]] = []
         for state, *chosen in product(states, *(axis.materials for axis in choices)):
             picked = {axis.region: name for axis, name in zip(choices, chosen, strict=True)}
             held = fill(with_materials(chip, picked, registry), state, registry).materials.values()
-            coefficients = {f"{m.name}.{key}": value for m in held for key, value in m.parameters().items()}
-            found.append({name: each.value for name, each in lengths.items()}
-                         | {name: value.real for name, value in coefficients.items()}
-                         | {f"{name}.loss": value.imag for name, value in coefficients.items()})
+            found.append({name: each for each in device_numbers(chip, held).values() for name in each.names
+                          if not name.startswith("ports.")})
         everywhere = set.intersection(*(set(each) for each in found))
-        common = {name: frozenset(each[name] for each in found) for name in found[0] if name in everywhere}
+        common = {name: frozenset(each[name].value for each in found) for name in found[0] if name in everywhere}
         return cls(common, frozenset(set().union(*found) - everywhere),
-                   {name: each.tolerance for name, each in lengths.items()}, chip.unusual)
+                   {name: each.tolerance for name, each in found[0].items() if each.is_dimension}, chip.unusual)
 
     def full_name(self, written: str) -> str:
         """``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name."""
-        parsed = ParameterName.parse(written)
-        full = {owner for owner in (ParameterName.parse(name).owner for name in {*self.common, *self.others})
-                if "/" in owner and owner.split("/")[0] == parsed.owner}
-        return f"{full.pop()}.{parsed.local}" if len(full) == 1 else written
+        owners = {ParameterName.parse(name).owner for name in {*self.common, *self.others}}
+        full = full_names(written, (owner for owner in owners if "/" in owner))
+        return full[0] if len(full) == 1 else written
 
 
 def _number_axis(written: str, field: str, entry: FileTable, numbers: Numbers) -> VariedNumber:

@@ -32,7 +32,7 @@ from workbench.design.uncertainty import Uncertainty, known_as
 from workbench.files.errors import InputError, choose, nearest_names
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import FileTable
-from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numbers
+from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numbers, full_names
 from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits
 from workbench.model.problem import FilledChip, fill
 
@@ -354,12 +354,11 @@ def _meant(each: Statement, device: FilledChip, known: Mapping[str, Number]) -> 
     name = first.get(each.name, each.name)
     if name in known:
         return name
-    owner, _, rest = name.partition(".")
-    full = sorted({m.name for m in device.materials.values() if m.name.partition("/")[0] == owner})
-    if len(full) == 1 and f"{full[0]}.{rest}" in known:
-        return f"{full[0]}.{rest}"
+    full = full_names(name, (m.name for m in device.materials.values()))
+    if len(full) == 1 and full[0] in known:
+        return full[0]
     if len(full) > 1:
-        raise InputError(each.source, each.field, each.name, "one of " + ", ".join(f"{one}.{rest}" for one in full))
+        raise InputError(each.source, each.field, each.name, f"one of {', '.join(full)}")
     short = {one.partition("/")[0] + "." + one.partition(".")[2]: one for one in known if "/" in one}
     near = nearest_names(each.name, [*known, *short])
     raise InputError(each.source, each.field, each.name, "a number that figures depend on: " + ", ".join(known),

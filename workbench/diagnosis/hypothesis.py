@@ -11,7 +11,7 @@ from materials.registry import Registry
 from workbench.diagnosis.numbers import stated_number
 from workbench.diagnosis.state import DeviceState
 from workbench.fitting.parameter import Parameter
-from workbench.model.numbers import LOSS
+from workbench.model.numbers import LOSS, ParameterName
 from workbench.physics.rim import OfRim
 from workbench.physics.softening import DRIVE_SQUARED
 from workbench.physics.term import Admissible, FreeParameter, Term
@@ -151,10 +151,10 @@ def as_parameter(free: FreeParameter) -> Parameter:
     return Parameter(free.name, start, min(limit.lowest, start), max(limit.highest, start), None, limit.unit)
 
 
-def mistaken_range(value: float, share: float, unit: str) -> Admissible:
-    """What a stated value may be that was mistaken by up to a share of itself."""
-    return Admissible((1.0 - share) * value, (1.0 + share) * value, unit,
-                      f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")
+def mistaken(name: str, value: float, share: float) -> dict[str, Admissible]:
+    """What the number of that `name` may be, where its stated `value` (SI) is mistaken by up to a share of itself."""
+    return {name: Admissible((1.0 - share) * value, (1.0 + share) * value, ParameterName.parse(name).unit,
+                             f"within {100 * share:g} % of what is stated: a mistake that goes unnoticed")}
 
 
 def other_than_stated(

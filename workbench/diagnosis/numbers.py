@@ -9,8 +9,8 @@ from functools import cached_property
 from geometry.dimension import SAME_LENGTH
 from geometry.stretch import tied
 from materials.kinds import Fluid
-from materials.versions import split_version
 from workbench.diagnosis.state import DeviceState
+from workbench.model.device_numbers import full_names
 from workbench.model.numbers import LOSS, Number, ParameterName
 
 #: Relative difference from which on two stated values are two numbers: far above rounding.
@@ -42,10 +42,8 @@ class DeviceNumbers:
     def named(self, written: str) -> str:
         """The name of the number that was `written` perhaps without its material's source, without the version of a
         saved material, or of one of tied radii."""
-        parsed = ParameterName.parse(written)
-        full = {m.name for s in self.states for m in s.materials.values()
-                if parsed.owner in (m.name.split("/")[0], (split_version(m.name) or ("",))[0])}
-        name = f"{full.pop()}.{parsed.local}" if len(full) == 1 else written
+        full = full_names(written, (m.name for s in self.states for m in s.materials.values()))
+        name = full[0] if len(full) == 1 else written
         return self.first.get(name, name)
 
     def together(self, name: str) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from workbench.diagnosis.hypothesis import (
     MISTAKEN_STIFFNESS,
     Device,
     Effect,
-    mistaken_range,
+    mistaken,
     other_than_stated,
     with_terms,
 )
@@ -81,11 +81,12 @@ def _constants(device: Device, material: Piezoelectric) -> Iterator[Effect]:
     for coefficient in ("c11", "c33", "c44"):
         yield other_than_stated(device, f"loss of {coefficient} of the transducer", TRANSDUCER, "loss",
                                 "a further stiffness loss", _loss(material, coefficient, -1.0))
-        stiffness = mistaken_range(complex(getattr(material, coefficient)).real, MISTAKEN_STIFFNESS, "Pa")
+        stiffness = mistaken(f"{material.name}.{coefficient}", complex(getattr(material, coefficient)).real,
+                             MISTAKEN_STIFFNESS)
         yield other_than_stated(device, f"{coefficient} of the transducer", TRANSDUCER, "stiffness",
-                                "a wrong stiffness", {f"{material.name}.{coefficient}": stiffness})
+                                "a wrong stiffness", stiffness)
     yield other_than_stated(device, "density of the transducer", TRANSDUCER, "mass", "a wrong density",
-                            {f"{material.name}.density": mistaken_range(material.density, MISTAKEN_DENSITY, "kg/m^3")})
+                            mistaken(f"{material.name}.density", material.density, MISTAKEN_DENSITY))
 
 
 def _gauge(material: str) -> Effect:

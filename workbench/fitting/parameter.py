@@ -16,7 +16,7 @@ from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
 from workbench.files.errors import InputError, nearest_names
 from workbench.model.device_numbers import assumed_by_role, bench_number, coefficient_number, length_number
-from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterKind, ParameterName, Stated
+from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterName, Stated
 from workbench.model.problem import Problem
 
 #: Standard uncertainty of a data sheet's number, relative to it, by the first letters of its name: as far as data
@@ -232,7 +232,7 @@ def bench_parameter(name: str, recordings: Sequence[str] = ()) -> Parameter:
         InputError: no such element.
     """
     parsed = ParameterName.parse(name)
-    element = parsed.coefficient if parsed.kind is ParameterKind.BENCH else name
+    element = parsed.coefficient if parsed.is_bench else name
     if element not in BENCH_ELEMENTS:
         raise InputError("fit", "free", name, f"a bench element: {', '.join(BENCH_ELEMENTS)}",
                          nearest_names(element, BENCH_ELEMENTS))
@@ -252,9 +252,9 @@ def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequen
     result: list[Parameter] = []
     for name in names:
         parsed = ParameterName.parse(name)
-        if parsed.kind is ParameterKind.BENCH:
+        if parsed.is_bench:
             found = bench_parameter(name)
-        elif parsed.kind is ParameterKind.MATERIAL:
+        elif parsed.is_material:
             if parsed.owner not in {m.name for m in problem.materials.values()}:
                 raise InputError("fit", "free", name, "a coefficient of one of "
                                  + ", ".join(sorted({m.name for m in problem.materials.values()})))

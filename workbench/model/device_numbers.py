@@ -12,6 +12,7 @@ from geometry.assumed import assumed_uncertainty
 from geometry.chip import Chip
 from geometry.stretch import tied
 from materials.kinds import Material
+from materials.versions import split_version
 from workbench.files.errors import InputError
 from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterName, Stated, limits
 
@@ -34,6 +35,14 @@ def device_numbers(chip: Chip | None, materials: Iterable[Material]) -> dict[str
             for name in (key, key + LOSS):
                 found[f"{material.name}.{name}"] = coefficient_number(material, name)
     return found
+
+
+def full_names(written: str, materials: Iterable[str]) -> list[str]:
+    """The names that one `written` without its material's source, or without the version of a saved material, may stand
+    for; `materials` are the full names of those there are."""
+    parsed = ParameterName.parse(written)
+    return [f"{name}.{parsed.local}" for name in sorted(set(materials))
+            if parsed.owner in (name.split("/")[0], (split_version(name) or ("",))[0])]
 
 
 def length_number(chip: Chip, name: str) -> Number:
